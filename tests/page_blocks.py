@@ -4,6 +4,7 @@
     ```python                     executed
     ```python title="arm.py"      written to that file, as is every block with a title; a program may import it
     ```yaml title="arm.yaml"      written; checked as an experiment file where it says `model:`
+    ```yaml                       read as an experiment file where it says `model:`
     ```sh                         lines `torchmbd ...` are run by `commands`, with the overrides of the test
 
 Other languages are not run. `<!-- not run: why -->` above a block leaves it out, and says why.
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 
 from experiments.documentation.blocks import FENCE, inserted
 from torchmbd import cli
+from torchmbd.study.load import load
 
 
 class Block(NamedTuple):
@@ -49,6 +51,9 @@ def run(page: Path, folder: Path) -> dict[str, Any]:
             (folder / block.title).write_text(block.text, encoding="utf-8")
             if block.language == "yaml" and re.search("^model:", block.text, re.MULTILINE):
                 assert cli.main(["check", str(folder / block.title)]) == 0, f"{page.name}, line {block.line}"
+        elif block.language == "yaml" and re.search("^model:", block.text, re.MULTILINE):
+            (folder / "experiment.yaml").write_text(block.text, encoding="utf-8")
+            load(folder / "experiment.yaml")
         elif block.language == "python":
             exec(compile("\n" * block.line + block.text, str(page), "exec"), names)
         elif block.language == "pycon":

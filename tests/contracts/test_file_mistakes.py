@@ -146,6 +146,12 @@ MISTAKES = [
     ("tracking:", "robust: worse\ntracking:", ["robust = 'worse'", "did you mean 'worst'"]),
     ("tracking:", f"links: {{'{PLY}[2]': {{'{PLY}[0]': -1}}}}\ntracking:", [f"{PLY}[2] is no entry", "did you mean"]),
     ("tracking:", f"links: {{'{PLY}[1]': {{'{PLY}[0]': a}}}}\ntracking:", ["= 'a'", "must be a valid number"]),
+    ("tracking:", f"links: {{'{PLY}[1]': {{{PLY}[0]: -1}}}}\ntracking:", ["not YAML", "got '['", "allowed within { }"]),
+    (
+        "tracking:",
+        f"links: {{'{PLY}[1]': {{'{PLY}[0]': -1}}}}\ntracking:",
+        ["start = [45.0, -45.0]: has 2 values", "allowed: 1 (of [0]; the others follow)"],
+    ),
     ("tracking:", f"links: {{'{PLY}[1]': {{constnt: 1}}}}\ntracking:", ["constnt", "did you mean 'constant'"]),
     ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["scenarios.0.set.slider.mas", "allowed: rod"]),
     ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["mbd.variable", "options: "]),

@@ -18,8 +18,11 @@ from rich.console import Console
 import torchmbd as mbd
 from tests.study.rod_model import build
 from torchmbd.optimization import Evaluation
+from torchmbd.study.compare import print_best
+from torchmbd.study.estimate import print_estimate
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.html_report import write_report
+from torchmbd.study.listing import study_links
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.tracking.catalog import children, find
 
@@ -142,7 +145,7 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     tradeoff = mbd.Tradeoff(
         build(),
         0.002,
-        {"energy": mbd.Integral(ENERGY), "torsion": -mbd.Frequency("rod", 3)},
+        {"energy": mbd.Max(ENERGY), "torsion": -mbd.Frequency("rod", 3)},
         steps=8,
         variables=["rod.laminate.angles"],
         bounds=mbd.deg([-90, 90]),
@@ -152,7 +155,19 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     assert list(front.to_dataframe().columns)[:2] == ["energy", "torsion"]
     uri = f"sqlite:///{own / 'mlflow.db'}"
     assert len(children(uri, find(uri, "front"))) == len(front.result.points)
-    assert front.report("front.html").is_file()
+    assert all(column in front.report("front.html").read_text() for column in (">energy [J]<", ">torsion [Hz]<"))
+    entry, text = find(uri, "front"), io.StringIO()
+    print_best("front", uri, 5, Console(file=text, width=120))
+    assert text.getvalue().split("status")[0].count("[J]") == 1  # the criteria stand for an objective
+    assert "less by" not in text.getvalue()
+    assert "load(" not in text.getvalue()  # a front has no one design
+    assert f"{front.result.points[0].criteria[0]:.6g}" in text.getvalue()
+    assert "motion" not in study_links("", entry.experiment_id, entry.run_id, entry.kind, entry.status)
+    page = io.StringIO()
+    print_estimate(mbd.Study(tradeoff, max_iterations=2, divisions=2), Console(file=page, width=200))
+    assert "at most about 18 simulations in batches of 2" in page.getvalue()  # three searches, each of them twice
+    assert front.result.analyses <= 18
+    assert page.getvalue().count("  minimize ") == 2
     worst = mbd.RobustProblem(problem(subject_to=()), mbd.deg(2.0), "worst")
     robust = mbd.Study(worst, mbd.sobol(2, seed=1), name="robust", max_iterations=2).run(console=QUIET)
     assert robust.columns.names[-1] == "beta"

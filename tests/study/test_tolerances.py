@@ -79,6 +79,26 @@ def test_what_is_wrong_is_named(write, changes, words):
         load_study(write(**changes))
 
 
+def test_scenarios_and_tolerances_multiply():
+    thick = [{"arm.laminate.thickness": [x, x]} for x in (1e-3, 2e-3, 3e-3)]
+    over = mbd.Scenarios(
+        mbd.examples.arm(),
+        0.01,
+        mbd.Integral(mbd.StrainEnergy("arm")),
+        scenarios=thick,
+        objective="mean",
+        variables=["arm.laminate.angles"],
+        steps=4,
+    )
+    robust = mbd.RobustProblem(over, mbd.deg(2.0))
+    assert robust.simulations == 3 * 5
+    study = mbd.Study(robust, max_iterations=2)
+    cost, output = estimate(study, study.simulated), io.StringIO()
+    assert (cost.simulations, cost.lanes) == (3 * 3 * 5, 3 * 5)
+    print_estimate(study, Console(file=output, width=200))
+    assert "mean over the tolerances, mean of 3 scenarios" in output.getvalue()
+
+
 def test_what_the_problem_refuses_is_refused_before_anything_is_kept(write):
     file = write(**given(2.0, subject_to=[{"frequency": {"body": "rod"}, "equal": 100.0}]))
     with pytest.raises(mbd.InputError, match="problem has equalities"):

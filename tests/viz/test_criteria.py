@@ -56,6 +56,19 @@ def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     assert mbd.viz.save(figure, tmp_path / "time.png").stat().st_size > 5000
 
 
+def test_long_labels_stay_inside_the_figure(problem, motion):
+    values = ", ".join(f"thickness {k} 0.275682 mm" for k in range(6))
+    labels = [f"start design ({values})", f"best design ({values})"]
+    over_time = mbd.viz.criteria_over_time(problem, motion, labels)
+    failure = mbd.viz.failure_map(motion, "arm", labels)
+    legends, titles = over_time.legends, [axes.title for axes in failure.axes]
+    for figure in (over_time, failure):
+        figure.canvas.draw()
+    for figure, texts in ((over_time, legends), (failure, titles)):
+        assert texts
+        assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in texts)
+
+
 def test_a_failed_lane_ends_where_it_fails(problem):
     motion = problem.simulate(np.array([problem.start]))
     values = ENERGY(motion).detach().clone()

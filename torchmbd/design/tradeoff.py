@@ -21,6 +21,7 @@ import numpy as np
 from torchmbd.design.problem import Problem
 from torchmbd.design.question import constraints_of
 from torchmbd.design.response import Constraint, Measure, all_measures
+from torchmbd.design.words import unit
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
@@ -71,6 +72,15 @@ class Tradeoff:
             raise InputError("subject_to has equalities; allowed: inequalities")
         self.names, self.start, self.period = self.problem.names, self.problem.start, self.problem.period
         self.lower, self.upper = self.problem.lower, self.problem.upper
+
+    @property
+    def units(self) -> list[str | None]:
+        """The unit of each criterion, None where it is not known."""
+        measures = [
+            self.problem.objective,
+            *(row.measure for row in self.problem.constraints[: len(self.criteria) - 1]),
+        ]
+        return [unit(measure) for measure in measures]
 
     def over(self, problem: Any) -> Tradeoff:
         """The same with another source of evaluations than `self.problem`."""

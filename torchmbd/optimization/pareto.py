@@ -16,6 +16,7 @@ Structural and Multidisciplinary Optimization 25 (2003) 86-98. Checked in tests/
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations, pairwise
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+DIVISIONS = 10
 TIE = 1e-4  # weight of the other criteria in an anchor: of several minima, the one that is best for them
 AGAINST = 1e-2  # a weight below minus this much says that a criterion could be better at no cost
 SAME = 1e-6  # of the range of each criterion: smaller differences are none
@@ -85,15 +87,17 @@ class Front:
         ]
         return pd.DataFrame(rows)
 
-    def plot(self) -> Figure:
-        """Figure of the criteria over the first."""
-        from torchmbd.viz.figures import BEST, figure_of
+    def plot(self, headings: Sequence[str] = (), title: str = "") -> Figure:
+        """Figure of the criteria over the first; `headings`: what stands at the axes, instead of their names."""
+        from torchmbd.viz.figures import BEST, figure_of, titled
 
-        figure, axes = figure_of(2.2 + 1.4 * (len(self.names) - 1), rows=len(self.names) - 1)
-        for ax, name, values in zip(axes, self.names[1:], self.criteria.T[1:], strict=True):
+        first, *others = headings or self.names
+        figure, axes = figure_of(2.2 + 1.4 * len(others), rows=len(others))
+        for ax, name, values in zip(axes, others, self.criteria.T[1:], strict=True):
             ax.plot(self.criteria[:, 0], values, color=BEST, marker="o", ms=4, lw=1.0)
             ax.set_ylabel(name)
-        axes[-1].set_xlabel(self.names[0])
+        axes[-1].set_xlabel(first)
+        titled(figure, title)
         return figure
 
     @property
@@ -109,7 +113,7 @@ class Front:
 
 def pareto_front(
     problem: ManyCriteria,
-    divisions: int = 10,
+    divisions: int = DIVISIONS,
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,
     *,
@@ -174,6 +178,16 @@ def pareto_front(
         family.interrupted,
         list(problem.criteria),
     )
+
+
+def group_sizes(criteria: int, starts: int, divisions: int = DIVISIONS, everywhere: bool = False) -> list[int]:
+    """How many searches run together, one group after the other: anchors, waves of points, these from all starts.
+
+    Anchors and points each count once more: they begin again where another search came across a better design.
+    """
+    waves = [len(wave) for wave in _waves(_simplex(divisions, criteria), criteria)]
+    points = sum(waves)
+    return [size for size in (criteria * starts, criteria, *waves, points * starts * everywhere, points) if size]
 
 
 def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:

@@ -93,8 +93,8 @@ class RobustProblem:
 
     @property
     def simulations(self) -> int:
-        """Number of designs of the problem that one evaluation needs, without corners where constraints are largest."""
-        return len(self.shifts)
+        """Number of simulations that one evaluation needs, without those of corners where constraints are largest."""
+        return len(self.shifts) * getattr(self.problem, "simulations", 1)
 
     def design(self, x: np.ndarray) -> np.ndarray:
         """The design [n] of a point of this problem, without beta."""

@@ -205,7 +205,8 @@ def _design_faults(design: Mapping[str, Variable], system: System, links: Collec
         if name not in own:
             faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
             continue
-        size = len(_free(name, own[name].numel(), links))
+        entries = _free(name, own[name].numel(), links)
+        size = len(entries)
         said = [key for key in _NUMBERS if getattr(variable, key) is not None]
         if not size:
             follows = "is given, but every entry follows others by links; allowed: unit alone"
@@ -214,12 +215,16 @@ def _design_faults(design: Mapping[str, Variable], system: System, links: Collec
         faults += [
             Fault((*path, key), "is missing; allowed: a number") for key in ("lower", "upper") if key not in said
         ]
+        some = f" (of {', '.join(f'[{i}]' for i in entries)}; the others follow)" * (size < own[name].numel())
         sized = {key: values(getattr(variable, key), size) for key in said}
         for key, x in sized.items():
             if x is None:
                 given = getattr(variable, key)
                 faults.append(
-                    Fault((*path, key), f"= {given}: has {len(given)} values; allowed: {size}, or one number for all")
+                    Fault(
+                        (*path, key),
+                        f"= {given}: has {len(given)} values; allowed: {size}{some}, or one number for all",
+                    )
                 )
         faults += _bound_faults(path, sized) + _unit_faults(path, name, variable.unit, sized)
     return faults

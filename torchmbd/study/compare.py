@@ -14,6 +14,7 @@ from torchmbd.study.metric_names import (
     INCREASE,
     REDUCTION,
     STARTS,
+    asked,
     gain,
     heading,
     is_design,
@@ -40,23 +41,24 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
-    for title in ("", "objective", better(sign), "viol.", *map(heading, names), "status"):
+    criteria = asked((child.metrics for child in found), sign)
+    titles = [better(sign) if name == gain(sign) else heading(name) for name in criteria]
+    for title in ("", *titles, "viol.", *map(heading, names), "status"):
         table.add_column(escape(in_lines(title)), justify="right", no_wrap=True)
     for child in found:
-        less = child.metrics.get(gain(sign))
-        cells = [child.name, f"{child.metrics['objective']:.6g}", "-" if less is None else f"{less:.2f} %"]
+        cells = [child.name, *(_cell(child, name, gain(sign)) for name in criteria)]
         violation = child.metrics.get("violation")
         cells.append("-" if violation is None else f"{violation:.0e}" if violation else "0")
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
-    if not print_table(table, console, give_way(4, len(names), [-1, 2])):
+    if not print_table(table, console, give_way(2 + len(criteria), len(names), [-1, 2])):
         for child in found:
             values = ", ".join(f"{heading(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
     again = (
         f'torchmbd.load("{entry.run_id[:8]}", model="{model}")'
-        if model
+        if model and entry.kind == "study"
         else "the same mbd.Study; its run() reads what is there"
     )
     console.print(
@@ -65,6 +67,13 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         markup=False,
         soft_wrap=True,
     )
+
+
+def _cell(child: Entry, name: str, share: str) -> str:
+    """A metric of a start; `share` is one in percent."""
+    if name not in child.metrics:
+        return "-"
+    return f"{child.metrics[name]:.2f} %" if name == share else f"{child.metrics[name]:.6g}"
 
 
 def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:

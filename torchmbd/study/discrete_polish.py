@@ -29,6 +29,8 @@ def lay(
 ) -> DiscreteResult:
     """Search the designs on the steps from the start designs [count, n]; print and file the best of them."""
     limits = {"max_iterations": study.max_iterations, **options}
+    if not console.is_terminal:
+        console.print("searching designs on the steps")
     with console.status("searching designs on the steps"):
         found = optimize_discrete(target, study.increments, study.method, list(points), **limits)
     best, above = found.best, relaxed.best

@@ -9,7 +9,8 @@ Gradients in forward and in reverse mode are both measured, where the method has
 chosen by counting.
 
 Simulations: of a sweep its points; of an optimization at most 1.5 per iteration of every start, as the shipped studies
-do (README), and no start ends early. Methods that choose their steps: a time unit in place of a step.
+do (README), and no start ends early; of a front the same of every anchor from every start
+and of every point, and once more of each. Methods that choose their steps: a time unit in place of a step.
 Pictures: one is drawn, and counted for each of their axes. Measured on this machine, with whatever else it does.
 Checked in tests/study/test_estimate.py.
 """
@@ -34,10 +35,12 @@ from torch import Tensor
 from torchmbd.design import Problem
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import words
 from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.optimization.multistart.workers import LANES
+from torchmbd.optimization.pareto import group_sizes
 from torchmbd.study.columns import EXTRA
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import FiguresPlan
@@ -81,9 +84,12 @@ class Estimate:
 def estimate(study: StudySettings, problem: Problem) -> Estimate:
     """Measure two short motions with their responses, and extrapolate."""
     starts = _starts(study)
+    groups = _groups(study, len(starts))
+    starts = np.resize(starts, (max(groups), starts.shape[1]))
     cases = getattr(problem, "simulations", 1)  # of one design
     if study.problem is not problem:  # a robust one, of designs around each
-        starts = np.repeat(starts, max(1, getattr(study.problem, "simulations", 1) // cases), axis=0)
+        around = max(1, getattr(study.problem, "simulations", 1) // cases)
+        starts, groups = np.repeat(starts, around, axis=0), [around * size for size in groups]
     X = starts[:LANES, : len(problem.names)]
     way = problem.gradients if study.sweep is None else "none"
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
@@ -92,12 +98,13 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
     for other in _WAYS.get(way, ()):
         with contextlib.suppress(MbdError):  # a method or a system without it
             others[other] = _batch(problem, X, other)[1]
-    batches = each * math.ceil(len(starts) / LANES)
+    batches = each * sum(math.ceil(size / LANES) for size in groups)
     base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    once = first + _TRACKING + (batch + _pictures(problem) if study.sweep is None else 0.0)  # two motions of pictures
+    drawn = study.sweep is None and len(groups) == 1
+    once = first + _TRACKING + (batch + _pictures(problem) if drawn else 0.0)  # two motions of pictures
     memory = base + _COPIES * size
     return Estimate(
-        each * len(starts) * cases, len(X) * cases, batch, batches * batch + once, once, memory, way, others
+        each * sum(groups) * cases, len(X) * cases, batch, batches * batch + once, once, memory, way, others
     )
 
 
@@ -132,6 +139,15 @@ def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float, flo
     (a, fast), (b, slow) = times[0], times[-1]
     rate = max((slow - fast) / (b - a), 0.0) if b > a else fast / a
     return once, max(fast - rate * a, 0.0) + rate, size
+
+
+def _groups(study: StudySettings, starts: int) -> list[int]:
+    """How many searches, or designs of a sweep, run together, one group after the other."""
+    criteria = getattr(study.problem, "criteria", ())
+    if not criteria:
+        return [starts]
+    given = {key: study.options[key] for key in ("divisions", "everywhere") if key in study.options}
+    return group_sizes(len(criteria), starts, **given)
 
 
 def _starts(study: StudySettings) -> np.ndarray:
@@ -201,7 +217,8 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     console.print(
         f"{valid}: {asked}, {_count(sum(x not in EXTRA for x in study.columns.labels), 'design variable')}, "
         f"{_count(len(problem.constraints) - others, 'constraint')}"
-        + _SOUGHT.get(getattr(study.problem, "kind", ""), ""),
+        + _SOUGHT.get(getattr(study.problem, "kind", ""), "")
+        + _over_scenarios(problem),
         markup=False,
         soft_wrap=True,
     )
@@ -215,17 +232,24 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_time(cost.batch_seconds)} each: "
         f"{_time(cost.seconds)} in one process, {_time(cost.once)} of them once (loading, pictures, MLflow), "
         f"{cost.memory / 2**30:.1f} GiB{known}"
-        + "; designs on the steps are looked at after that"
+        + "; not counted is the search of designs on the steps after that, which may take many times as long"
         * any(study.increments),
         markup=False,
         soft_wrap=True,
     )
     _print_truncation(problem, console)
     if cost.batch_seconds < _PATIENCE:
-        print_start_values(problem, console)
+        print_start_values(problem, console, others + 1)
     if cost.gradients != "none":
         console.print(f"gradients: {'; '.join(ways)}", markup=False, soft_wrap=True)
     return cost
+
+
+def _over_scenarios(problem: Problem) -> str:
+    """`, worst of 20 scenarios`, of a problem that has some."""
+    if not isinstance(problem, Scenarios):
+        return ""
+    return f", {'worst' if problem.peaks else 'mean'} of {_count(len(problem.scenarios), 'scenario')}"
 
 
 def _print_truncation(problem: Problem, console: Console) -> None:

@@ -26,7 +26,7 @@ def run_front(
 ) -> tuple[Front | None, Status]:
     """Find the front, print it, and file every point."""
     options: dict[str, Any] = {"max_lanes": lanes} | study.options
-    journal.begin("study")
+    journal.begin(study.kind)
     names = list(study.problem.criteria)
     try:
         with console.status(f"{escape(study.name)}: front of {escape(', '.join(names))}"):
@@ -43,7 +43,7 @@ def run_front(
         return None, "FAILED"
     for k, point in enumerate(front.points):
         journal.begin_start(k, point.x, kind="point")
-        numbers = dict(zip(names, point.criteria.tolist(), strict=True))
+        numbers = dict(zip(journal.criteria.values(), point.criteria.tolist(), strict=True))
         numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
         journal.tracker.metrics(child(k), numbers | journal.shown(point.x))
         journal.tracker.tags(child(k), {"status": point.result.status, "message": point.result.message})
@@ -54,7 +54,9 @@ def run_front(
 
 
 def _show(study: StudySettings, front: Front, journal: Journal, console: Console) -> None:
-    table = table_of(f"{study.name}: {len(front.points)} points", ["point", *front.names, *study.columns.headings])
+    units = getattr(study.problem, "units", [None] * len(front.names))
+    headings = [f"{name} [{unit}]" if unit else name for name, unit in zip(front.names, units, strict=True)]
+    table = table_of(f"{study.name}: {len(front.points)} points", ["point", *headings, *study.columns.headings])
     for k, point in enumerate(front.points):
         values = [f"{value:z.2f}" for value in study.columns.shown(point.x).values()]
         table.add_row(str(k), *(f"{value:.6g}" for value in point.criteria), *values)
@@ -67,4 +69,5 @@ def _show(study: StudySettings, front: Front, journal: Journal, console: Console
             for point in front.points:
                 writer.writerow([*point.criteria.tolist(), *study.columns.shown(point.x).values()])
         journal.file(file)
-    draw(front.plot, ["front.png", "front.pdf"], journal, console)
+    title = study.question or study.name
+    draw(front.plot, ["front.png", "front.pdf"], journal, console, headings=headings, title=title)

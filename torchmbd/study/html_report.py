@@ -23,6 +23,7 @@ from torchmbd.study.metric_names import (
     ITERATIONS,
     REDUCTION,
     STARTS,
+    asked,
     heading,
     is_design,
 )
@@ -119,7 +120,7 @@ def _children(store: str, entry: Entry) -> str:
     if not found:
         return ""
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
-    columns = ["objective", REDUCTION, INCREASE, "violation", *names, ITERATIONS, ANALYSES]
+    columns = [*asked(child.metrics for child in found), INCREASE, "violation", *names, ITERATIONS, ANALYSES]
     columns = [name for name in columns if any(name in child.metrics for child in found)]
     head = "".join(f"<th>{escape(heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []

@@ -16,8 +16,19 @@ from typing import Any
 import numpy as np
 import yaml
 
+from torchmbd.math.units import UNITS
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
-from torchmbd.study.metric_names import ANALYSES, DESIGN, EVALUATIONS, FAILED, ITERATIONS, constraint_names, gain, legal
+from torchmbd.study.metric_names import (
+    ANALYSES,
+    CRITERION,
+    DESIGN,
+    EVALUATIONS,
+    FAILED,
+    ITERATIONS,
+    constraint_names,
+    gain,
+    legal,
+)
 from torchmbd.study.paths import problem_key
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
@@ -62,9 +73,20 @@ class Journal:
 
     def _columns(self, kind: str) -> list[str]:
         """Return what the table of the children shows."""
-        own = ["ratio"] if kind == "sweep" else [gain(self.study.sign), "violation", ITERATIONS, FAILED]
-        names = ["objective", *own, *(DESIGN + name for name in self.study.columns.names)]
+        own = {"sweep": ["ratio"], "front": ["violation"]}.get(
+            kind, [gain(self.study.sign), "violation", ITERATIONS, FAILED]
+        )
+        first = list(self.criteria.values()) if kind == "front" else ["objective"]
+        names = [*first, *own, *(DESIGN + name for name in self.study.columns.names)]
         return [*(f"metrics.{name}" for name in names), "tags.status"]
+
+    @property
+    def criteria(self) -> dict[str, str]:
+        """The metrics of the criteria of a front by their names, with units that are known: `criterion/mass_kg`."""
+        problem = self.study.problem
+        units = getattr(problem, "units", [None] * len(problem.criteria))
+        ends = [f"_{unit}" if unit in UNITS else "" for unit in units]
+        return {name: CRITERION + legal(name + end) for name, end in zip(problem.criteria, ends, strict=True)}
 
     def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
         """Open the child of a start, or of a point of a sweep."""

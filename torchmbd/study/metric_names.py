@@ -3,6 +3,7 @@
     objective, violation, reduction_percent, best_objective    what was asked for; increase_percent where it is to be large
     constraint/max of strain energy of rod                     satisfied where it is not positive
     design/angle_1_deg                                         the design, in the units of the study
+    criterion/mass_kg                                          of a point of a front
     search/iterations, search/analyses, ...                    what it took
 
 Checked in tests/study/test_metric_names.py.
@@ -10,12 +11,12 @@ Checked in tests/study/test_metric_names.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from torchmbd.math.units import UNITS
 
-CONSTRAINT, DESIGN, SEARCH = "constraint/", "design/", "search/"
+CONSTRAINT, CRITERION, DESIGN, SEARCH = "constraint/", "criterion/", "design/", "search/"
 REDUCTION, INCREASE = "reduction_percent", "increase_percent"
 ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
 EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
@@ -30,6 +31,12 @@ def gain(sign: float) -> str:
 def is_design(metric: str) -> bool:
     """Whether a metric is a design variable."""
     return metric.startswith(DESIGN)
+
+
+def asked(metrics: Iterable[Mapping[str, float]], sign: float = 1.0) -> list[str]:
+    """The metrics of what is asked for: the objective and how much better it has become, or the criteria of a front."""
+    criteria = dict.fromkeys(name for found in metrics for name in found if name.startswith(CRITERION))
+    return list(criteria) or ["objective", gain(sign)]
 
 
 def short(metric: str) -> str:

@@ -175,7 +175,7 @@ class StudySettings(Summary):
     @property
     def kind(self) -> str:
         """What the tracking store calls it."""
-        return "sweep" if self.sweep is not None else "study"
+        return "sweep" if self.sweep is not None else "front" if self.front else "study"
 
     @cached_property
     def points(self) -> np.ndarray:

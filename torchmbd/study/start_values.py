@@ -36,8 +36,11 @@ class Value(NamedTuple):
     note: str
 
 
-def start_values(problem: Problem) -> list[Value] | str:
-    """Return the responses at the start design, of constraints the row nearest to its limit; or why it fails."""
+def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
+    """Return the responses at the start design, of constraints the row nearest to its limit; or why it fails.
+
+    Of a front the first constraints are criteria too: all of these but one.
+    """
     [found] = problem.evaluate(problem.start[None], False)
     if not found.ok:
         return found.status
@@ -54,6 +57,9 @@ def start_values(problem: Problem) -> list[Value] | str:
         if limit and constraint.limit != "initial":
             note = _doubt(value, limit, constraint.kind) or note
         factor, name = _shown(unit(constraint.measure))
+        if len(values) < criteria:
+            values.append(Value("minimize", words(constraint.measure), factor * value, name, ""))
+            continue
         text = "initial" if constraint.limit == "initial" else f"{factor * limit:.6g}"
         kind = "equal to" if constraint.kind == "equal" else constraint.kind.replace("_", " ")
         values.append(Value(f"{kind} {text}", words(constraint.measure), factor * value, name, note))
@@ -76,9 +82,9 @@ def _doubt(value: float, limit: float, kind: str) -> str:
     return ""
 
 
-def print_start_values(problem: Problem, console: Console) -> None:
+def print_start_values(problem: Problem, console: Console, criteria: int = 1) -> None:
     """Print the responses at the start design, or why it cannot be simulated."""
-    values = start_values(problem)
+    values = start_values(problem, criteria)
     if isinstance(values, str):
         console.print(f"the start design {values}", markup=False, soft_wrap=True)
         return

@@ -80,7 +80,8 @@ def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStud
         for name, file in files.items():
             if file is None:
                 raise InputError(
-                    f"run {entry.run_id[:8]} ({entry.status.lower()}) has no {name}; allowed: a study that ended"
+                    f"run {entry.run_id[:8]} ({entry.kind}, {entry.status.lower()}) has no {name}; allowed: a study of one "
+                    "objective that ended"
                 )
         config, design = (read_yaml(file) for file in files.values() if file is not None)
     if isinstance(config.data, dict) and "problem" in config.data:

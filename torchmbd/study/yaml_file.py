@@ -63,6 +63,9 @@ def read_yaml(path: str | FilePath) -> Document:
     return parse_yaml(text, str(path))
 
 
+_QUOTED = """; allowed within { }: names with [ ] in quotes, such as {"rod.laminate.angles[0]": -1}"""
+
+
 def parse_yaml(text: str, source: str = "<text>") -> Document:
     """Read a text; StudyError with every fault and its line."""
     builder = _Builder(source)
@@ -70,7 +73,9 @@ def parse_yaml(text: str, source: str = "<text>") -> Document:
         builder.document(iter(yaml.parse(text, Loader=yaml.SafeLoader)))
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
-        builder.faults.append(Fault((), f"is not YAML: {error.problem or error.context}", line))
+        said = error.problem or error.context
+        hint = _QUOTED if "'['" in str(said) else ""
+        builder.faults.append(Fault((), f"is not YAML: {said}{hint}", line))
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count("\n") + 1
         builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}", line))

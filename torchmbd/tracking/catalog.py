@@ -11,7 +11,7 @@ from typing import Any
 from torchmbd.errors import InputError, nearest
 from torchmbd.tracking.store import open_store, own_files, sqlite_file
 
-KINDS = ("study", "sweep", "figures")
+KINDS = ("study", "front", "sweep", "figures")
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is to be large
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
 _PAGE = 1000  # runs that are listed at most
@@ -25,7 +25,7 @@ class Entry:
     experiment_id: str
     run_id: str
     name: str
-    kind: str  # "study", "sweep" or "figures"
+    kind: str  # one of KINDS
     status: str
     began: datetime
     seconds: float | None  # None while it runs

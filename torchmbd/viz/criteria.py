@@ -16,7 +16,7 @@ from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError
 from torchmbd.viz.animation import require_motion
-from torchmbd.viz.figures import BAD, BEST, CYCLE, OTHER, figure_of, over_time, titled, wrapped
+from torchmbd.viz.figures import BAD, BEST, CYCLE, LINE, OTHER, figure_of, over_time, titled, wrapped
 from torchmbd.viz.panels import SIGNS, first_limits, full_name, panels_of, shown
 
 if TYPE_CHECKING:
@@ -223,6 +223,6 @@ def _legend(figure: Figure, rows: Sequence[Axes]) -> None:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     if entries:
-        figure.legend(
-            list(entries.values()), list(entries), frameon=False, fontsize=8, loc="outside lower left", ncols=3
-        )
+        labels = [wrapped(label, LINE) for label in entries]
+        columns = 3 if max(map(len, labels)) <= LINE // 3 else 1
+        figure.legend(entries.values(), labels, frameon=False, fontsize=8, loc="outside lower left", ncols=columns)

@@ -18,7 +18,7 @@ from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated
 from torchmbd.viz.animation import require_motion
-from torchmbd.viz.figures import BAD, CYCLE, figure_of, titled
+from torchmbd.viz.figures import BAD, CYCLE, LINE, figure_of, titled, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,7 +108,7 @@ def _on_mesh(owner: Any, found: list[tuple[np.ndarray, str]], labels: Sequence[s
         axes.add_collection(parts)
         worst = np.mean(corners[int(values.argmax())], axis=0)
         axes.plot(*worst, "o", ms=9, mfc="none", mec=BAD, mew=1.6)
-        axes.set_title(f"{label}:\nlargest index {place}", loc="left", fontsize=8)
+        axes.set_title(wrapped(f"{label}:\nlargest index {place}", LINE), loc="left", fontsize=8)
         axes.set_aspect("equal")
         axes.autoscale_view()
         axes.set_ylabel("[m]", fontsize=8)
@@ -148,7 +148,8 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
             most = each.amax(1).numpy()
             point = int(largest.argmax())
             time = float(motion.t[when[point]])
-            axes.plot(x, most, color=color, lw=1.3, label=f"{label}: {most.max():.3g} at t = {time:.4g} s")
+            said = wrapped(f"{label}: {most.max():.3g} at t = {time:.4g} s", LINE)
+            axes.plot(x, most, color=color, lw=1.3, label=said)
             axes.plot(x[most.argmax()], most.max(), "o", ms=7, mfc="none", mec=BAD, mew=1.4)
         _finish(axes, key if len(parts) > 1 else "", criterion)
     rows[-1].set_xlabel("length along the beam [m]")

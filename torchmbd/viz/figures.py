@@ -169,6 +169,9 @@ def degrees(axes: Axes, x: str = "", y: str = "") -> None:
             axis.set_major_locator(MaxNLocator(nbins=9, steps=[1.5, 3.0, 4.5, 9.0]))
 
 
+LINE = 95  # characters of the smallest letters that have room in the width of a figure
+
+
 def wrapped(text: str, width: int) -> str:
     """A long title of an axis in several lines."""
     return "\n".join(line for part in text.splitlines() for line in textwrap.wrap(part, width))
