@@ -17,6 +17,10 @@ from torchmbd.study.load import load_study
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
+def clock_of(seconds: list[float]) -> SimpleNamespace:
+    return SimpleNamespace(perf_counter=lambda: seconds[0], process_time=lambda: seconds[0])
+
+
 def test_simulations_are_counted(write):
     plan = load_study(
         write(starts={"sampler": "sobol", "count": 70, "seed": 1}, simulate={"duration": 1e-3, "steps": 4})
@@ -42,7 +46,7 @@ def test_the_time_is_that_of_a_batch(write, monkeypatch):
         return simulate(*given, steps=steps, designs=designs, **options)
 
     monkeypatch.setattr("torchmbd.study.estimate.simulate", counted)
-    monkeypatch.setattr("torchmbd.study.estimate.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr("torchmbd.study.estimate.time", clock_of(clock))
     cost = estimate(plan, problem)
     assert cost.batch_seconds == pytest.approx(1.0 + 0.125 * 60 * 2, rel=1e-12)  # of two starts
     assert cost.memory > 3 * 2 * bytes_of_a_motion
@@ -71,7 +75,7 @@ def test_responses_count(write, monkeypatch):
         clock[0] += 0.02 * motion.t.numel()
         return motion.body("rod").strain_energy
 
-    monkeypatch.setattr("torchmbd.study.estimate.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr("torchmbd.study.estimate.time", clock_of(clock))
     plan = load_study(write(simulate={"duration": 0.01, "steps": 60}, subject_to=[]))
     asked = mbd.Integral(mbd.history(slow), window=(0.005, 0.01))  # not in the part that is measured
     problem = mbd.Problem(plan.simulated.system, 0.01, asked, steps=60, bounds=(-1.5, 1.5))
@@ -100,7 +104,7 @@ def test_scenarios_of_several_systems_count(monkeypatch):
         steps=20,
     )
     monkeypatch.setattr("torchmbd.study.estimate.simulate", counted)
-    monkeypatch.setattr("torchmbd.study.estimate.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr("torchmbd.study.estimate.time", clock_of(clock))
     points = np.tile(problem.start, (2, 1))
     study = SimpleNamespace(problem=problem, sweep=None, points=points, max_iterations=4)
     cost = estimate(study, problem)
