@@ -44,7 +44,7 @@ CASES = {
 }
 
 
-@pytest.mark.thorough("closed loops")
+@pytest.mark.thorough("closed loops", "slider-crank")
 @pytest.mark.parametrize("name", CASES)
 def test_both_codes_simulate_the_same_mechanism(name):
     case = CASES[name]()
@@ -68,6 +68,7 @@ def test_a_peer_that_fails_says_so_in_its_numbers():
     assert np.isnan(run(0.06, 5).U).all()
 
 
+@pytest.mark.thorough
 def test_responses_are_those_of_the_measures_and_their_gradients():
     case, lanes, steps = small(), 2, 60
     values, gradients = motion(case.dynamics(lanes, True), case.duration, steps)

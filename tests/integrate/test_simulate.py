@@ -242,6 +242,7 @@ def test_steps_that_do_not_resolve_the_vibrations_are_reported():
 
 
 @pytest.mark.filterwarnings("ignore:the steps do not resolve")
+@pytest.mark.usefixtures("compiled")
 def test_motions_that_are_not_resolved_are_no_evaluations_of_a_problem():
     """With 5 steps the estimated error is several hundred per cent: a criterion of it is none."""
     from experiments.slider_crank import build

@@ -35,6 +35,7 @@ def floating_mechanism() -> mbd.System:
     return mbd.System([arm, rod], [mbd.Universal(arm.at(0.2, 0.1, -0.05), rod.at("left"), axes="zx")])
 
 
+@pytest.mark.thorough("floating_plate")
 @pytest.mark.parametrize("build", [floating_plate, floating_mechanism])
 def test_momentum_is_kept(build):
     motion = mbd.simulate(build(), 0.05, "dopri5", steps=5, rtol=1e-9, atol=1e-11).require_ok()

@@ -153,6 +153,7 @@ def agree(found: Tensor, expected: Tensor, tolerance: float) -> None:
 
 
 # Differences of accelerations have the rounding errors of the constraints over the square of the step.
+@pytest.mark.thorough("free")
 @pytest.mark.parametrize(("kind", "tolerance"), [("q", 2e-7), ("v", 2e-7), ("a", 1e-5)])
 def test_motion_through_phases_against_differences(kind, tolerance, motion):
     agree(getattr(motion, f"d{kind}_db")[0], differences(getattr(motion, kind)), tolerance)

@@ -12,6 +12,8 @@ from tests.mechanisms import plate
 from tests.sensitivity.number_cases import beam, check, check_native, hung, number, ply
 from torchmbd.fem.elements import Plates
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 V = mbd.variable
 MODULI = ("E1", "E2", "G12", "G13", "G23", "nu12", "density")
 
@@ -66,6 +68,7 @@ def test_gradients(case):
     check(system, names, steps=dict.fromkeys([name for name in names if "nu" in name], 2e-2))
 
 
+@pytest.mark.thorough("laminate")
 @pytest.mark.parametrize("case", ["laminate", "section"])
 def test_gradients_of_the_failure_index(case):
     system = CASES[case]()

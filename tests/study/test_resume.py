@@ -74,6 +74,7 @@ def _killed_in_batch(file: Path, number: int) -> None:
     run(file, Silent())
 
 
+@pytest.mark.thorough
 def test_a_killed_study_repeats_no_evaluation(study, monkeypatch):
     undisturbed = run(study, Silent())
     assert "evaluations known" not in undisturbed

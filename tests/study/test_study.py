@@ -139,6 +139,7 @@ class Valley:
         return [Evaluation((1 - x) ** 2 + (y - x) ** 2, none, d, slopes) for (x, y), d in zip(X, df, strict=True)]
 
 
+@pytest.mark.thorough
 def test_other_problems_fronts_tolerances_and_steps(own):
     found = mbd.Study(Valley(), mbd.sobol(2, seed=1), method="slsqp", name="valley").run(console=QUIET)
     np.testing.assert_allclose(found.best.x, [1.0, 1.0], atol=1e-4)

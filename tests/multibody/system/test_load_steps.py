@@ -87,6 +87,7 @@ def test_snap_through():
         mbd.equilibrium(mbd.System([beam], [wall, guide], [push]))
 
 
+@pytest.mark.thorough("0.001")
 @pytest.mark.parametrize("EI", [1e-1, 1e-3, 1e-4])
 def test_soft_beam_hangs_as_the_beam_alone(EI):
     """Weight of up to 10,000 E I / L^2; E A = 1e6 N."""
