@@ -83,6 +83,17 @@ def _contact_time(k: float = K, height: float = 0.1) -> float:
     return 2.0 / w * (math.pi - math.atan(v * w / G))
 
 
+@pytest.mark.parametrize("steps", [8, 31])
+def test_a_contact_that_the_end_cuts_off(steps):
+    """Deepest after t_0 + pi / 2 w, where the motion ends: by few steps of the whole as by many, to 2 % of the depth."""
+    fall, w = math.sqrt(2.0 * 0.1 / G), math.sqrt(2e4 / MASS)
+    duration = fall + (math.pi / 2.0 + math.atan(1.0 / (w * fall))) / w
+    depth = (G + math.sqrt(G**2 + 2.0 * G * 0.1 * w**2)) / w**2
+    motion = mbd.simulate(dropped(stiffness=2e4), duration, steps=steps, gradients="none").require_ok()
+    assert motion.stats["halved"] == [0]
+    assert mbd.Final(mbd.Position("ball", "z"))(motion).item() == pytest.approx(-depth, rel=0.02)
+
+
 def test_a_contact_that_no_steps_show_keeps_its_status():
     with pytest.warns(UserWarning, match="contact 'floor'"):
         motion = mbd.simulate(dropped(0.01, stiffness=1e13), 0.06, steps=6, gradients="none")

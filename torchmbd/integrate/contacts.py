@@ -1,7 +1,8 @@
 """Contacts located in time: those that fixed steps pass over, and those of too few steps.
 
     missed    both ends of a step are apart, but the cubic of gaps and rates at its ends (Hermite) is not in between
-    short     bodies touch at fewer than STEPS consecutive times, between times at which they are apart
+    short     bodies touch at fewer than STEPS consecutive times, between times at which they are apart; or they touch at the
+              last time, and lose half of their speed in fewer than a third of STEPS, as in a contact of STEPS
 
 The first of either says how many steps would stand for one; attempts.py makes them, for the whole motion of that lane, so
 that derivatives are those of equal steps. A linear spring in contact for STEPS steps gives the speed back to 0.05 %, with an
@@ -27,6 +28,7 @@ from torchmbd.multibody.system.times_as_lanes import as_lanes
 
 STEPS = 20  # in contact
 MOST = 256  # steps for one
+_FIRST = 7  # of these, before which a linear spring takes less than half of the speed
 _PASSED = 4  # steps for one where a contact was passed over
 _SLOW = 1e-3  # of the largest rate of the gap: slower contacts count as none
 _SHALLOW = 1e-3  # of what the gap changes in a step: a cubic that overlaps less touches nothing
@@ -134,8 +136,21 @@ def _doubts(label: str, gap: Tensor, rate: Tensor, h: float, equal: bool) -> lis
         text = f"{label} between t = {i * h:.6g} s and {(i + 1) * h:.6g} s {verb}"
         found.append((i, Doubt(text, _PASSED, equal)))
     if equal:
-        found += _short(label, closed, felt, h)
+        found += _short(label, closed, felt, h) + _cut(label, gap, rate, felt, h)
     return found
+
+
+def _cut(label: str, gap: Tensor, rate: Tensor, felt: Tensor, h: float) -> list[tuple[int, Doubt]]:
+    """A contact that the end of the motion cuts off, and that slows down in too few steps."""
+    is_open = torch.nonzero(gap >= 0.0)[:, 0]
+    if not len(is_open) or (n := len(gap) - 1 - int(is_open[-1])) in (0, *range(_FIRST, len(gap))):
+        return []
+    i = int(is_open[-1])
+    before = torch.stack([rate[i], rate[i + 1], (gap[i + 1] - gap[i]) / h]).min()
+    if not bool(felt[i] & (rate[-1] > 0.5 * before)):
+        return []
+    text = f"{label} from t = {i * h:.6g} s on stops within {n} steps of {h:.3g} s; allowed: {STEPS} steps in contact"
+    return [(i, Doubt(text, 2 ** math.ceil(math.log2(STEPS / 3.0 / n)), False))]
 
 
 def _short(label: str, closed: Tensor, felt: Tensor, h: float) -> list[tuple[int, Doubt]]:

@@ -82,6 +82,12 @@ def test_given_modes_span_the_same_motion(built, numbers):
     assert_close(found.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-8, atol=1e-3)
 
 
+@pytest.mark.parametrize("nodes", [{1: (0, 0, 0), 2: (1, 0)}, {1: "abc"}, {1: (0, 0, 0), "a": (1, 0, 0)}])
+def test_labels_with_places_that_are_none(numbers, nodes):
+    with pytest.raises(InputError, match=r"nodes of 'arm' are .*a number -> three coordinates"):
+        mbd.FlexibleBody.from_matrices("arm", *numbers, nodes)
+
+
 def test_labels_of_a_file_find_their_nodes(numbers, tmp_path):
     """Abaqus' rows by node label and direction, in any order."""
 

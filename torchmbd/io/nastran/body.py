@@ -86,6 +86,10 @@ def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
     """Masses on arms at their grids."""
     unit, arms = scale.mass * data.weight_to_mass, []
     for mass in data.masses:
+        if any(mass.offset) and data.systems.curved(mass.system, mass.card):
+            raise InputError(
+                f"{mass.card}: CID {mass.system} is curved; allowed: a rectangular system, or X1 to X3 zero"
+            )
         axes = data.systems.axes(mass.system, mass.card, np.array(data.grids[mass.grid]))
         arms.append((np.array(mass.offset) @ axes * scale.length).tolist())
     nodes = [made.index[mass.grid] for mass in data.masses]

@@ -133,8 +133,12 @@ def _aligned(read: list[FileMatrix]) -> list[FileMatrix]:
 def _places(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int] | None, Float[Tensor, "n 3"]]:
     """Labels of the nodes, if rows refer to them, and places [n, 3]."""
     if isinstance(nodes, Mapping):
-        labels = sorted(nodes)
-        return labels, reals(f"nodes of {name!r}", np.array([list(nodes[k]) for k in labels], dtype=float))
+        try:
+            labels = sorted(int(label) for label in nodes)
+            places = np.array([list(nodes[label]) for label in labels], dtype=float).reshape(len(labels), 3)
+        except (TypeError, ValueError, KeyError):
+            raise InputError(f"nodes of {name!r} are {nodes!r}; allowed: a number -> three coordinates") from None
+        return labels, reals(f"nodes of {name!r}", places)
     x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes)
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
         raise InputError(f"nodes of {name!r} have shape {tuple(x.shape)}; allowed: [n, 3], or label -> place")
