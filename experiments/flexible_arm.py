@@ -20,6 +20,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments.robots import ARM, folder
+from torchmbd.io.urdf import read_urdf
 from torchmbd.multibody.system.robot import robot
 
 SEGMENTS = {5: "five", 10: "ten"}
@@ -46,7 +47,7 @@ def drives() -> dict:
 def segments(models: Path, count: int) -> mbd.System:
     """The arm as its authors cut it; springs and dampers are not in the URDF file."""
     at = models / "three_dof" / f"{SEGMENTS[count]}_segments"
-    parts = robot(at / f"flexible_arm_3dof_{count}s.urdf", {}, positions=POSITIONS, drives=drives())
+    parts = robot(read_urdf(at / f"flexible_arm_3dof_{count}s.urdf"), {}, positions=POSITIONS, drives=drives())
     numbers = yaml.safe_load((at / "flexibility_params.yml").read_text())
     passive = [joint for joint in parts["joints"] if joint.name.startswith("passive")]
     for link in "23":

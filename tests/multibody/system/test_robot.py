@@ -13,7 +13,8 @@ import torchmbd as mbd
 from experiments.newton_euler import Tree
 from tests.mechanisms import finished, laminate
 from torchmbd.errors import InputError
-from torchmbd.io.urdf import Pose, read_urdf
+from torchmbd.io.robot_file import Pose
+from torchmbd.io.urdf import read_urdf
 
 INERTIAL = (
     '<inertial><origin xyz="{at}" rpy="{turn}"/><mass value="{m}"/>'

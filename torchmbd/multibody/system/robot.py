@@ -1,43 +1,39 @@
-"""A robot of a URDF file (io/urdf.py) as bodies, joints and forces.
+"""A robot of a file (io/robot_file.py) as bodies, joints and forces.
 
-    revolute, continuous -> Revolute      prismatic -> Prismatic      planar -> Planar      floating -> a free body
+    revolute, continuous -> Revolute      prismatic -> Prismatic      planar -> Planar      spherical -> Spherical
+    floating -> a free body      closures -> Spherical, Fixed between links beside the tree
     fixed -> the child is a part of its parent (its inertia is added), or a Fixed joint beside a flexible body
-    limits -> RotationalStop, AxialStop      damping -> -c s'      friction -> -f tanh(s' / friction_speed)
+    limits -> RotationalStop, AxialStop      springs, damping, friction, actuators -> robot_forces.py
 
 A flexible body takes the place of a link: its mesh is in the frame of the link. A joint sits on the node set that has the
 name of the joint, else on the node next to the place that the file says, by a rigid arm.
 Over 300 lines: one builder, from the places of links to their bodies and to what is between them.
-Checked in tests/multibody/system/test_robot.py.
+Checked in tests/multibody/system/test_robot.py, test_robot_mjcf.py.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.io.urdf import Pose, Robot, UrdfJoint, read_urdf
+from torchmbd.io.robot_file import STAND, Pose, Robot, RobotJoint, combined
 from torchmbd.math.owned import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import put
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.contact import MOST_TURN, AxialStop, RotationalStop
 from torchmbd.multibody.forces.force import ForceElement
-from torchmbd.multibody.forces.laws import Friction, Spring
-from torchmbd.multibody.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper
-from torchmbd.multibody.joints import Drive, Fixed, Planar, Prismatic, Revolute
+from torchmbd.multibody.joints import Drive, Fixed, Planar, Prismatic, Revolute, Spherical
 from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.system.robot_forces import MOVING, actuator_forces, identifier, joint_forces
 
-MOVING = ("revolute", "continuous", "prismatic")  # joints of one coordinate
 FAR = 0.2  # of the size of a flexible body: how long the arm to its nearest node may be
 FLAT = 1e-12  # [m2] of inertia over mass: below it a negative principal value is rounding
-_STAND = Pose(np.zeros(3), np.eye(3))
 
 
 class _Placed(NamedTuple):
@@ -49,7 +45,7 @@ class _Placed(NamedTuple):
 
 
 def robot(
-    path: str | Path,
+    found: Robot,
     flexible: Mapping[str, FlexibleBody],
     fixed_base: bool = True,
     positions: Mapping[str, float] | None = None,
@@ -59,31 +55,39 @@ def robot(
     stop_stiffness: float | None = 1e4,
     stop_damping: float = 0.0,
     friction_speed: float = 0.01,
+    controls: Mapping[str, Any] | None = None,
     gravity: Sequence[float] | None = (0.0, 0.0, -9.81),
 ) -> dict[str, Any]:
     """What a System takes: bodies, joints, forces, free, gravity.
 
-    positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero
+    positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero, or as the file says
     drives                 joint name -> law of its coordinate from there on, a function of time as of mbd.Drive: "NAME_drive"
     locked                 names of joints that are fixed at these positions; those that mimic others must be
     stop_stiffness         of the stops at joint limits [N m/rad, N/m]; None: no stops, a start may be beyond limits
     stop_damping           of the stops [s/rad, s/m], as of RotationalStop
+    controls               actuator name -> control, a number or a torch function of time; others are zero
     friction_speed         below it friction falls off [rad/s, m/s]
     gravity                [m/s2]
     """
     if not isinstance(fixed_base, bool):
         raise InputError(f"fixed_base is {fixed_base!r}; allowed: True or False")
-    named = {"flexible": flexible, "positions": positions, "velocities": velocities, "drives": drives}
+    named = {
+        "flexible": flexible,
+        "positions": positions,
+        "velocities": velocities,
+        "drives": drives,
+        "controls": controls,
+    }
     for key, given in named.items():
         if given is not None and not isinstance(given, Mapping):
             raise InputError(f"{key} is {given!r}; allowed: names -> values")
     if isinstance(locked, str) or not all(isinstance(name, str) for name in locked):
         raise InputError(f"locked is {locked!r}; allowed: names of joints")
-    made = _Builder(read_urdf(path), flexible, fixed_base, positions or {}, velocities or {}, drives or {}, set(locked))
+    made = _Builder(found, flexible, fixed_base, positions or {}, velocities or {}, drives or {}, set(locked))
     if stop_stiffness is not None:
         positive("stop_stiffness", stop_stiffness, "N m/rad or N/m")
         made.check_limits()
-    return made.parts(stop_stiffness, stop_damping, friction_speed) | {"gravity": gravity}
+    return made.parts(stop_stiffness, stop_damping, friction_speed, controls or {}) | {"gravity": gravity}
 
 
 class _Builder:
@@ -118,6 +122,8 @@ class _Builder:
         self.q = {name: scalar(f"positions[{name!r}]", x) for name, x in positions.items()}
         self.rate = {name: scalar(f"velocities[{name!r}]", x) for name, x in velocities.items()}
         self.fixed_base = fixed_base
+        self.together = _place(robot.joints, robot.root, {joint.name: joint.start for joint in robot.joints}, {})
+        self.q = {joint.name: joint.start for joint in robot.joints} | self.q
         self.robot = replace(robot, joints=[self._locked(j) if j.name in locked else j for j in robot.joints])
         if mimics := [joint.name for joint in self.robot.joints if joint.mimics]:
             raise InputError(
@@ -126,21 +132,21 @@ class _Builder:
         self._drop_marks()
         names: dict[str, str] = {}
         for joint in self.robot.joints:
-            if (first := names.setdefault(_identifier(joint.name), joint.name)) != joint.name:
+            if (first := names.setdefault(identifier(joint.name), joint.name)) != joint.name:
                 raise InputError(
-                    f"joints {first!r} and {joint.name!r} are both {_identifier(joint.name)!r}; allowed: names apart"
+                    f"joints {first!r} and {joint.name!r} are both {identifier(joint.name)!r}; allowed: names apart"
                 )
-        self.placed = self._place()
+        self.placed = _place(self.robot.joints, self.robot.root, self.q, self.rate)
         self.owner, self.inside = self._owners()
         self.bodies = self._bodies()
 
-    def _locked(self, joint: UrdfJoint) -> UrdfJoint:
-        origin = joint.origin @ _displaced(joint, self.q.get(joint.name, 0.0))
+    def _locked(self, joint: RobotJoint) -> RobotJoint:
+        origin = joint.origin @ joint.displaced(self.q[joint.name])
         return replace(joint, kind="fixed", origin=origin, limits=None, mimics=False)
 
     def _drop_marks(self) -> None:
         """Leave out links without mass and inertia that are fixed at the end of others, such as flanges."""
-        kept: list[UrdfJoint] = []
+        kept: list[RobotJoint] = []
         for joint in reversed(self.robot.joints):
             link = self.robot.links[joint.child]
             empty = link.mass == 0.0 and not link.inertia.any()
@@ -153,7 +159,7 @@ class _Builder:
         """InputError where joints start beyond their limits: stops would throw them back."""
         beyond = {}
         for joint in self.robot.joints:
-            q = self.q.get(joint.name, 0.0)
+            q = self.q[joint.name]
             if joint.limits is not None and not joint.limits[0] <= q <= joint.limits[1]:
                 beyond[joint.name] = f"{joint.name!r} at {q:g}, from {joint.limits[0]:g} to {joint.limits[1]:g}"
         if beyond:
@@ -162,30 +168,15 @@ class _Builder:
                 "or stop_stiffness=None"
             )
 
-    def _place(self) -> dict[str, _Placed]:
-        placed = {self.robot.root: _Placed(_STAND, np.zeros(3), np.zeros(3))}
-        for joint in self.robot.joints:
-            base, q, rate = placed[joint.parent], self.q.get(joint.name, 0.0), self.rate.get(joint.name, 0.0)
-            own = base.pose @ joint.origin
-            axis = own.axes @ joint.axis
-            slides = joint.kind == "prismatic"
-            pose = own @ _displaced(joint, q)
-            spin = base.spin if slides else base.spin + axis * rate
-            velocity = (
-                base.velocity + np.cross(base.spin, pose.place - base.pose.place) + (axis * rate if slides else 0.0)
-            )
-            placed[joint.child] = _Placed(pose, velocity, spin)
-        return placed
-
     def _owners(self) -> tuple[dict[str, str], dict[str, Pose]]:
         """The link that each link is a part of, and its pose there: those fixed to others are parts of them."""
-        owner, inside = {self.robot.root: self.robot.root}, {self.robot.root: _STAND}
+        owner, inside = {self.robot.root: self.robot.root}, {self.robot.root: STAND}
         for joint in self.robot.joints:
             parent = owner[joint.parent]
             if joint.kind == "fixed" and not {parent, joint.child} & self.flexible.keys():
                 owner[joint.child], inside[joint.child] = parent, inside[joint.parent] @ joint.origin
             else:
-                owner[joint.child], inside[joint.child] = joint.child, _STAND
+                owner[joint.child], inside[joint.child] = joint.child, STAND
         return owner, inside
 
     def _bodies(self) -> dict[str, Any]:
@@ -214,26 +205,19 @@ class _Builder:
         return bodies
 
     def _rigid(self, link: str, at: _Placed) -> RigidBody:
-        members = [name for name, own in self.owner.items() if own == link]
-        mass = sum(self.robot.links[name].mass for name in members)
+        parts = []
+        for name in [name for name, own in self.owner.items() if own == link]:
+            own, pose = self.robot.links[name], self.inside[name]
+            parts.append((own.mass, pose.place + pose.axes @ own.center, pose.axes @ own.inertia @ pose.axes.T))
+        mass, center, J = combined(parts)
         if not mass > 0.0:
             raise InputError(f"link {link!r}, with what is fixed to it, has no mass; allowed: a mass > 0 of what moves")
-        centers, inertias = {}, {}
-        for name in members:
-            own, pose = self.robot.links[name], self.inside[name]
-            centers[name] = pose.place + pose.axes @ own.center
-            inertias[name] = pose.axes @ own.inertia @ pose.axes.T
-        center = np.sum([self.robot.links[name].mass * centers[name] for name in members], axis=0) / mass
-        J = np.zeros((3, 3))
-        for name in members:
-            d = centers[name] - center
-            J += inertias[name] + self.robot.links[name].mass * (d @ d * np.eye(3) - np.outer(d, d))
-        J, possible = _physical(link, 0.5 * (J + J.T), mass)
+        J, possible = _physical(link, J, mass)
         speed = [at.velocity.tolist(), (at.pose.axes.T @ at.spin).tolist()] if self.rate else [None, None]
         given = J if possible else np.trace(J) / 3.0 * np.eye(3)
         try:
             body = RigidBody(
-                _identifier(link),
+                identifier(link),
                 mass,
                 given.tolist(),
                 center.tolist(),
@@ -248,25 +232,32 @@ class _Builder:
             self.impossible.append(link)
         return body
 
-    def parts(self, stop_stiffness: float | None, stop_damping: float, friction_speed: float) -> dict[str, Any]:
+    def parts(
+        self, stop_stiffness: float | None, stop_damping: float, friction_speed: float, controls: Mapping[str, Any]
+    ) -> dict[str, Any]:
         joints: list[Joint] = []
         forces: list[ForceElement] = []
         root = self.bodies[self.robot.root]
         free = [] if self.fixed_base else [root.name]
         unlimited = []
+        ends: dict[str, Any] = {}
         for joint in self.robot.joints:
             if self.owner[joint.child] != joint.child:
                 continue
-            name, axes = _identifier(joint.name), _triad(joint.axis)
-            pose = self.inside[joint.parent] @ joint.origin
-            a = self._frame(self.owner[joint.parent], joint, Pose(pose.place, pose.axes @ axes))
-            b = self._frame(joint.child, joint, Pose(np.zeros(3), axes))
+            name, axes = identifier(joint.name), _triad(joint.axis)
+            own = Pose(joint.anchor, axes)
+            a = self._frame(joint.parent, joint.name, joint.origin @ own)
+            b = self._frame(joint.child, joint.name, own)
+            if joint.kind in MOVING:
+                ends[joint.name] = joint, a, b
             if joint.kind in ("revolute", "continuous"):
                 joints.append(Revolute(a, b, axis="z", name=name))
             elif joint.kind == "prismatic":
                 joints.append(Prismatic(a, b, axis="z", name=name))
             elif joint.kind == "planar":
                 joints.append(Planar(a, b, normal="z", name=name))
+            elif joint.kind == "spherical":
+                joints.append(Spherical(a, b, name=name))
             elif joint.kind == "fixed":
                 joints.append(Fixed(a, b, name=name))
             else:
@@ -274,7 +265,7 @@ class _Builder:
             if joint.name in self.drives:
                 law: Any = {"position" if joint.kind == "prismatic" else "angle": self.drives[joint.name]}
                 joints.append(Drive(a, b, axis="z", **law, name=f"{name}_drive"))
-            forces += _losses(joint, a, b, friction_speed)
+            forces += joint_forces(joint, a, b, friction_speed)
             if joint.limits is None or stop_stiffness is None:
                 continue
             if joint.kind == "revolute" and joint.limits[1] - joint.limits[0] > MOST_TURN:
@@ -286,44 +277,54 @@ class _Builder:
             forces.append(stop(a, b, "z", **given, name=f"{name}_stop"))
         if unlimited:
             warn(f"limits of joints {unlimited} are about a turn apart, or more: they are left out")
+        forces += actuator_forces(self.robot.actuators, ends, controls)
+        for closure in self.robot.closures:
+            first, second = (self.together[link].pose for link in closure.links)
+            own = Pose(closure.place, np.eye(3))
+            poses = own, second.inverse @ first @ own
+            a, b = (self._frame(*pair) for pair in zip(closure.links, (closure.name,) * 2, poses, strict=True))
+            joints.append((Fixed if closure.kind == "fixed" else Spherical)(a, b, name=identifier(closure.name)))
         bodies = [body for body in self.bodies.values() if not isinstance(body, Ground)]
         return {"bodies": bodies, "joints": joints, "forces": forces, "free": free}
 
-    def _frame(self, link: str, joint: UrdfJoint, pose: Pose) -> Any:
-        """Frame of a link, also one of a flexible body."""
-        body = self.bodies[link]
+    def _frame(self, link: str, joint: str, pose: Pose) -> Any:
+        """Frame of a link, also of one that is a part of another, or a flexible body."""
+        pose = self.inside[link] @ pose
+        body = self.bodies[self.owner[link]]
         if not isinstance(body, FlexibleBody):
             x, y, z = pose.place.tolist()
             return body.at(x, y, z, axes=pose.axes.tolist())
         nodes = body.mesh.nodes.detach().numpy()
-        named = joint.name in body.mesh.node_sets
+        named = joint in body.mesh.node_sets
         members = (
-            list(body.mesh.node_sets[joint.name])
-            if named
-            else [int(np.linalg.norm(nodes - pose.place, axis=1).argmin())]
+            list(body.mesh.node_sets[joint]) if named else [int(np.linalg.norm(nodes - pose.place, axis=1).argmin())]
         )
         arm = pose.place - nodes[members].mean(0)
         size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
         if np.linalg.norm(arm) > FAR * size:
             raise InputError(
-                f"joint {joint.name!r} is {np.linalg.norm(arm):.3g} m away from {'its nodes' if named else 'the nearest node'} "
+                f"joint {joint!r} is {np.linalg.norm(arm):.3g} m away from {'its nodes' if named else 'the nearest node'} "
                 f"of {body.name!r}; allowed: {FAR * size:.3g} m, a mesh in the frame of the link"
             )
-        return body.at(joint.name if named else members[0], axes=pose.axes.tolist(), offset=arm.tolist())
+        return body.at(joint if named else members[0], axes=pose.axes.tolist(), offset=arm.tolist())
 
 
-def _losses(joint: UrdfJoint, a: Any, b: Any, speed: float) -> list[ForceElement]:
-    """Damping and friction of a joint."""
-    if joint.kind not in MOVING:
-        return []
-    name = _identifier(joint.name)
-    kind = AxialSpringDamper if joint.kind == "prismatic" else RotationalSpringDamper
-    laws: dict[str, Any] = {}
-    if joint.damping:
-        laws["damping"] = Spring(damping=joint.damping)
-    if joint.friction:
-        laws["friction"] = Friction(joint.friction, positive("friction_speed", speed, "rad/s or m/s"))
-    return [kind(a, b, axis="z", law=law, name=f"{name}_{key}") for key, law in laws.items()]
+def _place(
+    joints: Sequence[RobotJoint], root: str, positions: Mapping[str, float], velocities: Mapping[str, float]
+) -> dict[str, _Placed]:
+    """Links in space."""
+    placed = {root: _Placed(STAND, np.zeros(3), np.zeros(3))}
+    for joint in joints:
+        base, rate = placed[joint.parent], velocities.get(joint.name, 0.0)
+        own = base.pose @ joint.origin
+        axis = own.axes @ joint.axis * rate
+        slides = joint.kind == "prismatic"
+        pose = own @ joint.displaced(positions[joint.name])
+        spin = base.spin if slides else base.spin + axis
+        velocity = base.velocity + np.cross(base.spin, pose.place - base.pose.place)
+        velocity += axis if slides else np.cross(axis, -pose.axes @ joint.anchor)
+        placed[joint.child] = _Placed(pose, velocity, spin)
+    return placed
 
 
 def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
@@ -335,24 +336,6 @@ def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
         values = values.clip(0.0)
         J = (axes * values) @ axes.T
     return J, bool(values[0] + values[1] >= values[2] * (1.0 - 1e-12))
-
-
-def _identifier(name: str) -> str:
-    made = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
-    return made if made.isidentifier() else f"_{made}"
-
-
-def _displaced(joint: UrdfJoint, q: float) -> Pose:
-    """What the coordinate of a joint adds to its origin."""
-    if joint.kind == "prismatic":
-        return Pose(joint.axis * q, np.eye(3))
-    return Pose(np.zeros(3), _rotation(joint.axis, q))
-
-
-def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
 
 
 def _triad(axis: np.ndarray) -> np.ndarray:

@@ -19,6 +19,8 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, one_of, unknown
+from torchmbd.io.mjcf import read_mjcf
+from torchmbd.io.urdf import read_urdf
 from torchmbd.math.gradients import refuse_lost
 from torchmbd.math.module_call import call_module, exclusive
 from torchmbd.math.owned import positive, refuse_derivatives, several
@@ -129,7 +131,18 @@ class System(nn.Module):
         options                positions, velocities, drives, locked, gravity, stop_stiffness, stop_damping, friction_speed
                                (multibody/system/robot.py)
         """
-        return cls(**robot(path, flexible or {}, fixed_base, **options))
+        return cls(**robot(read_urdf(path), flexible or {}, fixed_base, **options))
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path, flexible: Any = None, **options: Any) -> Self:
+        """A mechanism of MuJoCo's format: bodies, joints, springs, actuators on joints, connections (io/mjcf.py).
+
+        flexible   body name -> body in its place, whose mesh is in the frame of the body
+        options    as of from_urdf, and controls: actuator name -> number or function of time; gravity is that of the file
+        """
+        found = read_mjcf(path)
+        options.setdefault("gravity", found.gravity)
+        return cls(**robot(found, flexible or {}, **options))
 
     def _add_laws(self) -> None:
         """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""

@@ -1,0 +1,323 @@
+"""Mechanisms in MuJoCo's format (MJCF): bodies, joints, springs, actuators on joints, connections.
+
+    body, frame, include     links; a body that has several joints follows links of TINY of its mass
+    hinge, slide             revolute, prismatic: limits, damping, friction, stiffness, springref, ref
+    ball, free               spherical, floating
+    inertial, or geom        sphere, capsule, cylinder, box, ellipsoid, by mass or density
+    motor, position, velocity, general on joints (gain fixed, bias none or affine)
+    connect, weld, joint     spherical, fixed, a joint that mimics another
+
+Defaults, classes, units of angles and how inertia follows from geoms are as there; also the flags that disable contact,
+limits, friction, equality or gravity. Not read: what is seen or measured (assets, visuals, sites, sensors, cameras, keyframes)
+and options of the solver. One warning lists what would change the motion and is left out, such as armature, tendons and
+contact. Refused by file, element and value: the rest, such as deformable or repeated bodies, and what robot_file.py refuses.
+Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py, tests/multibody/system/test_robot_mjcf.py.
+Over 300 lines: one reader of one tree of elements; numbers, classes and shapes are in mjcf_values.py.
+"""
+
+from __future__ import annotations
+
+import itertools
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError, unknown, warn
+from torchmbd.io.mjcf_values import ACTUATORS, SHAPES, Attributes, Values, solid, upright
+from torchmbd.io.robot_file import (
+    LARGEST,
+    STAND,
+    Actuator,
+    Closure,
+    Link,
+    Pose,
+    Robot,
+    RobotJoint,
+    combined,
+    once,
+    read_xml,
+    tree,
+)
+
+DEEPEST = 100  # levels of elements
+TINY = 1e-12  # share of a body's mass and inertia that the links between its joints have
+THIN = ("plane", "hfield")  # shapes without mass
+BODY = ("body", "frame", "geom", "inertial", "joint", "freejoint", "site", "camera", "light")
+KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "floating"}
+
+
+def read_mjcf(path: str | Path) -> Robot:
+    """Read a file; the ground is the link "world". InputError names file, element and value."""
+    file, root = read_xml(path, "an MJCF")
+    if root.tag != "mujoco":
+        raise InputError(f"{file.name}: its root is <{root.tag}>; allowed: <mujoco>")
+    _include(file, root)
+    return _Reader(file.name, root).robot()
+
+
+def _include(file: Path, root: ET.Element) -> None:
+    """Put elements of other files, each once, in the place of <include>."""
+    folder, seen, size = file.parent.resolve(), {file.resolve()}, file.stat().st_size
+    level, depth = [root], 0
+    while level:
+        for parent in level:
+            k = 0
+            while k < len(parent):  # grows
+                if parent[k].tag != "include":
+                    k += 1
+                    continue
+                name = parent[k].get("file", "")
+                other = (folder / name).resolve()
+                if not other.is_relative_to(folder) or not other.is_file() or other in seen:
+                    raise InputError(f"{file.name}: include {name!r}; allowed: a file of its folder, once")
+                seen.add(other)
+                size += other.stat().st_size
+                if size > LARGEST:
+                    raise InputError(f"{file.name} has more than {LARGEST} bytes with what it includes; allowed: fewer")
+                parent[k : k + 1] = list(read_xml(other, "an MJCF")[1])
+        level, depth = [child for parent in level for child in parent], depth + 1
+        if depth > DEEPEST:
+            raise InputError(f"{file.name} has more than {DEEPEST} levels of elements; allowed: fewer")
+
+
+class _Reader(Values):
+    """Links and joints of one file."""
+
+    def robot(self) -> Robot:
+        self.links: list[Link] = [Link("world", 0.0, np.zeros(3), np.zeros((3, 3)))]
+        self.joints: list[RobotJoint] = []
+        if self.root.find("deformable/flex") is not None:
+            raise InputError(f"{self.file}: <flex> is not read; allowed: rigid bodies")
+        self.count, self.touching = itertools.count(1), False
+        for world in self.root.findall("worldbody"):
+            self._children(world, "world", STAND, world.get("childclass", "main"))
+        if len(self.links) == 1:
+            raise InputError(f"{self.file}: no <body>; allowed: bodies in <worldbody>")
+        total, wanted = (
+            sum(own.mass for own in self.links),
+            self.one(f"{self.file}, compiler", self.compiler, "settotalmass", "-1"),
+        )
+        if wanted > 0.0 and total > 0.0:
+            scale = wanted / total
+            self.links = [replace(x, mass=scale * x.mass, inertia=scale * x.inertia) for x in self.links]
+        links = once(self.file, "body", self.links)
+        joints = once(self.file, "joint", self.joints)
+        gravity = self._option()
+        closures = [own for element in self.root.findall("equality") for own in self._closures(element, joints, links)]
+        found = tree(self.file, self.root.get("model") or "mechanism", links, list(joints.values()))
+        actuators = [own for part in self.root.findall("actuator") for own in self._actuators(part, joints)]
+        once(self.file, "actuator", actuators)
+        for element in (x for part in self.root.findall("tendon") for x in part):
+            self.leave("tendons", element.get("name", ""))
+        if self.left:
+            listed = (f"{kind} {sorted(set(names) - {''})[:8]}" for kind, names in self.left.items())
+            warn(f"{self.file}: left out: {'; '.join(listed)}".replace(" []", ""))
+        return replace(found, actuators=tuple(actuators), closures=tuple(closures), gravity=gravity)
+
+    # The tree
+
+    def _flat(self, parent: ET.Element, pose: Pose, inherited: str) -> Iterator[tuple[ET.Element, Pose, str]]:
+        """Elements of a body, also those in frames, with the pose of what is around them and their class."""
+        for element in parent:
+            if element.tag == "frame":
+                if held := {x.tag for x in element} & {"joint", "freejoint", "inertial"}:
+                    raise InputError(f"{self.file}: {sorted(held)} in a <frame>; allowed: in a <body>")
+                own = pose @ self.pose(f"{self.file}, frame {element.get('name', '')!r}", element.attrib)
+                yield from self._flat(element, own, element.get("childclass", inherited))
+            elif element.tag not in BODY:
+                raise InputError(f"{self.file}: <{element.tag}> in a body is not read; allowed: {', '.join(BODY)}")
+            else:
+                yield element, pose, inherited
+
+    def _children(self, parent: ET.Element, link: str, pose: Pose, inherited: str) -> None:
+        for element, around, own in self._flat(parent, pose, inherited):
+            if element.tag == "body":
+                self._body(element, link, around, element.get("childclass", own))
+
+    def _body(self, element: ET.Element, parent: str, around: Pose, inherited: str) -> None:
+        name = element.get("name") or f"body_{next(self.count)}"
+        where = f"{self.file}, body {name!r}"
+        if self.one(where, element.attrib, "gravcomp"):
+            self.leave("gravcomp of", name)
+        origin = around @ self.pose(where, element.attrib)
+        inside = list(self._flat(element, STAND, inherited))
+        mass, center, inertia = self._mass(where, inside)
+        joints = [(x, own) for x, _, own in inside if x.tag in ("joint", "freejoint")]
+        for k, (joint, own) in enumerate(joints):
+            last, unnamed = k + 1 == len(joints), f"{name}_joint{k + 1 if len(joints) > 1 else ''}"
+            child = name if last else f"{name}_{joint.get('name', unnamed)}"
+            share = 1.0 if last else TINY
+            made = self._joint(joint, own, parent, child, origin, unnamed)
+            if made.kind == "floating" and (len(joints) > 1 or parent != "world"):
+                raise InputError(f"{where}: a free joint among others or below a body; allowed: alone, in <worldbody>")
+            self.joints.append(made)
+            self.links.append(Link(child, share * mass, center, share * inertia))
+            parent, origin = child, STAND
+        if not joints:
+            self.joints.append(RobotJoint(f"{name}_fixed", "fixed", parent, name, origin, np.zeros(3), None, 0.0, 0.0))
+            self.links.append(Link(name, mass, center, inertia))
+        self._children(element, name, STAND, inherited)
+
+    def _joint(self, element: ET.Element, inherited: str, parent: str, child: str, pose: Pose, name: str) -> RobotJoint:
+        given = self.given(element, inherited) if element.tag == "joint" else {"type": "free"} | element.attrib
+        name = element.get("name") or name
+        where, kind = f"{self.file}, joint {name!r}", given.get("type", "hinge")
+        if kind not in KINDS:
+            raise unknown(f"{where}: type", kind, KINDS)
+        unit = self.angle if kind == "hinge" else 1.0
+        losses = [self.one(where, given, key) for key in ("damping", "frictionloss", "stiffness")]
+        if min(losses) < 0.0:
+            raise InputError(f"{where}: damping, frictionloss, stiffness are {losses}; allowed: zero or positive")
+        damping, friction, stiffness = losses if kind != "free" else (0.0, 0.0, 0.0)
+        for key in ("armature", "springdamper", "actuatorfrcrange"):
+            if any(self.numbers(where, given, key, "0")):
+                self.leave(f"{key} of joints", name)
+        limits = self.range(where, given, "range", "limited")
+        if self.off("limit", "constraint"):
+            limits = None
+        if self.off("frictionloss", "constraint"):
+            friction = 0.0
+        axis = self.direction(where, given, "axis", "0 0 1")
+        start, rest = (unit * self.one(where, given, key) for key in ("ref", "springref"))
+        if kind in ("ball", "free"):
+            if kind == "ball" and any((damping, friction, stiffness, limits)):
+                self.leave("limits, damping and springs of ball joints", name)
+            limits, damping, friction, stiffness, start = None, 0.0, 0.0, 0.0, 0.0
+        made = RobotJoint(
+            name,
+            KINDS[kind],
+            parent,
+            child,
+            pose,
+            axis,
+            None if limits is None else (unit * limits[0], unit * limits[1]),
+            damping,
+            friction,
+            anchor=np.array(self.numbers(where, given, "pos", "0 0 0", 3)) if kind != "free" else np.zeros(3),
+            stiffness=stiffness,
+            rest=rest,
+            start=start,
+        )
+        return replace(made, origin=pose @ made.displaced(-start))
+
+    # Mass
+
+    def _mass(self, where: str, inside: list[tuple[ET.Element, Pose, str]]) -> tuple[float, np.ndarray, np.ndarray]:
+        """Mass, center and inertia about it, in the frame of the body."""
+        source = self.compiler.get("inertiafromgeom", "auto")
+        given = [x for x, _, _ in inside if x.tag == "inertial"]
+        geoms = [(self.given(x, own, "geom"), pose) for x, pose, own in inside if x.tag == "geom"]
+        self.touching |= any(self.one(where, x, key, "1") for x, _ in geoms for key in ("contype", "conaffinity"))
+        if source == "true" or (source == "auto" and not given):
+            return combined(part for x, pose in geoms if (part := self._geom(where, x, pose)) is not None)
+        if not given:
+            return 0.0, np.zeros(3), np.zeros((3, 3))
+        own = given[0].attrib
+        pose, mass = self.pose(f"{where}, inertial", own), self.one(f"{where}, inertial", own, "mass", "")
+        if mass < 0.0:
+            raise InputError(f"{where}, inertial: mass is {mass:g}; allowed: zero or positive")
+        if "fullinertia" in own:
+            xx, yy, zz, xy, xz, yz = self.numbers(f"{where}, inertial", own, "fullinertia", "", 6)
+            J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        else:
+            J = np.diag(self.numbers(f"{where}, inertial", own, "diaginertia", "0 0 0", 3))
+        return mass, pose.place, pose.axes @ J @ pose.axes.T
+
+    def _geom(self, where: str, given: Attributes, around: Pose) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """The same of a geom; None where it has no mass."""
+        where, kind = f"{where}, geom {given.get('name', '')!r}", given.get("type", "sphere")
+        lowest, highest = self.numbers(f"{self.file}, compiler", self.compiler, "inertiagrouprange", "0 5", 2)
+        mass, density = self.one(where, given, "mass", "-1"), self.one(where, given, "density", "1000")
+        if kind in THIN or 0.0 in (mass, density if mass < 0.0 else 1.0):
+            return None
+        if not lowest <= self.one(where, given, "group") <= highest:
+            return None
+        if kind not in SHAPES or "mesh" in given or given.get("shellinertia", "false") != "false":
+            raise InputError(
+                f"{where}: type {'mesh' if 'mesh' in given else kind!r} gives no inertia here; allowed: {', '.join(SHAPES)}, "
+                "or <inertial> in the body"
+            )
+        size, pose = self.numbers(where, given, "size", ""), self.pose(where, given)
+        if "fromto" in given and kind != "sphere":
+            ends = np.array(self.numbers(where, given, "fromto", "", 6)).reshape(2, 3)
+            half = 0.5 * float(np.linalg.norm(ends[1] - ends[0]))
+            if not half > 1e-9:
+                raise InputError(f"{where}: fromto is {given['fromto']!r}; allowed: two points")
+            pose = Pose(ends.mean(0), upright((ends[0] - ends[1]) / (2.0 * half)))
+            size = [*size[:1] * (SHAPES[kind] - 1), half]
+        if len(size) < SHAPES[kind] or min(size[: SHAPES[kind]]) <= 0.0:
+            raise InputError(f"{where}: size is {size}; allowed: {SHAPES[kind]} positive numbers of a {kind}")
+        volume, inertia = solid(kind, size)
+        mass = mass if mass >= 0.0 else density * volume
+        pose = around @ pose
+        return mass, pose.place, mass * pose.axes @ np.diag(inertia) @ pose.axes.T
+
+    # What acts
+
+    def _option(self) -> tuple[float, ...]:
+        """Gravity."""
+        where = f"{self.file}, option"
+        if self.one(where, self.option, "density") or self.one(where, self.option, "viscosity"):
+            self.leave("forces of the fluid around", "")
+        if self.touching and not self.off("contact", "constraint"):
+            self.leave("contact between geoms", "")
+        gravity = self.numbers(where, self.option, "gravity", "0 0 -9.81", 3)
+        return (0.0, 0.0, 0.0) if self.off("gravity") else tuple(gravity)
+
+    def _closures(self, part: ET.Element, joints: dict[str, Any], links: dict[str, Any]) -> Iterator[Closure]:
+        """Connections; a joint that follows another is marked in `joints`."""
+        for k, element in enumerate(() if self.off("equality", "constraint") else part):
+            given = self.given(element, "main", "equality")
+            name = given.get("name", f"{element.tag}_{k + 1}")
+            where = f"{self.file}, <{element.tag}> {name!r}"
+            if given.get("active", "true") != "true":
+                continue
+            if element.tag == "joint":
+                if (follows := given.get("joint1", "")) not in joints:
+                    raise unknown(f"{where}: joint1", follows, joints)
+                joints[follows] = replace(joints[follows], mimics=True)
+                continue
+            quaternion = self.numbers(where, given, "relpose", "0 1 0 0 0 0 0", 7)[3:]
+            if element.tag not in ("connect", "weld") or "site1" in given or any(quaternion):
+                raise InputError(f"{where} is not read; allowed: joint, connect with anchor, weld without relpose")
+            pair = given.get("body1", ""), given.get("body2", "world")
+            for link in pair:
+                if link not in links:
+                    raise unknown(f"{where}: body", link, links)
+            place = np.array(self.numbers(where, given, "anchor", "" if element.tag == "connect" else "0 0 0", 3))
+            yield Closure(name, "spherical" if element.tag == "connect" else "fixed", pair, place)
+
+    def _actuators(self, part: ET.Element, joints: dict[str, Any]) -> Iterator[Actuator]:
+        for k, element in enumerate(part):
+            given = self.given(element, "main", "actuator")
+            name, joint = given.get("name", f"{element.tag}_{k + 1}"), given.get("joint", given.get("jointinparent"))
+            where = f"{self.file}, {element.tag} {name!r}"
+            if joint is not None and joint not in joints:
+                raise unknown(f"{where}: joint", joint, joints)
+            types = [given.get(key) for key in ("gaintype", "biastype", "dyntype")]
+            simple = types[0] in (None, "fixed") and types[1] in (None, "none", "affine") and types[2] in (None, "none")
+            filtered = {"timeconst", "dampratio"} & given.keys() and element.tag == "position"
+            moves = joint is not None and joints[joint].kind in ("revolute", "prismatic")
+            if joint is None or not moves or element.tag not in ACTUATORS or not simple or filtered:
+                self.leave("actuators", name)
+                continue
+            gain, bias = 1.0, (0.0, 0.0, 0.0)
+            if element.tag == "general":
+                gain = self.numbers(where, given, "gainprm", "1")[0]
+                own = [*self.numbers(where, given, "biasprm", "0"), 0.0, 0.0]
+                bias = (own[0], own[1], own[2]) if types[1] == "affine" else bias
+            elif element.tag == "position":
+                gain, damping = self.one(where, given, "kp", "1"), self.one(where, given, "kv")
+                bias = (0.0, -gain, -damping)
+            elif element.tag == "velocity":
+                gain = self.one(where, given, "kv", "1")
+                bias = (0.0, 0.0, -gain)
+            gear = self.numbers(where, given, "gear", "1")[0]
+            limits = self.range(where, given, "ctrlrange", "ctrllimited")
+            yield Actuator(
+                name, joint, gear, gain, bias, limits, self.range(where, given, "forcerange", "forcelimited")
+            )

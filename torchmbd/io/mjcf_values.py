@@ -1,0 +1,155 @@
+"""Values in MJCF files: attributes with those of their classes, numbers, angles, orientations, limits; inertia of shapes.
+
+Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.io.robot_file import Pose, numbers, rotation
+
+ACTUATORS = ("motor", "position", "velocity", "general")
+COMPILER = {"balanceinertia": "false", "boundmass": "0", "boundinertia": "0", "coordinate": "local"}
+SHAPES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}  # sizes of each
+Attributes = dict[str, str]
+
+
+class Values:
+    """One file.
+
+    compiler, option, flags   attributes of all elements of these names
+    angle                     unit of angles [rad]
+    classes                   class -> tag -> attributes
+    left                      what is left out -> names
+    """
+
+    def __init__(self, file: str, root: ET.Element) -> None:
+        self.file, self.root = file, root
+        self.compiler, self.option, self.flags = (
+            {key: x for element in root.iterfind(path) for key, x in element.attrib.items()}
+            for path in ("compiler", "option", "option/flag")
+        )
+        for key, allowed in COMPILER.items():
+            if (given := self.compiler.get(key, allowed)) != allowed:
+                raise InputError(f"{file}, compiler: {key} is {given!r}; allowed: {allowed!r}")
+        for key in ("passive", "spring", "damper", "actuation"):
+            if self.off(key):
+                raise InputError(f"{file}, option: flag {key} is 'disable'; allowed: 'enable'")
+        self.angle = 1.0 if self.compiler.get("angle") == "radian" else math.pi / 180.0
+        self.sequence = self.compiler.get("eulerseq", "xyz")
+        if len(self.sequence) != 3 or set(self.sequence.lower()) - set("xyz"):
+            raise InputError(f"{file}, compiler: eulerseq is {self.sequence!r}; allowed: three of xyz, XYZ")
+        self.classes: dict[str, dict[str, Attributes]] = {"main": {}}
+        self.left: dict[str, list[str]] = {}
+        for element in root.findall("default"):
+            self.add_defaults(element, None)
+
+    def off(self, *flags: str) -> bool:
+        """Whether an option disables one of these."""
+        return any(self.flags.get(flag) == "disable" for flag in flags)
+
+    def leave(self, kind: str, name: str) -> None:
+        """Note what is left out."""
+        self.left.setdefault(kind, []).append(name)
+
+    def add_defaults(self, element: ET.Element, parent: str | None) -> None:
+        name = "main" if parent is None else element.get("class", "")
+        if not name:
+            raise InputError(f"{self.file}: a <default> in another has no class")
+        own = self.classes[name] = {tag: dict(x) for tag, x in self.classes[parent or "main"].items()}
+        for child in element:
+            if child.tag != "default":
+                tag = "actuator" if child.tag in ACTUATORS else child.tag
+                own[tag] = own.get(tag, {}) | {key: x for key, x in child.attrib.items() if key != "class"}
+        for child in element.findall("default"):
+            self.add_defaults(child, name)
+
+    def given(self, element: ET.Element, inherited: str, tag: str = "") -> Attributes:
+        """Attributes of an element, with those of its class."""
+        name = element.get("class", inherited)
+        if name not in self.classes:
+            raise unknown(f"{self.file}, <{element.tag}>: class", name, self.classes)
+        return self.classes[name].get(tag or element.tag, {}) | element.attrib
+
+    def numbers(self, where: str, given: Attributes, key: str, default: str, count: int | None = None) -> list[float]:
+        return numbers(f"{where}: {key}", given.get(key, default), count)
+
+    def one(self, where: str, given: Attributes, key: str, default: str = "0") -> float:
+        return self.numbers(where, given, key, default, 1)[0]
+
+    def direction(self, where: str, given: Attributes, key: str, default: str) -> np.ndarray:
+        found = np.array(self.numbers(where, given, key, default, 3))
+        length = float(np.linalg.norm(found))
+        if not length > 1e-9:
+            raise InputError(f"{where}: {key} is {given.get(key)!r}; allowed: a direction")
+        return found / length
+
+    def pose(self, where: str, given: Attributes) -> Pose:
+        return Pose(np.array(self.numbers(where, given, "pos", "0 0 0", 3)), self.axes(where, given))
+
+    def axes(self, where: str, given: Attributes) -> np.ndarray:
+        if "axisangle" in given:
+            *axis, angle = self.numbers(where, given, "axisangle", "", 4)
+            along = self.direction(where, {"axisangle": " ".join(map(repr, axis))}, "axisangle", "")
+            return rotation(along, angle * self.angle)
+        if "xyaxes" in given:
+            x, y = np.array(self.numbers(where, given, "xyaxes", "", 6)).reshape(2, 3)
+            z = np.cross(x, y)
+            if not min(np.linalg.norm(x), np.linalg.norm(z)) > 1e-9:
+                raise InputError(f"{where}: xyaxes is {given['xyaxes']!r}; allowed: two directions")
+            x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+            return np.stack([x, np.cross(z, x), z], axis=1)
+        if "zaxis" in given:
+            return upright(self.direction(where, given, "zaxis", ""))
+        if "euler" in given:
+            axes = np.eye(3)
+            for letter, angle in zip(self.sequence, self.numbers(where, given, "euler", "", 3), strict=True):
+                turned = rotation(np.eye(3)["xyz".index(letter.lower())], angle * self.angle)
+                axes = axes @ turned if letter.islower() else turned @ axes
+            return axes
+        w, *v = self.numbers(where, given, "quat", "1 0 0 0", 4)
+        length, sine = math.hypot(w, *v), math.hypot(*v)
+        if not length > 1e-9:
+            raise InputError(f"{where}: quat is {given['quat']!r}; allowed: one that is not zero")
+        return rotation(np.array(v) / sine, 2.0 * math.atan2(sine, w)) if sine else np.eye(3)
+
+    def range(self, where: str, given: Attributes, key: str, limited: str) -> tuple[float, float] | None:
+        """Limits where there are any, in the unit of the file."""
+        lower, upper = self.numbers(where, given, key, "0 0", 2)
+        switch = given.get(limited, "auto")
+        automatic = self.compiler.get("autolimits", "true") == "true" and lower < upper
+        if switch == "false" or (switch == "auto" and not automatic):
+            return None
+        if not lower < upper:
+            raise InputError(f"{where}: {key} is {given.get(key)!r}; allowed: lower below upper")
+        return lower, upper
+
+
+def upright(z: np.ndarray) -> np.ndarray:
+    """Axes whose z is a direction, by the least rotation."""
+    across = np.array([-z[1], z[0], 0.0])
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12:
+        return np.eye(3) if z[2] > 0.0 else np.diag([1.0, -1.0, -1.0])
+    return rotation(across / sine, math.atan2(sine, z[2]))
+
+
+def solid(kind: str, size: list[float]) -> tuple[float, list[float]]:
+    """Volume, and inertia over mass about the axes of a shape."""
+    r, h = size[0], 0.0 if kind == "sphere" else size[1]
+    if kind in ("box", "ellipsoid"):
+        x, y, z = (own * own for own in size[:3])
+        share, volume = (1.0 / 3.0, 8.0) if kind == "box" else (0.2, 4.0 / 3.0 * math.pi)
+        return volume * math.prod(size[:3]), [share * (y + z), share * (x + z), share * (x + y)]
+    if kind == "cylinder":
+        across = r * r / 4.0 + h * h / 3.0
+        return 2.0 * math.pi * r * r * h, [across, across, 0.5 * r * r]
+    rod, ball = 2.0 * math.pi * r * r * h, 4.0 / 3.0 * math.pi * r**3
+    across = rod * (r * r / 4.0 + h * h / 3.0) + ball * (0.4 * r * r + h * h + 0.75 * h * r)
+    along = rod * 0.5 * r * r + ball * 0.4 * r * r
+    return rod + ball, [across / (rod + ball)] * 2 + [along / (rod + ball)]
