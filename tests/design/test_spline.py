@@ -252,3 +252,15 @@ def test_a_failed_lane_stays_nan_and_alone():
     assert both.maximum()[1].isnan()
     assert_close(both.peaks(3)[0], alone.peaks(3)[0])
     assert both.cut((0.1, 0.9)).maximum()[1].isnan()
+
+
+@pytest.mark.parametrize("rates", [None, (torch.zeros(2, 1).double(), torch.zeros(2, 1).double())])
+def test_a_state_at_rest_has_one_time(rates):
+    """Largest, smallest, mean and last are the value, with its gradient; the integral is over no time."""
+    y = torch.tensor([[2.0], [-3.0]], dtype=torch.float64, requires_grad=True)
+    curve = Spline.of(torch.tensor([0.5], dtype=torch.float64), y, rates=rates)
+    for found in (curve.maximum(), -curve.negative().maximum(), curve.mean(), curve.y[..., -1]):
+        assert found.tolist() == [2.0, -3.0]
+        assert torch.autograd.grad(found.sum(), y, retain_graph=True)[0].tolist() == [[1.0], [1.0]]
+    assert curve.mean(torch.square).tolist() == [4.0, 9.0]
+    assert curve.integral().tolist() == [0.0, 0.0]

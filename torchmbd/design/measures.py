@@ -123,7 +123,7 @@ class Mean(OfHistory):
     """
 
     def reduce(self, curve: Spline) -> Tensor:
-        return curve.integral() / (curve.t[-1] - curve.t[0])
+        return curve.mean()
 
 
 class RMS(OfHistory):
@@ -138,13 +138,13 @@ class RMS(OfHistory):
     """
 
     def reduce(self, curve: Spline) -> Tensor:
-        return torch.sqrt(curve.integral(torch.square) / (curve.t[-1] - curve.t[0]))
+        return torch.sqrt(curve.mean(torch.square))
 
 
 class Max(OfHistory):
     """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
-    Where two peaks are equally high, the gradient is that of one of them. `AtPeaks` keeps both.
+    Where two peaks are equally high, the gradient is their mean, to rounding that of one of them. `AtPeaks` keeps both.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(speed=1.0), 1.0, steps=40)
     >>> top = mbd.Max(mbd.Position("bob", "y"))

@@ -61,6 +61,8 @@ class Spline:
 
         rates   first and second derivative by time [..., n] of the samples; None: slopes by differences
         """
+        if len(t) < 2:  # a state at rest
+            rates = torch.zeros_like(y), torch.zeros_like(y)
         m, c = (_slopes(y) / (t[1] - t[0]), None) if rates is None else rates
         whole = cls(t, y, m, jumps, c)
         return whole if window is None else whole.cut(window)
@@ -106,6 +108,12 @@ class Spline:
         order = torch.argsort(t.detach(), dim=-1, stable=True)
         return torch.trapezoid(y.gather(-1, order), t.gather(-1, order), dim=-1)
 
+    def mean(self, f: Callable[[Tensor], Tensor] = lambda y: y) -> Tensor:
+        """Mean of f(y) over time [...]."""
+        if len(self.t) < 2:
+            return f(self.y)[..., 0]
+        return self.integral(f) / (self.t[-1] - self.t[0])
+
     def at(self, times: Tensor, derivative: int = 0) -> Tensor:
         """Values, or derivatives, at times [k] within the knots: [..., k]."""
         start = (torch.searchsorted(self.t, times, right=True) - 1).clamp(0, len(self.t) - 2)
@@ -124,7 +132,9 @@ class Spline:
         return self.at(times)
 
     def highest(self) -> Tensor:
-        """The largest value of every interval [..., n - 1], evaluated with derivative."""
+        """The largest value of every interval [..., n - 1], evaluated with derivative; of a single knot its own."""
+        if len(self.t) < 2:
+            return self.y
         s, _ = self._summits()
         return self._inside(s)
 

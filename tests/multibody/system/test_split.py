@@ -75,5 +75,7 @@ def test_other_bodies_are_refused():
     fork = mbd.BeamLine([[0.0, 0, 0], [1.0, 0, 0], [2.0, 1, 0], [2.0, -1, 0]], [[0, 1], [1, 2], [1, 3]])
     with pytest.raises(InputError, match="line of 'arm' has branches, or nodes that vary"):
         mbd.split(arm(fork, reference=0), 2)
+    with pytest.raises(InputError, match="node is None; allowed: a node name"):
+        mbd.split(arm(), 2, interface=None)
     with pytest.raises(InputError, match="node is"):
         mbd.split(arm(), 3).at([0, 1])  # pyright: ignore[reportArgumentType]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import Any
 
@@ -54,6 +55,28 @@ def test_mass_on_springs_seen_by_a_turning_observer():
     one, nothing = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)
     A = torch.cat([torch.cat([nothing, one], 1), torch.cat([-torch.linalg.solve(M, x) for x in (K, C)], 1)])
     assert torch.linalg.eigvals(A).imag.sort().values[3:].tolist() == pytest.approx([w - SPEED, w, w + SPEED])
+
+
+@pytest.mark.parametrize("speed", [5.0, 15.0])
+@pytest.mark.parametrize("damping", [0.0, 2.0, 50.0])
+def test_poles_of_a_mass_that_the_ground_holds(speed, damping):
+    """m s^2 + c s + k = 0 seen from the turning frame: s +- i speed, stable below and above the critical speed 12."""
+    mass, k = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0)), 2.0 * 12.0**2
+    hold = mbd.Bushing(GROUND.at(), mass.at(), (k,) * 3, (damping,) * 3, name="hold")
+    rest = mbd.equilibrium(mbd.System([mass], forces=[hold]), spin=(0.0, 0.0, speed))
+    assert bool(rest.frequencies.isfinite().all())
+    poles = rest.vibrations[0].poles
+    root = cmath.sqrt(damping**2 - 8.0 * k)
+    for s in ((-damping + root) / 4.0, (-damping - root) / 4.0):
+        for wanted in (s, s + 1j * speed, s - 1j * speed):
+            assert float((poles - wanted).abs().min()) < 1e-6
+
+
+def test_a_blade_inside_its_hinge_is_driven_away():
+    own, joints = hub(SPEED)
+    bar = mbd.RigidBody("bar", 2.0, (1e-9, 0.1, 0.1), position=(0.3, 0.0, 0.0))
+    joints.append(mbd.Revolute(own.at(0.5, 0, 0), bar.at(0.2, 0, 0), axis="z", name="root"))
+    assert bool(mbd.equilibrium(mbd.System([own, bar], joints), spin=(0.0, 0.0, SPEED)).frequencies.isnan().all())
 
 
 def rotor(beam: mbd.FlexibleBeam, speed: float, offset: float = 0.0, **options: Any) -> mbd.System:
@@ -151,3 +174,15 @@ def test_refusals():
             mbd.equilibrium(system, spin=spin)
     with pytest.raises(mbd.InputError, match=r"spin is \(0\.0, 1\.0\); allowed: three finite numbers"):
         mbd.equilibrium(system, spin=(0.0, 1.0))
+    with pytest.raises(mbd.InputError, match=r"center is \(1\.0, 0\.0, 0\.0\) without a spin; allowed: with spin="):
+        mbd.equilibrium(system, center=(1.0, 0.0, 0.0))
+
+
+def test_a_spring_beside_the_axis_is_no_steady_rotation():
+    """Its force loads the joints only, and another way after a turn; what is free to move feels nothing of it."""
+    own, joints = hub(SPEED)
+    bar = mbd.RigidBody("bar", 2.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
+    joints.append(mbd.Revolute(own.at(), bar.at(-0.3, 0, 0), axis="y", name="root"))
+    hold = mbd.Bushing(GROUND.at(0.3, 0, 0), bar.at(), (10.0, 10.0, 10.0), name="hold")
+    with pytest.raises(mbd.InputError, match="no steady rotation: joints or forces are others after a turn"):
+        mbd.equilibrium(mbd.System([own, bar], joints, forces=[hold]), spin=(0.0, 0.0, SPEED))

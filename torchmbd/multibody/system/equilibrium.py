@@ -141,7 +141,7 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation 
         if _settled(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
             if _mirrored(T, dynamics.values().data, q, t):
                 return _none(T, start, _MIRRORED)
-            if rotation is not None and not _steady(dynamics, q, t, rotation, largest):
+            if rotation is not None and not _steady(dynamics, rest, q, t, rotation, largest):
                 return _none(T, start, _UNSTEADY)
             return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
         if not bool(torch.isfinite(rest.forces).all()):
@@ -169,11 +169,17 @@ def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
     return False
 
 
-def _steady(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
-    """Whether joints and forces are the same after a turn by one radian."""
-    turned = rotation.turned(dynamics.topology, q[:, None, None])[:, 0, 0]
-    rest = AtRest.of(dynamics, turned, t + rotation.period, rotation=rotation)
-    return _settled(rest, _SAME * largest, _SAME)
+def _steady(dynamics: Any, rest: AtRest, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
+    """Whether joints and forces are the same after a turn by one radian.
+
+    All forces, not only those that could move the mechanism: others load joints unsteadily, and change the stiffness.
+    """
+    T = dynamics.topology
+    turned = rotation.turned(T, q[:, None, None])[:, 0, 0]
+    after = AtRest.of(dynamics, turned, t + rotation.period, rotation=rotation)
+    small = _SAME * largest + _ROUNDING * _elastic(T, rest, q)
+    change = after.forces - rotation.turned_forces(T, rest.forces)
+    return _settled(after, small, _SAME) and float(change.abs().max()) <= small
 
 
 def _none(T: Any, start: Tensor, missing: str) -> Balance:

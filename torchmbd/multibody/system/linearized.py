@@ -25,6 +25,8 @@ from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.topology import Topology
 
 _ZERO = 1e-10  # of the largest eigenvalue: a freedom without stiffness
+_GROWS = 1e-6  # real part of a pole by its size: vibrations that grow
+_AT_REST = 1e-7  # of the largest pole: zero, of a freedom without stiffness
 
 
 @dataclass(frozen=True)
@@ -119,31 +121,36 @@ class Vibrations:
     @classmethod
     def of(cls, rest: AtRest) -> Vibrations:
         """The eigenvalue problem in the null space."""
-        M, C, K = (rest.reduced(x) for x in (rest.M, rest.C, rest.K))
-        K = 0.5 * (K + K.T)
+        M, C, whole = (rest.reduced(x) for x in (rest.M, rest.C, rest.K))
+        K = 0.5 * (whole + whole.T)
         L = torch.linalg.cholesky(0.5 * (M + M.T))
         inverse = torch.linalg.inv(L)
         squares, Y = torch.linalg.eigh(inverse @ K @ inverse.T)
         small = squares.abs() <= _ZERO * squares.abs().amax() if len(squares) else squares > 0
         squares = torch.where(small, 0.0, squares)
         n = len(squares)
+        # A damper that does not turn pushes a turning observer's body across its displacement: no symmetric stiffness.
+        pushed = whole if rest.turns else K
         A = torch.cat(
             [
                 torch.cat([torch.zeros(n, n, dtype=K.dtype), torch.eye(n, dtype=K.dtype)], 1),
-                torch.cat([-torch.linalg.solve(M, K), -torch.linalg.solve(M, C)], 1),
+                torch.cat([-torch.linalg.solve(M, pushed), -torch.linalg.solve(M, C)], 1),
             ]
         )
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
         shapes[rest.own] = rest.N @ (inverse.T @ Y)
         poles = torch.linalg.eigvals(A)
-        w = _of_poles(poles, bool((squares < 0.0).any())) if rest.turns else squares.sqrt()
+        w = _of_poles(poles) if rest.turns and n else squares.sqrt()
         return cls(w / (2.0 * math.pi), poles, shapes)
 
 
-def _of_poles(poles: Tensor, unstable: bool) -> Tensor:
-    """Angular frequencies, one of each pair of poles, the lowest nan where the stiffness is negative somewhere [n]."""
-    found = poles.imag.abs().sort().values[::2]
-    if unstable and len(found):
+def _of_poles(poles: Tensor) -> Tensor:
+    """Angular frequencies, one of each pair of poles [n], the lowest nan where vibrations grow.
+
+    A negative stiffness alone does not say so: Coriolis's forces may hold what it drives away.
+    """
+    found, size = poles.imag.abs().sort().values[::2], poles.abs()
+    if bool(((poles.real > _GROWS * size) & (size > _AT_REST * size.max())).any()):
         found = torch.cat([found.new_full((1,), torch.nan), found[1:]])
     return found
 

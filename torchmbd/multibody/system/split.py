@@ -59,7 +59,7 @@ class Chain:
         return self.bodies[piece].at(own[0] - self.starts[piece], axes, offset)
 
 
-def split(body: FlexibleBody, n: int, modes: int = 1, interface: Sequence[str | int] = ()) -> Chain:
+def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Sequence[str | int] = ()) -> Chain:
     """A beam as a chain of n flexible bodies of about as many elements each: it may bend far.
 
     body        made by `FlexibleBody.beam` of one line without branches; its position, axes and damping are kept. Joints and
@@ -85,7 +85,8 @@ def split(body: FlexibleBody, n: int, modes: int = 1, interface: Sequence[str | 
     if not whole(modes) or modes < 0:
         raise InputError(f"modes is {modes!r}; allowed: 0, 1, 2, ...")
     bounds = [round(k * count / n) for k in range(n + 1)]
-    kept = {k for node in interface for k in node_indices(line, node)}
+    nodes = interface if isinstance(interface, (list, tuple)) else [interface]
+    kept = {k for node in nodes for k in node_indices(line, node)}
     pieces = tuple(_piece(body, line, k, modes, span, kept) for k, span in enumerate(pairwise(bounds)))
     joints = tuple(Fixed(a.at("end"), b.at("start")) for a, b in pairwise(pieces))
     return Chain(pieces, joints, tuple(bounds[:-1]), line)

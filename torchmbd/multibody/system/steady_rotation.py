@@ -35,8 +35,10 @@ class SteadyRotation:
 
     @classmethod
     def of(cls, spin: Sequence[float] | Tensor | None, center: Sequence[float] | Tensor) -> SteadyRotation | None:
-        """None without a spin. Raises InputError for anything but three finite numbers."""
+        """None without a spin. Raises InputError for anything but three finite numbers, and for a center without a spin."""
         if spin is None:
+            if reals("center", center).any():
+                raise InputError(f"center is {center!r} without a spin; allowed: with spin=(...)")
             return None
         found = []
         for name, given in (("spin", spin), ("center", center)):
@@ -74,8 +76,17 @@ class SteadyRotation:
         r, p, w = equations.split_q(T, q)
         axis = (self.spin / self.spin.norm())[:, None, None, None]
         arm = r - self.center[:, None, None, None]
-        once = cross(axis, arm)
-        one = torch.ones((), dtype=q.dtype)
-        moved = one.sin() * once + (1.0 - one.cos()) * cross(axis, once)
-        step = [moved, matvec_t(rotation_matrix(p), axis), 0.0 * w]
+        step = [_after(axis, arm) - arm, matvec_t(rotation_matrix(p), axis), 0.0 * w]
         return equations.advance(T, q, cat([x.flatten(0, 1) for x in step]))
+
+    def turned_forces(self, T: Topology, forces: Tensor) -> Tensor:
+        """Forces [n_v] after that turn: those in ground axes turn, torques in body axes and forces on modes stay."""
+        n = 3 * T.bodies
+        axis = (self.spin / self.spin.norm())[:, None]
+        return torch.cat([_after(axis, forces[:n].reshape(3, -1)).flatten(), forces[n:]])
+
+
+def _after(axis: Tensor, x: Tensor) -> Tensor:
+    """Vectors [3, ...] after a turn by one radian."""
+    once, one = cross(axis, x), torch.ones((), dtype=x.dtype)
+    return x + one.sin() * once + (1.0 - one.cos()) * cross(axis, once)
