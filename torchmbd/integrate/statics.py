@@ -34,6 +34,7 @@ from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.truncation import look
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK
+from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.trajectory import Trajectory
 
 
@@ -234,6 +235,8 @@ def equilibrium(
         motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
         motion.stats["gradients"] = "reverse" if names else GRADIENTS[-1]
         motion.stats["backend"] = "eager"
+        if rotation is not None:
+            warn_of_spin(motion)
     found: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
     found |= {"t": t, "rotation": rotation}
     return Equilibrium(**found)

@@ -119,6 +119,23 @@ def test_flapping_of_a_rotating_cantilever(speed, wanted):
     assert errors[0][0] / errors[1][0] == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.parametrize("stiffening", [True, False])
+def test_a_floating_frame_needs_stiffening(stiffening):
+    """The same blade with small displacements: within half a percent; without stiffening a warning says what is missing."""
+    section = given(1e6, 1e6, 1e6, 1e3, 1.0, 1.0, mass=matrix(1.0, 1.0, 1.0, 2e-8, 1e-8, 1e-8))
+    own, joints = hub(12.0)
+    line = mbd.BeamLine.straight(1.0, 8)
+    blade = mbd.FlexibleBody.beam("rotor", line, section, modes=12, reference="start", stiffening=stiffening)
+    joints.append(mbd.Fixed(own.at(), blade.at("start"), name="root"))
+    system = mbd.System([own, blade], joints, truncation=None)
+    if stiffening:
+        w = 2.0 * math.pi * mbd.equilibrium(system, spin=(0.0, 0.0, 12.0)).frequencies[0, :2]
+        assert w.tolist() == pytest.approx([math.sqrt(13.1702**2 - 12.0**2), 13.1702], rel=5e-3)
+    else:
+        with pytest.warns(UserWarning, match="body 'rotor' turns at .* of its first frequency: centrifugal stiffening"):
+            mbd.equilibrium(system, spin=(0.0, 0.0, 12.0))
+
+
 def bent(K: Tensor | None = None) -> tuple[mbd.System, float]:
     """A soft blade with a bent tip, which gravity along the axis bends down."""
     leg = torch.tensor([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.8, 0.0, 0.0], [1.0, 0.2, 0.0]], dtype=torch.float64)
