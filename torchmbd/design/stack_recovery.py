@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -131,7 +132,7 @@ class StackSearch:
         rules = self.rules
         if rules is None:
             return 0, float(distance)
-        return sum(len(rules.broken(self.degrees[stack[one]].tolist())) for one in self.stacks), float(distance)
+        return sum(_broken(rules, tuple(self.degrees[stack[one]].tolist())) for one in self.stacks), float(distance)
 
     def score(self, stack: np.ndarray) -> Score:
         """How many rules a stack breaks, and how far its parameters are."""
@@ -175,6 +176,12 @@ class StackSearch:
             if new < (score[0], score[1] - 1e-12):
                 return other, new
         return None
+
+
+@lru_cache(maxsize=20_000)
+def _broken(rules: LaminationRules, degrees: tuple[float, ...]) -> int:
+    """How many rules a stack breaks; searches come by the same stacks again and again."""
+    return len(rules.broken(degrees))
 
 
 def recovered(
