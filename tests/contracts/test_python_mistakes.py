@@ -161,6 +161,12 @@ MISTAKES = {
     "late": (lambda: problem(minimize=mbd.Max(ENERGY, window=(0.0, 0.1))), "t = 0.1 s", "up to duration=0.01 s"),
     "history": (lambda: any_.Max("strain_energy"), "'strain_energy'", "a history"),
     "function": (lambda: any_.history(3), "function is 3", "a function of a motion"),
+    "history of a history": (
+        lambda: any_.history(any_.StrainEnergy("arm")),
+        "function is StrainEnergy",
+        "a function of a",
+    ),
+    "unit": (lambda: any_.history(abs, unit=5), "unit is 5", "the name of an SI unit"),
     "limit": (lambda: mbd.Max(ENERGY) <= "start", "limit of a constraint is 'start'", "'initial'"),
     "weights": (lambda: any_.WeightedSum([(1.0,)]), "terms is [(1.0,)]", "pairs (weight, measure)"),
     "minimize a history": (lambda: problem(minimize=ENERGY), "minimize is StrainEnergy", "a measure"),

@@ -45,7 +45,7 @@ class FunctionMeasure(Measure):
 
 
 def _callable(function: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
-    if not callable(function):
+    if not callable(function) or isinstance(function, (History, Measure)):
         raise InputError(f"function is {function!r}; allowed: a function of a motion")
     return function
 
