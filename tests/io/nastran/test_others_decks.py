@@ -123,6 +123,14 @@ def test_what_is_refused(lines, words, read):
     assert all(word in str(error.value) for word in ["model.bdf, line", *words]), str(error.value)
 
 
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    path = tmp_path / "model.bdf"
+    with path.open("wb") as file:
+        file.truncate(10**12)  # takes no place on the disk
+    with pytest.raises(InputError, match=r"model.bdf has 1000000000000 bytes; allowed: 5000000 lines"):
+        read_bdf(path)
+
+
 def test_chains_are_bounded(read, tmp_path):
     """Files and systems that refer to one another: no recursion to the depth of the interpreter."""
     for k in range(300):

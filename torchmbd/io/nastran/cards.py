@@ -24,10 +24,11 @@ from torchmbd.errors import InputError
 _EXPONENT = re.compile(r"([0-9.])([+-][0-9]+)$")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
-LINES = 20_000_000  # of a file with all that it includes
+LINES = 5_000_000  # of a file with all that it includes: about 6 GB of memory
 WIDEST = 10_000  # characters of a line
 INCLUDES = 1_000  # files
 NESTED = 100  # files that include one another in a chain
+_BYTES = 100  # of a line, the mean of a whole file
 _PER_LINE = 8  # data fields of a line of small fields, and of a pair of lines of large fields
 
 
@@ -139,6 +140,10 @@ class _Files:
             raise InputError(f"{file.name}: more than {INCLUDES} files are included; allowed: {INCLUDES}")
         if len(opened) > NESTED:
             raise InputError(f"{file.name}: INCLUDE in a chain of more than {NESTED} files; allowed: {NESTED}")
+        if file.stat().st_size > _BYTES * LINES:
+            raise InputError(
+                f"{file.name} has {file.stat().st_size} bytes; allowed: {LINES} lines, {_BYTES * LINES} bytes"
+            )
         with file.open(encoding="utf-8-sig", errors="replace") as handle:
             numbered = enumerate(iter(lambda: handle.readline(WIDEST), ""), start=1)
             for number, raw in numbered:
