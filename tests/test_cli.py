@@ -102,6 +102,16 @@ def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, empty_store
     assert f"{first.value:.6g}" in shown
 
 
+@pytest.mark.parametrize(("command", "says"), [("run", "the same command goes on"), ("check", "interrupted\n")])
+def test_an_interruption_outside_of_the_search_is_said(folder, monkeypatch, capsys, command, says):
+    def interrupted(*given, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchmbd.study.load.load", interrupted)
+    assert cli.main([command, "study.yaml"]) == 130
+    assert says in capsys.readouterr().err
+
+
 def test_a_store_that_cannot_be_written_costs_no_result(folder, capsys):
     """The study ends with its table and says that it was not recorded."""
     (folder / "file").write_text("")

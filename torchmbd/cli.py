@@ -30,6 +30,7 @@ app = App(
     help="Optimization of flexible multibody systems made of composite materials.",
     version=__version__,
     default_parameter=Parameter(negative=""),
+    suppress_keyboard_interrupt=False,  # main says it
 )
 Uri = Annotated[str | None, Parameter(help="The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.")]
 
@@ -290,7 +291,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"failed: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        runs = (sys.argv[1:] if arguments is None else arguments)[:1] == ["run"]
+        print("interrupted" + "; what was evaluated is on disk: the same command goes on" * runs, file=sys.stderr)
         return EXIT_INTERRUPTED
 
 
