@@ -16,7 +16,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
 from torchmbd.design.response_spec import history_of, measure_of
-from torchmbd.multibody.statics import BucklingSeries, UnitLoads
+from torchmbd.multibody.statics import BucklingSeries, UnitLoads, eigenproblem
 from torchmbd.results.body_loads import body_loads, carriers
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -147,7 +147,22 @@ def test_the_small_basis_against_the_full_eigenproblem(supports):
     for got, values in zip(found[0], Kg, strict=True):
         full = supported.pattern.to_scipy(values).toarray()
         wanted = -scipy.linalg.eigvalsh(full, K)[:3]
-        np.testing.assert_allclose(got.numpy(), np.maximum(wanted, 0.0), rtol=0.0, atol=1e-9 * wanted.max())
+        np.testing.assert_allclose(got.numpy(), np.maximum(wanted, 0.0), rtol=0.0, atol=1e-8 * wanted.max())
+
+
+def test_the_sparse_way_and_times_without_load(monkeypatch):
+    motion = finished(
+        mbd.simulate(loaded(rod(), "start", "end", (-30.0, 0.0, 0.0), 2.0), 2.0, steps=10, backend="eager")
+    )
+    dense = mbd.BucklingIndex("rod")(motion)
+    assert not bool(dense[0, 0])
+    monkeypatch.setattr(eigenproblem, "SMALL", 10)
+    assert_close(mbd.BucklingIndex("rod")(motion), dense, rtol=0.0, atol=1e-8 * float(dense.max()))
+    body = rod()
+    unloaded = mbd.System([body], [mbd.Fixed(mbd.Ground().at(0, 0, 0), body.at("start"))])
+    still = mbd.simulate(unloaded, 2.0, steps=2, backend="eager")
+    assert not bool(mbd.BucklingIndex("rod")(still).any())
+    assert bool(torch.isinf(mbd.BucklingFactor("rod")(still)))
 
 
 def differences(f: Callable[[Tensor], Tensor], x: Tensor, step: float) -> Tensor:
