@@ -50,6 +50,7 @@ MISTAKES = [
     (DESIGN, "start: [45], lower: -90, upper: 90, unit: deg", ["start = [45.0]: has 1 values", "allowed: 2"]),
     (DESIGN, "start: [45, 95], lower: -90, upper: 90, unit: deg", ["start = [45.0, 95.0]", "must lie between"]),
     (DESIGN, "start: [a, 1], lower: -90, upper: 90, unit: deg", ["start.0 = 'a'", "must be a valid number"]),
+    (DESIGN, "lower: 50, upper: 90, unit: deg", [f"design.{PLY}.start is not given", "[45", "must lie between [50.0"]),
     (DESIGN, "lower: 90, upper: -90, unit: deg", ["lower = [90.0, 90.0]", "must be below upper"]),
     (DESIGN, "upper: 90, unit: deg", ["lower is missing", "allowed: a number"]),
     (DESIGN, "lower: -90, upper: 90", ["unit is missing", "allowed: deg, rad"]),

@@ -226,7 +226,8 @@ def _design_faults(design: Mapping[str, Variable], system: System, links: Collec
                         f"= {given}: has {len(given)} values; allowed: {size}{some}, or one number for all",
                     )
                 )
-        faults += _bound_faults(path, sized) + _unit_faults(path, name, variable.unit, sized)
+        built = own[name].detach().reshape(-1).numpy()[entries] / UNITS[variable.unit]
+        faults += _bound_faults(path, sized, built) + _unit_faults(path, name, variable.unit, sized)
     return faults
 
 
@@ -253,14 +254,19 @@ def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarra
     return faults
 
 
-def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
+def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None], built: np.ndarray) -> list[Fault]:
+    """Bounds that are not in order, or leave the start out: that of the file, or the value `built` by the model."""
     lower, upper, start = sized.get("lower"), sized.get("upper"), sized.get("start")
     if lower is None or upper is None:
         return []
     if not (lower < upper).all():
         return [Fault((*path, "lower"), f"= {lower.tolist()}: must be below upper = {upper.tolist()}")]
+    between = f"must lie between {lower.tolist()} and {upper.tolist()}"
     if start is not None and not ((lower <= start) & (start <= upper)).all():
-        return [Fault((*path, "start"), f"= {start.tolist()}: must lie between {lower.tolist()} and {upper.tolist()}")]
+        return [Fault((*path, "start"), f"= {start.tolist()}: {between}")]
+    slack = 1e-9 * (upper - lower)  # of the conversion of units
+    if "start" not in sized and not ((lower - slack <= built) & (built <= upper + slack)).all():
+        return [Fault((*path, "start"), f"is not given, and the model is built with {built.tolist()}, which {between}")]
     return []
 
 
