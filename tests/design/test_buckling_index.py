@@ -165,6 +165,25 @@ def test_the_sparse_way_and_times_without_load(monkeypatch):
     assert bool(torch.isinf(mbd.BucklingFactor("rod")(still)))
 
 
+def test_phases_go_on_with_the_same_forces_only():
+    system = loaded(rod(), "start", "end", (-30.0, 0.0, 0.0), 2.0)
+    index = mbd.BucklingIndex("rod")
+    whole = index(mbd.simulate(system, 2.0, steps=10, backend="eager"))
+    phases = [mbd.Phase(until=1.0), mbd.Phase()]
+    assert_close(
+        index(mbd.simulate(system, 2.0, steps=10, phases=phases, backend="eager")), whole, rtol=1e-6, atol=1e-9
+    )
+    pushed = mbd.RigidBody("block", 1.0, (1.0, 1.0, 1.0))
+    body = rod()
+    spring = mbd.forces.AxialSpringDamper(mbd.Ground().at(3.0, 0, 0), body.at("end"), stiffness=1.0, name="spring")
+    other = mbd.System(
+        [body, pushed], [mbd.Fixed(mbd.Ground().at(0, 0, 0), body.at("start"))], [spring], free=["block"]
+    )
+    changed = [mbd.Phase(until=0.01), mbd.Phase(laws={"spring": lambda s, rate, t: 2.0 * s})]
+    with pytest.raises(mbd.InputError, match="laws of forces of their own"):
+        index(mbd.simulate(other, 0.02, steps=4, phases=changed, backend="eager"))
+
+
 def differences(f: Callable[[Tensor], Tensor], x: Tensor, step: float) -> Tensor:
     def central(h: float) -> Tensor:
         return torch.stack([(f(x + e) - f(x - e)) / (2.0 * h) for e in h * torch.eye(len(x), dtype=x.dtype)], -1)

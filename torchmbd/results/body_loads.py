@@ -44,11 +44,14 @@ def carriers(system: System, body: FlexibleBody) -> list[InterpolationConstraint
 
 
 def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
-    """Of one body."""
-    if motion.actions:
-        raise InputError(
-            f"loads on {body.name!r}: other forces act in some phases of this motion than in others; allowed: the same in all"
-        )
+    """Of one body. Raises InputError where phases of the motion have laws of forces of their own."""
+    usual = [law for kind in motion.system.topology.actions for law in kind.laws]
+    for kinds in motion.actions:  # of each phase
+        own = [law for kind in kinds for law in kind.laws]
+        if any(x is not y for x, y in zip(own, usual, strict=True)):
+            raise InputError(
+                f"loads on {body.name!r}: phases of this motion have laws of forces of their own; allowed: none"
+            )
     return BodyLoads(_inertia(motion, body), _carried(motion, body))
 
 
