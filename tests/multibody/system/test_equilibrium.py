@@ -134,6 +134,34 @@ def test_damping_is_in_the_poles():
     )
 
 
+@pytest.mark.parametrize("push", [0.5, 1.5, 2.5])
+def test_a_force_that_follows_makes_a_column_flutter(push):
+    """Ziegler's column: masses 2 and 1 at 1 and 2 m, springs of 1 N m/rad in both joints; flutter from 2.086 N on.
+
+    H. Ziegler, Ing.-Arch. 20 (1952) 49-56. M = [3 1; 1 1], K = [2 - P, P - 1; -1, 1] by the angles of both bars.
+    """
+    ground, small = mbd.Ground(), (1e-9, 1e-9, 1e-9)
+    near, far = (
+        mbd.RigidBody(name, m, small, position=(x, 0, 0)) for name, m, x in (("near", 2.0, 1.0), ("far", 1.0, 2.0))
+    )
+    pairs = [(ground.at(), near.at(-1, 0, 0)), (near.at(), far.at(-1, 0, 0))]
+    springs = [mbd.RotationalSpringDamper(a, b, axis="z", stiffness=1.0) for a, b in pairs]
+    follower = mbd.Force(far.at(), (-push, 0, 0), axes="frame")
+    found = mbd.equilibrium(mbd.System([near, far], [mbd.Revolute(a, b, "z") for a, b in pairs], [*springs, follower]))
+    K = np.array([[2.0 - push, push - 1.0], [-1.0, 1.0]])
+    squares = np.sort_complex(np.linalg.eigvals(np.linalg.solve([[3.0, 1.0], [1.0, 1.0]], K).astype(complex)))
+    poles = np.sqrt(-squares)
+    assert_close(found.vibrations[0].poles.abs().sort().values, torch.from_numpy(np.abs(poles)).repeat(2).sort().values)
+    if push < 2.0:
+        assert found.frequencies[0].tolist() == pytest.approx(
+            (np.sqrt(squares.real) / (2 * math.pi)).tolist(), rel=1e-6
+        )
+    else:
+        assert bool(found.frequencies.isnan().all())
+        assert not found.stable
+        assert float(found.vibrations[0].poles.real.max()) == pytest.approx(np.abs(poles.real).max(), rel=1e-6)
+
+
 def test_lanes_have_their_own_equilibrium():
     system = pendulum()
     angles = torch.stack([mbd.deg([20.0, -50.0]), mbd.deg([80.0, 10.0])])

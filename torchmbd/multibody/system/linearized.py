@@ -27,6 +27,7 @@ from torchmbd.multibody.system.topology import Topology
 _ZERO = 1e-10  # of the largest eigenvalue: a freedom without stiffness
 _GROWS = 1e-6  # real part of a pole by its size: vibrations that grow
 _AT_REST = 1e-7  # of the largest pole: zero, of a freedom without stiffness
+_UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetric stiffness by forces that remain, by the largest stiffness: none
 
 
 @dataclass(frozen=True)
@@ -106,13 +107,27 @@ class AtRest:
         """N' X N of a matrix [n_v, n_v]."""
         return self.N.T @ X[self.own][:, self.own] @ self.N
 
+    @property
+    def follows(self) -> bool:
+        """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
+
+        Torques that nothing balances do so too, by half their size: where the state is none of rest that says nothing.
+        """
+        K = self.reduced(self.K)
+        if not len(K):
+            return False
+        noise = _UNBALANCED * self.remaining.abs().max() + _ROUNDING * K.abs().max()
+        return bool((K - K.T).abs().max() > noise)
+
 
 @dataclass(frozen=True)
 class Vibrations:
     """Of one design: frequencies [freedoms] [Hz], ascending, zero for a freedom without stiffness, nan for an unstable one;
     poles [2 freedoms] [1/s] with the damping; shapes [n_v, freedoms], increments of the coordinates of unit modal mass.
 
-    Of a steady rotation the frequencies are those of the poles, with Coriolis's forces; shapes are without them."""
+    Of a steady rotation the frequencies are those of the poles, with Coriolis's forces; shapes are without them. Where forces
+    turn with a body two freedoms may drive each other (flutter): both are nan, both shapes the real part of theirs.
+    """
 
     frequencies: Tensor
     poles: Tensor
@@ -125,12 +140,13 @@ class Vibrations:
         K = 0.5 * (whole + whole.T)
         L = torch.linalg.cholesky(0.5 * (M + M.T))
         inverse = torch.linalg.inv(L)
-        squares, Y = torch.linalg.eigh(inverse @ K @ inverse.T)
-        small = squares.abs() <= _ZERO * squares.abs().amax() if len(squares) else squares > 0
+        follows = rest.follows and not rest.turns
+        squares, Y = _flutter(inverse @ whole @ inverse.T) if follows else torch.linalg.eigh(inverse @ K @ inverse.T)
+        small = squares.abs() <= _ZERO * squares.abs().nan_to_num().amax() if len(squares) else squares > 0
         squares = torch.where(small, 0.0, squares)
         n = len(squares)
         # A damper that does not turn pushes a turning observer's body across its displacement: no symmetric stiffness.
-        pushed = whole if rest.turns else K
+        pushed = whole if rest.turns or follows else K
         A = torch.cat(
             [
                 torch.cat([torch.zeros(n, n, dtype=K.dtype), torch.eye(n, dtype=K.dtype)], 1),
@@ -142,6 +158,15 @@ class Vibrations:
         poles = torch.linalg.eigvals(A)
         w = _of_poles(poles) if rest.turns and n else squares.sqrt()
         return cls(w / (2.0 * math.pi), poles, shapes)
+
+
+def _flutter(A: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues of an unsymmetric matrix by rising real parts, nan where they are complex, and the real parts of vectors."""
+    values, vectors = torch.linalg.eig(A)
+    order = values.real.argsort()
+    values, Y = values[order], vectors[:, order].real
+    squares = torch.where(values.imag.abs() > _GROWS * values.abs(), torch.nan, values.real)
+    return squares, Y / Y.norm(dim=0)
 
 
 def _of_poles(poles: Tensor) -> Tensor:
