@@ -36,6 +36,7 @@ from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 # Where the strengths in tension and compression of each component stand among Strength.numbers().
 _STRENGTHS = ((0, 1), (2, 3), (4, 4), (5, 5), (6, 6))
 _TOGETHER = 64  # histories of each lane that are counted at once
+_CHUNK = 500_000  # stresses that are looked through at once
 
 
 def _positive(name: str, x: Any) -> None:
@@ -218,8 +219,11 @@ def _places(basis: Tensor, w: Tensor, strengths: Tensor | None, rule: FatigueDam
     suspicious histories of all lanes are counted together, then the next ones of the lanes where these may do more.
     """
     components, lanes, points = torch.tensor(rule.components()), len(basis), basis.shape[1]
-    own = [None] * lanes if strengths is None else strengths
-    most = torch.stack([_most(basis[k], w[k], own[k], rule) for k in range(lanes)])  # [lanes, components * points]
+    size = max(1, _CHUNK // (points * w.shape[1]))
+    parts = zip(
+        basis.split(size), w.split(size), [None] * lanes if strengths is None else strengths.split(size), strict=False
+    )
+    most = torch.cat([_most(*part, rule) for part in parts])  # [lanes, components * points]
     bound, order = most.sort(descending=True)
     worst, place = bound.new_full((lanes,), -1.0), order[:, 0].clone()
     for first in range(0, order.shape[1], _TOGETHER):
@@ -238,13 +242,14 @@ def _places(basis: Tensor, w: Tensor, strengths: Tensor | None, rule: FatigueDam
 
 
 def _most(basis: Tensor, w: Tensor, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:
-    """Damage [components * points] that the histories of a lane do not exceed: a mean counts most at one of its ends."""
-    return torch.cat([_bound(basis[:, c] @ w.T, c, strengths, rule) for c in rule.components()])
+    """Damage [lanes, components * points] that no history exceeds: a mean counts most at one of its ends."""
+    return torch.cat([_bound(basis[:, :, c] @ w.mT, c, strengths, rule) for c in rule.components()], 1)
 
 
 def _bound(y: Tensor, component: int, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:
-    """The same [points] of histories y [points, times] of a component."""
+    """The same [lanes, points] of histories y [lanes, points, times] of a component."""
     low, high = y.amin(-1, keepdim=True), y.amax(-1, keepdim=True)
-    turns = (y.diff().sign().diff() != 0.0).sum(-1, keepdim=True)
+    rises = y[..., 1:] > y[..., :-1]
+    turns = (rises[..., 1:] != rises[..., :-1]).sum(-1, keepdim=True)
     cycles = (Cycles(high - low, mean, 0.5 * (turns + 1.0)) for mean in (low, high))
     return torch.stack([rule.of_cycles(x, component, strengths) for x in cycles]).amax(0)

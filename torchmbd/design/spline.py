@@ -191,24 +191,25 @@ class Spline:
         vanish would move with the design, and its value have another gradient than the one that stands here. Where the slope
         has one sign at both ends, and steps end elsewhere, the larger end is taken.
         """
-        h, start, end = self.t.diff(), self.m[..., :-1], self.m[..., 1:]
-        turns = (start > 0.0) & (end < 0.0)
-        low, high = torch.zeros_like(root), torch.ones_like(root)
-        root = torch.where(turns & ~inner, start / torch.where(turns, start - end, 1.0), root)
+        turns = (self.m[..., :-1] > 0.0) & (self.m[..., 1:] < 0.0)
+        where = torch.nonzero(turns | inner, as_tuple=True)  # few of all intervals
+        ends = [(x[..., :-1][where], x[..., 1:][where]) for x in self.knots]
+        h, s, (start, end) = self.t.diff()[where[-1]], root[where], ends[1]
+        bracketed, low, high = turns[where], torch.zeros_like(s), torch.ones_like(s)
+        s = torch.where(bracketed & ~inner[where], start / torch.where(bracketed, start - end, 1.0), s)
         for _ in range(NEWTON):
-            slope, bending = self._inside(root, 1), self._inside(root, 2)
-            low, high = torch.where(turns & (slope > 0.0), root, low), torch.where(turns & (slope <= 0.0), root, high)
-            step = root - slope / torch.where(bending < 0.0, bending, torch.inf) / h
-            outside = turns & ((step < low) | (step > high) | (bending >= 0.0))
-            root = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
-        flat = self._inside(root, 1).abs() <= STATIONARY * torch.maximum(start.abs(), end.abs())
-        return root, (turns | inner) & flat
+            slope, bending = hermite(ends, h, s, 1), hermite(ends, h, s, 2)
+            low = torch.where(bracketed & (slope > 0.0), s, low)
+            high = torch.where(bracketed & (slope <= 0.0), s, high)
+            step = s - slope / torch.where(bending < 0.0, bending, torch.inf) / h
+            outside = bracketed & ((step < low) | (step > high) | (bending >= 0.0))
+            s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
+        flat = hermite(ends, h, s, 1).abs() <= STATIONARY * torch.maximum(start.abs(), end.abs())
+        return root.index_put(where, s), inner.index_put(where, flat)
 
 
 class _Summits(torch.autograd.Function):
     """Where the summits are: a constant, found without the transforms that follow the derivatives of the curve."""
-
-    generate_vmap_rule = True
 
     @staticmethod
     def forward(t: Tensor, y: Tensor, m: Tensor, c: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -225,6 +226,14 @@ class _Summits(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, Tensor]) -> None:
         ctx.mark_non_differentiable(*output)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, t: Tensor, *knots: Tensor) -> tuple:
+        leading = (
+            x[None].expand(info.batch_size, *x.shape) if d is None else x.movedim(d, 0)
+            for x, d in zip(knots, in_dims[1:], strict=True)
+        )
+        return _Summits.apply(t, *leading), (0, 0)
 
     @staticmethod
     def jvp(ctx: Any, *_: Any) -> tuple[None, None]:
