@@ -130,6 +130,13 @@ def test_known_front(name):
     assert steps.max() <= 2.0 * steps.mean()
 
 
+def test_every_search_is_heard_of_at_its_end():
+    results = []
+    front = pareto_front(two_bowls(), divisions=4, ended=results.append)
+    assert len(results) >= 5  # two anchors and three points, some of them again
+    assert {id(point.result) for point in front.points} <= {id(result) for result in results}
+
+
 def test_three_criteria():
     front = pareto_front(three_bowls(), divisions=6)
     X = np.array([point.x for point in front.points])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from torchmbd.optimization.optimizer import Iterate
+from torchmbd.optimization.optimizer import Iterate, OptimizationResult
 from torchmbd.study.columns import Columns
-from torchmbd.study.progress import Progress, give_way, in_lines, outcome, print_table, table_of
+from torchmbd.study.progress import Progress, Searches, give_way, in_lines, outcome, print_table, table_of
 
 ANGLES = 8
 NAMES = tuple(f"angle_{k + 1}_deg" for k in range(ANGLES))
@@ -98,3 +98,27 @@ def test_what_was_not_evaluated_has_no_numbers():
     assert outcome(nan, nan, nan) == ["-", "-", "-"]
     assert outcome(nan, 2.0, 0.1) == ["2", "-", "1e-01"]
     assert outcome(4.0, 2.0, 0.0) == ["2", "50.00 %", "0"]
+
+
+def ended(status: str) -> OptimizationResult:
+    return OptimizationResult(
+        np.zeros(2), 1.0, np.zeros(0), 0.0, status, "", "mmfd", 7, 12, 8, 0, [], np.zeros(0), np.zeros(2), 0.0
+    )
+
+
+def test_the_searches_of_a_front_have_a_line_each():
+    target, output = console()
+    with Searches("arm: front of energy, mass [kg]", target) as searches:
+        searches.ended(ended("converged"))
+        searches.ended(ended("max_iterations"))
+    lines = output.getvalue().splitlines()
+    assert len(lines) == 2
+    assert lines[1].endswith("search 2   iterations 7   simulations 12   max iterations")
+
+
+def test_a_terminal_counts_them():
+    target, output = console(terminal=True)
+    with Searches("arm: front of energy, mass [kg]", target) as searches:
+        searches.ended(ended("converged"))
+        searches.ended(ended("failed"))
+    assert "front of energy, mass [kg]: 2 searches, 24 simulations" in output.getvalue()

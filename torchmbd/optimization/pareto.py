@@ -16,7 +16,7 @@ Structural and Multidisciplinary Optimization 25 (2003) 86-98. Checked in tests/
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations, pairwise
@@ -116,6 +116,7 @@ def pareto_front(
     divisions: int = DIVISIONS,
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,
+    ended: Callable[[OptimizationResult], None] | None = None,
     *,
     everywhere: bool = False,
     max_iterations: int = MAX_ITERATIONS,
@@ -128,6 +129,7 @@ def pareto_front(
     problem     a Tradeoff, or another problem of several criteria
     divisions   steps between two anchors; C(divisions + k - 1, k - 1) points in all, of k criteria
     starts      of the anchors' searches, as in `multistart`
+    ended       called with every OptimizationResult when its search ends; its value is that of the search alone
     everywhere  use the starts for every point too, for problems with local fronts
     method, max_iterations, max_lanes, feasibility, options   of every search, as in `multistart`
 
@@ -162,7 +164,7 @@ def pareto_front(
         return run_start(search, function, method, max_iterations, options, problem)
 
     cache = Cache(problem)
-    family = Family(cache, run_one, box, feasibility, max_lanes)
+    family = Family(cache, run_one, box, feasibility, max_lanes, ended)
     anchors = _anchors(family, points, list(problem.criteria))
     found, failed = _between(family, anchors, divisions, points if everywhere else points[:0])
     points = [*anchors, *(point for point in found if point.weights.min() >= -AGAINST)]

@@ -15,7 +15,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimization import Front
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.journal import Journal, child
-from torchmbd.study.progress import print_table, table_of
+from torchmbd.study.progress import Searches, print_table, table_of
 from torchmbd.study.report import draw, no_picture_costs_a_result
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
@@ -27,13 +27,14 @@ def run_front(
     """Find the front, print it, and file every point."""
     options: dict[str, Any] = {"max_lanes": lanes} | study.options
     journal.begin(study.kind)
-    names = list(study.problem.criteria)
+    title = f"{study.name}: front of {', '.join(study.problem.criteria)}"
     try:
-        with console.status(f"{escape(study.name)}: front of {escape(', '.join(names))}"):
+        with Searches(title, console) as searches:
             front = pareto_front(
                 study.over(remembered),
                 method=study.method,
                 starts=list(study.points),
+                ended=searches.ended,
                 max_iterations=study.max_iterations,
                 **options,
             )

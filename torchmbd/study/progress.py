@@ -1,4 +1,5 @@
-"""The terminal: a live table of the starts, and tables that fit it; without a terminal one line per iteration of the best.
+"""The terminal: a live table of the starts, and tables that fit it; without a terminal one line per iteration of the best,
+or per search of a front.
 
 Checked in tests/study/test_progress.py.
 """
@@ -20,7 +21,7 @@ from rich.measure import Measurement
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from torchmbd.optimization.optimizer import Iterate
+    from torchmbd.optimization.optimizer import Iterate, OptimizationResult
     from torchmbd.study.columns import Columns
 
 FEASIBLE = 1e-6  # largest violation of a design that counts as feasible
@@ -86,6 +87,36 @@ class Progress:
             numbers = outcome(self.first, iterate.objective, iterate.violation, self.sign)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
         return narrowed(table, self.console, give_way(len(own), len(headings), [-1, 4, 3]))
+
+
+class Searches:
+    """Counts the searches of a front as they end; a context manager."""
+
+    def __init__(self, title: str, console: Console) -> None:
+        self.title, self.console = title, console
+        self.analyses: list[int] = []  # of every search that has ended
+        self._began = time.monotonic()
+        self._status = console.status(escape(title))
+
+    def __enter__(self) -> Searches:
+        if self.console.is_terminal:
+            self._status.start()
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._status.stop()
+
+    def ended(self, result: OptimizationResult) -> None:
+        """Show how a search ended."""
+        self.analyses.append(result.analyses)
+        count = len(self.analyses)
+        if self.console.is_terminal:
+            self._status.update(f"{escape(self.title)}: {count} searches, {sum(self.analyses)} simulations")
+            return
+        line = (
+            f"search {count:<3d} iterations {result.iterations:<3d} simulations {result.analyses:<4d} {result.status}"
+        )
+        self.console.out(f"{time.monotonic() - self._began:7.1f} s  {line.replace('_', ' ')}", highlight=False)
 
 
 def _rank(iterate: Iterate) -> tuple[float, float]:

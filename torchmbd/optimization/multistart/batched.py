@@ -232,16 +232,17 @@ def run_batched(
     searches: Sequence[Callable[[int, Ask, Report], Search]],
     run_one: Callable[[Search], OptimizationResult],
     max_lanes: int,
+    ended: Callable[[OptimizationResult], None] | None = None,
 ) -> tuple[list[OptimizationResult | None], bool]:
     """Run one optimizer on different searches of the same designs; return the feasible results and whether interrupted.
 
-    None stands for a search that found no feasible design, or was interrupted.
+    `ended` hears of every result as it comes. None stands for a search that found no feasible design, or was interrupted.
     """
 
     def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
         return run_one(searches[index](index, ask, report))
 
-    batched = BatchedSearches(problem, [partial(runner, k) for k in range(len(searches))], max_lanes, None)
+    batched = BatchedSearches(problem, [partial(runner, k) for k in range(len(searches))], max_lanes, ended=ended)
     ends: list[OptimizationResult | None] = [None] * len(searches)
     for result in batched.run():
         if result.status not in ("failed", "infeasible", "interrupted"):

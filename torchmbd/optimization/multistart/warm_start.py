@@ -25,7 +25,7 @@ AGAIN = 3  # times
 
 
 class Family:
-    """`run_one` runs an optimizer on one search; `box` is start, lower and upper [n]."""
+    """`run_one` runs an optimizer on one search; `box` is start, lower and upper [n]; `ended` hears of every search's end."""
 
     def __init__(
         self,
@@ -34,10 +34,11 @@ class Family:
         box: tuple[np.ndarray, np.ndarray, np.ndarray],
         feasibility: float,
         max_lanes: int,
+        ended: Callable[[OptimizationResult], None] | None = None,
     ) -> None:
         self.cache, self.run_one = cache, run_one
         self.start, self.lower, self.upper = box
-        self.feasibility, self.max_lanes = feasibility, max_lanes
+        self.feasibility, self.max_lanes, self.ended = feasibility, max_lanes, ended
         self.interrupted = False
 
     def from_starts(self, members: list[Member], starts: np.ndarray) -> list[OptimizationResult | None]:
@@ -111,7 +112,7 @@ class Family:
             return [None] * len(jobs)
 
         searches = [partial(self._search, member, x) for member, x in jobs]
-        ends, self.interrupted = run_batched(self.cache, searches, self.run_one, self.max_lanes)
+        ends, self.interrupted = run_batched(self.cache, searches, self.run_one, self.max_lanes, self.ended)
         return [end if end is not None and end.violation <= self.feasibility else None for end in ends]
 
     def _search(self, member: Member, x: np.ndarray, index: int, ask: Ask, report: Report) -> Search:
