@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import SOFT, pendulum
+from tests.mechanisms import GRAVITY, SOFT, pendulum
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.angle import Angle
@@ -279,3 +279,27 @@ def test_gradients_do_not_depend_on_the_mode_of_torch_around(around, measure):
     outside = measure.value_and_gradient(inside)[1]
     for found in (first, outside):
         assert_close(found, wanted, rtol=1e-12, atol=0.0)
+
+
+@pytest.fixture(scope="module")
+def failed(native) -> Trajectory:
+    """Two lanes; in the second a spring overflows."""
+    system = strong_pendulum()
+    spring = mbd.SpringDamper(
+        mbd.Ground().at(0.1, 0.2, 0.3), system.body("rod").at("right"), stiffness=mbd.variable(1.0)
+    )
+    held = mbd.System(system.bodies, system.joints, [spring], gravity=GRAVITY)
+    stiffness = torch.tensor([1.0, 1e22], dtype=torch.float64)
+    motion = mbd.simulate(held, DURATION, steps=STEPS, designs={f"{spring.name}.stiffness": stiffness})
+    assert [status.startswith("failed") for status in motion.status] == [False, True]
+    return motion
+
+
+@pytest.mark.parametrize("response", [*cases(HISTORIES), *cases(MEASURES), *OTHERS])
+def test_a_lane_that_failed_has_no_number(response, failed):
+    """Of its motion; the mass, the frequencies and what loads buckle belong to the design."""
+    wanted = {"Mass", "Frequency", "Frequencies"} | (
+        {"BucklingFactor"} if getattr(response, "loads", None) is not None else set()
+    )
+    end = response(failed).reshape(2, -1)[:, -1]
+    assert end.isnan().tolist() == [False, type(response).__name__ not in wanted]

@@ -42,8 +42,9 @@ def one_by_one(y: list[float]) -> list[tuple[float, float, float]]:
     return found + [(abs(b - a), (a + b) / 2, 0.5) for a, b in pairwise(stack)]
 
 
-def test_the_example_of_the_standard():
-    cycles = rainflow(torch.tensor(STANDARD))
+@pytest.mark.parametrize("y", [STANDARD, torch.tensor(STANDARD), np.array(STANDARD, dtype=int)])
+def test_the_example_of_the_standard(y):
+    cycles = rainflow(y)
     found = {r: float(cycles.count[cycles.range == r].sum()) for r in (3.0, 4.0, 6.0, 8.0, 9.0)}
     assert found == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
     assert float(cycles.count.sum()) == 4.0
@@ -76,6 +77,20 @@ def test_ranges_and_means_have_derivatives():
 def test_a_history_needs_two_values(y):
     with pytest.raises(mbd.InputError, match=r"allowed: \[..., n\] with two values"):
         rainflow(y)
+    with pytest.raises(mbd.InputError, match=r"y is 'load\.csv'; allowed: numbers"):
+        rainflow("load.csv")
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_a_history_that_is_not_finite_has_no_damage_made_up(wrong):
+    y = torch.tensor([[0.0, 2.0, -1.0, 3.0], [0.0, 2.0, wrong, 3.0]])
+    cycles = rainflow(y)
+    assert cycles.range[1].isnan().all()
+    assert cycles.range[0].tolist() == [2.0, 3.0, 4.0]
+    t = torch.arange(4.0)
+    load = mbd.EquivalentLoad(mbd.Position("bob", "x"), exponent=3.0).reduce(Spline.of(t, y))
+    damage = mbd.Damage(mbd.Position("bob", "x"), curve=mbd.SNCurve([(1e3, 4.0), (1e6, 2.0)])).reduce(Spline.of(t, y))
+    assert load.isnan().tolist() == damage.isnan().tolist() == [False, True]
 
 
 def test_peaks_between_the_samples_are_found():

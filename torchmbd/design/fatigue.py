@@ -73,8 +73,8 @@ class EquivalentLoad(OfHistory):
         size = found.range.detach().amax(-1, keepdim=True)
         size = torch.where(size > 0.0, size, 1.0)  # powers of ranges may overflow
         total = (found.count * (found.range / size) ** self.exponent).sum(-1) / number
-        swings = total > 0.0
-        return torch.where(swings, size[..., 0] * torch.where(swings, total, 1.0) ** (1.0 / self.exponent), 0.0)
+        rests = total == 0.0
+        return torch.where(rests, 0.0, size[..., 0] * torch.where(rests, 1.0, total) ** (1.0 / self.exponent))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.owned import reals
 
 
 class Cycles(NamedTuple):
@@ -28,17 +29,23 @@ class Cycles(NamedTuple):
     count: Float[Tensor, "*histories cycles"]
 
 
-def rainflow(y: Float[Tensor, "*histories n"]) -> Cycles:
+def rainflow(y: Any) -> Cycles:
     """Count the cycles of histories `y` with n >= 2 values each, of any unit. Raises InputError for fewer.
 
-    >>> y = torch.tensor([-2.0, 1, -3, 5, -1, 3, -4, 4, -2])
-    >>> cycles = mbd.rainflow(y)
+    y   [..., n], a tensor or what makes one; a history with values that are not finite has ranges and means that are nan
+
+    >>> cycles = mbd.rainflow([-2.0, 1, -3, 5, -1, 3, -4, 4, -2])
     >>> sorted({float(r): float(cycles.count[cycles.range == r].sum()) for r in cycles.range if r}.items())
     [(3.0, 0.5), (4.0, 1.5), (6.0, 0.5), (8.0, 1.0), (9.0, 0.5)]
     """
+    if not isinstance(y, Tensor):
+        y = reals("y", y)
+    y = y if y.is_floating_point() else y.double()
     if y.dim() < 1 or y.shape[-1] < 2:
         raise InputError(f"a history has the shape {tuple(y.shape)}; allowed: [..., n] with two values at least")
     first, second, count = _Pairs.apply(y)  # pyright: ignore[reportGeneralTypeIssues]
+    # Cycles of a part of a history would be a number made up.
+    y = torch.where(y.isfinite().all(-1, keepdim=True), y, torch.nan)
     a, b = y.gather(-1, first), y.gather(-1, second)
     return Cycles((a - b).abs(), 0.5 * (a + b), count)
 

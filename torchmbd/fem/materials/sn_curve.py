@@ -82,11 +82,11 @@ class SNCurve:
             compression = tension if self.compression is None else amplitude.new_tensor(self.compression)
             amplitude = amplitude * mean_factor(mean, tension, compression)
         x, y = x.to(amplitude), y.to(amplitude)
-        swings = amplitude > 0.0
-        log = torch.log(torch.where(swings, amplitude, 1.0))
+        rests = amplitude <= 0.0
+        log = torch.log(torch.where(rests, 1.0, amplitude))
         place = torch.searchsorted(x, log.detach().contiguous()).clamp(1, len(x) - 1)
         slope = (y[place] - y[place - 1]) / (x[place] - x[place - 1])
-        return torch.where(swings, torch.exp(y[place - 1] + slope * (log - x[place - 1])), math.inf)
+        return torch.where(rests, math.inf, torch.exp(y[place - 1] + slope * (log - x[place - 1])))
 
 
 def mean_factor(mean: Tensor, tension: Tensor, compression: Tensor) -> Tensor:
