@@ -31,6 +31,8 @@ class Valued(NamedTuple):
 def differentiate(f: Callable[[Any], Tensor | Sequence[Tensor]], motion: Trajectory) -> Valued:
     """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`.
 
+    Where the value is nan, as in lanes that failed, the gradient is.
+
     f may return several tensors [lanes, rows], which become one: each is pulled back by itself, so that many rows of one cost
     nothing of what another is computed from.
     """
@@ -47,7 +49,8 @@ def differentiate(f: Callable[[Any], Tensor | Sequence[Tensor]], motion: Traject
         rows = [x.flatten(1).sum(0) if x.dim() > 1 else x.sum()[None] for x in each]  # of each row the sum over lanes
         parts = [_gradients(some, inputs) for own in rows for some in own.split(ROWS)]
     found = _joined(given).detach()
-    return Valued(found, torch.cat(parts, 1).reshape(*found.shape, -1))
+    gradient = torch.cat(parts, 1).reshape(*found.shape, -1)
+    return Valued(found, torch.where(found.isnan()[..., None], torch.nan, gradient))  # of lanes that failed
 
 
 def _joined(found: Tensor | Sequence[Tensor]) -> Tensor:

@@ -229,7 +229,7 @@ class Measure(_Constant):
         return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> Valued:
-        """Value [lanes, ...] and gradient by the design variables [lanes, ..., n_b].
+        """Value [lanes, ...] and gradient by the design variables [lanes, ..., n_b]; both are nan in lanes that failed.
 
         Raises InputError for a motion without gradients.
 
