@@ -79,7 +79,8 @@ class Equilibrium(Trajectory):
 class StaticIntegration:
     """Equilibria at given times as an `Integration` of `Motion`; data of the model by `names` in, as ReverseIntegration.
 
-    follow   each lane is searched from where the one before rests
+    follow     each lane is searched from where the one before rests
+    unstable   as of `equilibrium`
     """
 
     model: Dynamics
@@ -87,6 +88,7 @@ class StaticIntegration:
     times: Tensor
     follow: bool
     rotation: SteadyRotation | None = None
+    unstable: bool = False
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
@@ -105,7 +107,7 @@ class StaticIntegration:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
-            self._found.append(search(self.dynamics, q, t, self.follow, self.rotation))
+            self._found.append(search(self.dynamics, q, t, self.follow, self.rotation, self.unstable))
             self._refuse(t, self._found[-1])
             q = rest(self.dynamics, self._found[-1], t, self.rotation)
         self.status = [OK] * self.dynamics.lanes
@@ -188,6 +190,7 @@ def equilibrium(
     follow: bool = False,
     spin: Sequence[float] | Tensor | None = None,
     center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    unstable: bool = False,
 ) -> Equilibrium:
     """Static equilibrium near the start: a motion at rest, with bodies, reactions, stresses, frequencies.
 
@@ -202,9 +205,11 @@ def equilibrium(
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
     spin, center   angular velocity [rad/s] with which the whole rotates about an axis through a point [m] of the ground: rest
                 is steady rotation, with rates and accelerations, and frequencies are those that a turning observer sees
+    unstable    the equilibrium nearest to the start, also where the stiffness does not hold it; False: the search goes downhill
+                in energy. A shaft above its critical speed is such a state: Coriolis's forces hold it, and `stable` says so
 
-    Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps, with the
-    part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free or unstable
+    Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps unless
+    `unstable` is given, with the part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free or unstable
     equilibrium is returned: its frequencies are zero or nan, and freedoms without stiffness stay where they are.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
@@ -228,7 +233,9 @@ def equilibrium(
         batch = same_lanes(batch, begins.lanes)
         dynamics, shapes = system.stages(batch)
         data = dynamics.data
-        integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, bool(follow), rotation)
+        integration = StaticIntegration(
+            replace(dynamics, data={}), tuple(data), t, bool(follow), rotation, bool(unstable)
+        )
         outputs: Any = Motion.apply(integration, *data.values())
         if not torch.is_grad_enabled():
             shapes = {}

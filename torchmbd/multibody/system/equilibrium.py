@@ -6,7 +6,8 @@
 
 With positive eigenvalues every step goes downhill in energy, so a conservative mechanism ends at a stable equilibrium
 and not at the nearest extremum (but one that starts exactly at an unstable one stays there, and says so). Steps are
-limited in size. With beams the loads grow in steps (load_steps.py) where the start bears small ones.
+limited in size. With beams the loads grow in steps (load_steps.py) where the start bears small ones. `unstable` takes the
+eigenvalues as they are, for states that other forces than those of the stiffness hold: a shaft above its critical speed.
 
 Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
 
@@ -45,6 +46,8 @@ _MIRRORED = (
     "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
     "less than a quarter of a turn from it"
 )
+_ZERO_MASS = 1e-9  # of the largest
+_SMALLER = "allowed: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
 _NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
 
 
@@ -66,15 +69,23 @@ class Balance:
 
 
 def search(
-    dynamics: Any, q: Any, t: Tensor, follow: bool = False, rotation: SteadyRotation | None = None
+    dynamics: Any,
+    q: Any,
+    t: Tensor,
+    follow: bool = False,
+    rotation: SteadyRotation | None = None,
+    unstable: bool = False,
 ) -> list[Balance]:
-    """Where the lanes of a whole system rest at time t, near q [n_q, 1, lanes]; follow: each near where the one before does."""
+    """Where the lanes of a whole system rest at time t, near q [n_q, 1, lanes]; follow: each near where the one before does.
+
+    unstable   the nearest equilibrium, whether it is stable or not
+    """
     start, found = value(q).detach(), []
     with torch.no_grad():
         values = dynamics.values()
         for lane in range(dynamics.lanes):
             near = found[-1].q if follow and found else start[:, 0, min(lane, start.shape[-1] - 1)]
-            found.append(_balanced(values.some([lane]), near, t, rotation))
+            found.append(_balanced(values.some([lane]), near, t, rotation, unstable))
     return found
 
 
@@ -124,16 +135,16 @@ def vibrations(dynamics: Any) -> Vibrations:
         return Vibrations.of(AtRest.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
 
 
-def _balanced(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None = None) -> Balance:
+def _balanced(
+    dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None = None, unstable: bool = False
+) -> Balance:
     """Of one lane."""
     T, q = dynamics.topology, start
-    steps = LoadSteps(dynamics, start, t, rotation) if T.beams is not None else None
+    steps = LoadSteps(dynamics, start, t, rotation) if T.beams is not None and not unstable else None
     if steps is not None and steps.stable:
         path = steps.run()
         if path.missing:
-            return _none(
-                T, start, f"no static equilibrium: {path.missing}; allowed: smaller loads, or a start near another"
-            )
+            return _none(T, start, f"no static equilibrium: {path.missing}; {_SMALLER}")
         q = path.q
     rest, largest = AtRest.of(dynamics, q, t, rotation=rotation), 0.0
     for _ in range(_STEPS):
@@ -143,10 +154,14 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation 
                 return _none(T, start, _MIRRORED)
             if rotation is not None and not _steady(dynamics, rest, q, t, rotation, largest):
                 return _none(T, start, _UNSTEADY)
+            if _negative(rest.inertia):
+                return _none(
+                    T, start, f"no static equilibrium: bodies bend until their modes have a negative mass; {_SMALLER}"
+                )
             return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
         if not bool(torch.isfinite(rest.forces).all()):
             break
-        q = equations.advance(T, q[:, None, None], _step(rest)[:, None, None])[:, 0, 0]
+        q = equations.advance(T, q[:, None, None], _step(rest, unstable)[:, None, None])[:, 0, 0]
         rest = AtRest.of(dynamics, q, t, rotation=rotation)
     left = rest.remaining.abs().nan_to_num(torch.inf)
     worst = int(rest.own[int(left.argmax())])
@@ -205,18 +220,27 @@ def _largest(rest: AtRest) -> float:
     return float(free.abs().max()) if free.numel() else 0.0
 
 
-def _step(rest: AtRest) -> Tensor:
+def _step(rest: AtRest, unstable: bool) -> Tensor:
+    """Increment [n_v] of Newton's method: downhill, or to the nearest equilibrium of any kind."""
     own, J = rest.own, rest.Phi_q[:, rest.own]
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
-    values, vectors = _stiffness(rest)
-    largest = float(values.abs().max()) if len(values) else 0.0
-    stiff = values.abs().clamp_min(1e-9 * largest or 1.0)
-    downhill = rest.N.T @ (rest.remaining + rest.K[own][:, own] @ close)
-    slide = rest.N @ (vectors @ (-(vectors.T @ downhill) / stiff))
-    total = close + slide
+    forces = rest.N.T @ (rest.remaining + rest.K[own][:, own] @ close)
+    if unstable:
+        slide = -torch.linalg.pinv(rest.reduced(rest.K), rtol=_NO_STIFFNESS) @ forces
+    else:
+        values, vectors = _stiffness(rest)
+        largest = float(values.abs().max()) if len(values) else 0.0
+        slide = -vectors @ ((vectors.T @ forces) / values.abs().clamp_min(1e-9 * largest or 1.0))
+    total = close + rest.N @ slide
     step = torch.zeros_like(rest.forces)
     step[own] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
     return step
+
+
+def _negative(M: Tensor) -> bool:
+    """Whether an eigenvalue is; those of parts without inertia are zero."""
+    found = torch.linalg.eigvalsh(M)
+    return bool(len(found)) and float(found[0]) < -_ZERO_MASS * float(found[-1])
 
 
 def _stiffness(rest: AtRest) -> tuple[Tensor, Tensor]:

@@ -24,9 +24,12 @@ from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.topology import Topology
 
-_ZERO = 1e-10  # of the largest eigenvalue: a freedom without stiffness
+_CANCELS, _EIGEN = (
+    1e-10,
+    1e-15,
+)  # a freedom without stiffness: of terms that cancel, of the largest eigenvalue for each freedom
 _GROWS = 1e-6  # real part of a pole by its size: vibrations that grow
-_AT_REST = 1e-7  # of the largest pole: zero, of a freedom without stiffness
+_AT_REST = 1e-7  # of the largest frequency: zero, of a freedom without stiffness
 _UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetric stiffness by forces that remain, by the largest stiffness: none
 
 
@@ -108,6 +111,12 @@ class AtRest:
         return self.N.T @ X[self.own][:, self.own] @ self.N
 
     @property
+    def inertia(self) -> Tensor:
+        """N' M N, symmetric."""
+        M = self.reduced(self.M)
+        return 0.5 * (M + M.T)
+
+    @property
     def follows(self) -> bool:
         """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
 
@@ -125,8 +134,9 @@ class Vibrations:
     """Of one design: frequencies [freedoms] [Hz], ascending, zero for a freedom without stiffness, nan for an unstable one;
     poles [2 freedoms] [1/s] with the damping; shapes [n_v, freedoms], increments of the coordinates of unit modal mass.
 
-    Of a steady rotation the frequencies are those of the poles, with Coriolis's forces; shapes are without them. Where forces
-    turn with a body two freedoms may drive each other (flutter): both are nan, both shapes the real part of theirs.
+    Of a steady rotation the frequencies have Coriolis's forces, without dampers as at rest, and the lowest is nan where a pole
+    grows; shapes are without these forces. Where forces turn with a body two freedoms may drive each other (flutter): both are
+    nan, both shapes the real part of theirs.
     """
 
     frequencies: Tensor
@@ -136,28 +146,52 @@ class Vibrations:
     @classmethod
     def of(cls, rest: AtRest) -> Vibrations:
         """The eigenvalue problem in the null space."""
-        M, C, whole = (rest.reduced(x) for x in (rest.M, rest.C, rest.K))
+        M, C, whole = rest.inertia, rest.reduced(rest.C), rest.reduced(rest.K)
         K = 0.5 * (whole + whole.T)
-        L = torch.linalg.cholesky(0.5 * (M + M.T))
-        inverse = torch.linalg.inv(L)
+        inverse = torch.linalg.inv(torch.linalg.cholesky(M))
         follows = rest.follows and not rest.turns
         squares, Y = _flutter(inverse @ whole @ inverse.T) if follows else torch.linalg.eigh(inverse @ K @ inverse.T)
-        small = squares.abs() <= _ZERO * squares.abs().nan_to_num().amax() if len(squares) else squares > 0
-        squares = torch.where(small, 0.0, squares)
         n = len(squares)
-        # A damper that does not turn pushes a turning observer's body across its displacement: no symmetric stiffness.
-        pushed = whole if rest.turns or follows else K
-        A = torch.cat(
-            [
-                torch.cat([torch.zeros(n, n, dtype=K.dtype), torch.eye(n, dtype=K.dtype)], 1),
-                torch.cat([-torch.linalg.solve(M, pushed), -torch.linalg.solve(M, C)], 1),
-            ]
-        )
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
         shapes[rest.own] = rest.N @ (inverse.T @ Y)
-        poles = torch.linalg.eigvals(A)
-        w = _of_poles(poles) if rest.turns and n else squares.sqrt()
+        squares = torch.where(squares.abs() <= _rounding(rest, shapes, squares), 0.0, squares)
+        # A damper that does not turn pushes a turning observer's body across its displacement: no symmetric stiffness.
+        poles = _poles(M, C, whole if rest.turns or follows else K)
+        w = squares.sqrt()
+        if rest.turns and n:
+            w = _poles(M, 0.5 * (C - C.T), K).imag.abs().sort().values[::2]
+            w = torch.where(w > _AT_REST * w[-1], w, 0.0)
+            w = torch.cat([w.new_full((1,), torch.nan), w[1:]]) if _grow(poles, w[-1]) else w
         return cls(w / (2.0 * math.pi), poles, shapes)
+
+
+def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
+    """Of M y'' + C y' + K y = 0 [2 n]."""
+    n = len(M)
+    A = torch.zeros(2 * n, 2 * n, dtype=K.dtype)
+    A[:n, n:] = torch.eye(n, dtype=K.dtype)
+    A[n:, :n], A[n:, n:] = -torch.linalg.solve(M, K), -torch.linalg.solve(M, C)
+    return torch.linalg.eigvals(A)
+
+
+def _grow(poles: Tensor, largest: Tensor) -> bool:
+    """Whether vibrations grow. A negative stiffness alone does not say so: Coriolis's forces may hold what it drives away.
+
+    largest   angular frequency [rad/s], a measure of rounding; poles with dampers may be larger by orders
+    """
+    size = poles.abs()
+    return bool(((poles.real > _GROWS * size) & (size > _AT_REST * largest)).any())
+
+
+def _rounding(rest: AtRest, shapes: Tensor, squares: Tensor) -> Tensor:
+    """Squares of frequencies [freedoms] below which there is no stiffness: energies that cancel, errors of the eigenvalues.
+
+    A share of the largest square alone would take a heavy part on a light stiff shaft for one that is free.
+    """
+    if not len(squares):
+        return squares
+    terms = (shapes.abs() * (rest.K.abs() @ shapes.abs())).sum(0)
+    return _CANCELS * terms + _EIGEN * len(squares) * squares.abs().nan_to_num().amax()
 
 
 def _flutter(A: Tensor) -> tuple[Tensor, Tensor]:
@@ -167,17 +201,6 @@ def _flutter(A: Tensor) -> tuple[Tensor, Tensor]:
     values, Y = values[order], vectors[:, order].real
     squares = torch.where(values.imag.abs() > _GROWS * values.abs(), torch.nan, values.real)
     return squares, Y / Y.norm(dim=0)
-
-
-def _of_poles(poles: Tensor) -> Tensor:
-    """Angular frequencies, one of each pair of poles [n], the lowest nan where vibrations grow.
-
-    A negative stiffness alone does not say so: Coriolis's forces may hold what it drives away.
-    """
-    found, size = poles.imag.abs().sort().values[::2], poles.abs()
-    if bool(((poles.real > _GROWS * size) & (size > _AT_REST * size.max())).any()):
-        found = torch.cat([found.new_full((1,), torch.nan), found[1:]])
-    return found
 
 
 def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:
