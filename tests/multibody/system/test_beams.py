@@ -103,3 +103,16 @@ def test_dampers_take_energy():
     assert float(fine.dissipated[0, -1]) > 0.03 * float(fine.stored[0, 0])
     assert float(fine.balance.abs().max()) < 0.02 * float(fine.stored[0, 0])
     assert float(fine.balance.abs().max()) < float(coarse.balance.abs().max()) / 3.0
+
+
+def test_a_system_of_the_parts_of_another():
+    """Whose bodies are the nodes of its beams, and whose forces their elements."""
+    ground, beam = mbd.Ground(), mbd.FlexibleBeam("beam", mbd.BeamLine.straight(1.0, elements=2), SECTION)
+    tip = mbd.RigidBody("tip", 1.0, (0.1, 0.1, 0.1), position=(1.0, 0.0, 0.0))
+    joints = [mbd.Fixed(ground.at(), beam.at("start")), mbd.Fixed(beam.at("end"), tip.at())]
+    one = mbd.System([tip, beam], joints)
+    other = mbd.System(one.bodies, one.joints, one.forces, gravity=(0.0, 0.0, -9.81))
+    assert other.beams == one.beams
+    assert [body.name for body in other.bodies] == [body.name for body in one.bodies]
+    assert len(other.forces) == 1
+    assert mbd.equilibrium(other).body("beam").displacements[0, 0, -1, 2] < 0.0

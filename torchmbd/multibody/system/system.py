@@ -101,6 +101,13 @@ class System(nn.Module):
         )
         if not bodies:
             raise InputError("bodies is empty; allowed: at least one body")
+        # Bodies and forces of another system hold the nodes and the elements of its beams: the first node stands for its beam.
+        bodies = [
+            body.beam if isinstance(body, BeamNode) else body
+            for body in bodies
+            if not (isinstance(body, BeamNode) and body.index)
+        ]
+        forces = [force for force in forces if not (isinstance(force, BeamChain) and force.beam in bodies)]
         self.beams = [body for body in bodies if isinstance(body, FlexibleBeam)]
         check_connected(bodies, joints, forces, free)
         bodies = [one for body in bodies for one in (body.node_bodies if isinstance(body, FlexibleBeam) else [body])]
