@@ -209,8 +209,8 @@ def equilibrium(
                 in energy. A shaft above its critical speed is such a state: Coriolis's forces hold it, and `stable` says so
 
     Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps unless
-    `unstable` is given, with the part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free or unstable
-    equilibrium is returned: its frequencies are zero or nan, and freedoms without stiffness stay where they are.
+    `unstable` is given, with the part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free
+    or unstable equilibrium is returned: its frequencies are zero or nan, and freedoms without stiffness stay where they are.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> round(rest.frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]

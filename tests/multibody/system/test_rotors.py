@@ -2,8 +2,8 @@
 
 The disk of mass m and inertias J_p about the shaft, J_d across it at the end of a shaft of length L:
 
-    [L^3 / 3, L^2 / 2; L^2 / 2, L]^-1 E I = K,   m r'' + ..., J_d f'' - i J_p speed f' + ... = 0       fixed axes, complex
-    (K - speed^2 diag(m, J_d - J_p)) (r, f) = (m speed^2 e, 0)                                          turning axes, unbalance e
+    [L^3 / 3, L^2 / 2; L^2 / 2, L]^-1 E I = K,   m r'' + ..., J_d f'' - i J_p speed f' + ... = 0     fixed axes, complex
+    (K - speed^2 diag(m, J_d - J_p)) (r, f) = (m speed^2 e, 0)                                        turning axes, unbalance e
 """
 
 from __future__ import annotations
@@ -25,7 +25,11 @@ CRITICAL = 36.0  # rad/s
 
 
 def rotor(speed: float, end: Any = 0.0, damping: float = 0.0, flat: float = 1.0) -> mbd.System:
-    """A disk on a shaft without mass, turned by a motor; flat: second moment of area about z by that about y; end: y of the shaft on it [m]."""
+    """A disk on a shaft without mass, turned by a motor.
+
+    end    y of the shaft on the disk [m]
+    flat   second moment of area about z by that about y
+    """
     section = mbd.GivenSection.isotropic(
         E, 0.3, 25.0, math.pi * 0.005**2, Iyy=INERTIA, Izz=flat * INERTIA, J=2.0 * INERTIA
     )
