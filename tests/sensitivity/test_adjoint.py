@@ -166,7 +166,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     motion = mbd.simulate(system, 5e-4, **options)
     assert [x == "ok" for x in motion.status] == [True, False, True]
     found = differentiate(everything, motion).gradient
-    assert found[1].tolist() == [[0.0] * 3] * 2
+    assert torch.isnan(found[1]).all()  # a lane without values has no gradients: not 0
     assert_close(found[[0, 2]], wanted[[0, 2]], rtol=1e-9, atol=0)
 
 
