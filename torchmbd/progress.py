@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
+from torchmbd.math.owned import true_or_false
+
 if TYPE_CHECKING:
     from rich.progress import Progress
     from torch import Tensor
@@ -23,7 +25,9 @@ _reached: ContextVar[Callable[[float], None] | None] = ContextVar("reached", def
 
 def wanted(progress: bool | None) -> bool:
     """Whether to show a bar; None: in a terminal or a notebook."""
-    return sys.stderr.isatty() or "ipykernel" in sys.modules if progress is None else progress
+    return (
+        sys.stderr.isatty() or "ipykernel" in sys.modules if progress is None else true_or_false("progress", progress)
+    )
 
 
 @contextmanager

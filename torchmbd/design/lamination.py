@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import real
+from torchmbd.math.owned import real, true_or_false
 
 DIRECTIONS = (0.0, 90.0, 45.0, -45.0)
 
@@ -48,6 +48,8 @@ class LaminationRules:
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
+        true_or_false("symmetric of LaminationRules", self.symmetric)
+        true_or_false("balanced of LaminationRules", self.balanced)
         if self.max_step is not None and not (real(self.max_step) and 0.0 <= self.max_step <= 90.0):
             raise InputError(f"max_step is {self.max_step!r}; allowed: 0 to 90 degrees, or None")
         if not (real(self.min_share) and 0.0 <= self.min_share <= 0.25):

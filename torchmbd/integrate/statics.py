@@ -24,7 +24,7 @@ from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import labels_of, presented, same_lanes, variables_of
 from torchmbd.math.module_call import exclusive
-from torchmbd.math.owned import reals
+from torchmbd.math.owned import reals, true_or_false
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import Balance, reactions, rest, search
@@ -218,6 +218,7 @@ def equilibrium(
     """
     if not isinstance(system, System):
         raise InputError(f"equilibrium of {system!r}; allowed: a System")
+    follow, unstable = true_or_false("follow", follow), true_or_false("unstable", unstable)
     t = _times(times)
     rotation = SteadyRotation.of(spin, center)
     begins = start_of(system, start)
@@ -233,9 +234,7 @@ def equilibrium(
         batch = same_lanes(batch, begins.lanes)
         dynamics, shapes = system.stages(batch)
         data = dynamics.data
-        integration = StaticIntegration(
-            replace(dynamics, data={}), tuple(data), t, bool(follow), rotation, bool(unstable)
-        )
+        integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, follow, rotation, unstable)
         outputs: Any = Motion.apply(integration, *data.values())
         if not torch.is_grad_enabled():
             shapes = {}

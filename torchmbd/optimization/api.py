@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names
+from torchmbd.math.owned import true_or_false
 from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (
@@ -75,6 +76,8 @@ def optimize(
     x, lower, upper = checked_box(problem, start)
     require_limits(max_iterations, max_analyses)
     require_range("feasibility", feasibility, 0.0, 1.0)
+    scaling = true_or_false("scaling", scaling)
+    eager_gradients = true_or_false("eager_gradients", eager_gradients)
 
     with shown(progress, method, max_iterations) as show:
         report = both(lambda one: show(one.iteration, one.objective), callback)

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names
+from torchmbd.math.owned import true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
@@ -154,6 +155,7 @@ def pareto_front(
     require_count("divisions", divisions, 1, 10_000)
     require_count("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)
+    everywhere = true_or_false("everywhere", everywhere)
     require_problem(problem)
     if len(getattr(problem, "criteria", ())) < 2:
         raise InputError(f"problem is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has")

@@ -107,7 +107,8 @@ def test_the_motion_of_equivalent_springs(case, method):
     for name in ("q", "v", "a", "lam"):
         wanted = getattr(expected, name)
         size = float(wanted.abs().max()) if wanted.numel() else 0.0
-        assert_close(getattr(found, name), wanted, rtol=0, atol=1e-10 * max(size, 1.0))
+        noise = 1e-9 if name == "a" else 1e-10  # accelerations carry the error of the iterations over h
+        assert_close(getattr(found, name), wanted, rtol=0, atol=noise * max(size, 1.0))
     assert_close(found.energies.applied, expected.energies.applied, rtol=0, atol=1e-9)
     assert float(expected.energies.applied.abs().max()) > 1e-3
 

@@ -29,7 +29,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
 from torchmbd.fem.materials.lamination_region import outside
-from torchmbd.math.owned import parameter, real
+from torchmbd.math.owned import parameter, real, true_or_false
 from torchmbd.math.plausible_units import THICKNESS, doubt
 
 _UNKNOWN = (
@@ -81,6 +81,7 @@ class LaminationParameters(Laminate):
             raise InputError(
                 f"LaminationParameters: shear_correction = {shear_correction!r}; allowed: 0 < shear_correction <= 1"
             )
+        checked = true_or_false("checked of LaminationParameters", checked)
         self.ply, self.field, self.shear_correction = ply, field, float(shear_correction)
         self.membrane = _four("membrane", membrane, field)
         self.bending = None if bending is None else _four("bending", bending, field)

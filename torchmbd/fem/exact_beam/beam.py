@@ -27,7 +27,7 @@ from torchmbd.fem.exact_beam.sections import Elements, SpanSections, elements
 from torchmbd.fem.exact_beam.solution import solve
 from torchmbd.fem.exact_beam.vibrations import frequencies
 from torchmbd.math.module_call import outside
-from torchmbd.math.owned import parameter, plain, reals, whole
+from torchmbd.math.owned import parameter, plain, reals, true_or_false, whole
 
 _STATIONS, _TURNING = 2, 8  # of prismatic elements; of those that are twisted, tapered or arcs
 _SIDES = torch.tensor([-1.0, 1.0], dtype=torch.float64)  # section forces act on the face whose normal is along the beam
@@ -172,7 +172,7 @@ class ExactBeam(nn.Module):
             "spin": spin,
             "center": center,
         }
-        search, data, made = self._problem(supports, given, unstable, massive=False)
+        search, data, made = self._problem(supports, given, true_or_false("unstable", unstable), massive=False)
         return self._state(search, data, solve(search, data), made)
 
     def frequencies(

@@ -44,7 +44,7 @@ from torchmbd.fem.materials.laminate_checks import (
 )
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
-from torchmbd.math.owned import real
+from torchmbd.math.owned import real, true_or_false
 from torchmbd.math.variable import Several, is_variable, stacked
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -128,7 +128,7 @@ class Laminate(nn.Module):
         self.angles = checked_angles(angles)
         layers = self.angles.numel()
         plies = checked_plies(ply, layers)
-        self.symmetric = bool(symmetric)
+        self.symmetric = true_or_false("Laminate: symmetric", symmetric)
         self._plies = Several(self, "ply", plies)
         self.shear_correction = checked_correction(shear_correction)
         self.thickness = checked_thickness(thickness, layers)

@@ -72,7 +72,7 @@ class WindIOBlade:
             raise InputError(f"{path.name}: {error}") from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
-                f"{path.name} is no windIO blade: {error!r}; allowed: components, airfoils, materials"
+                f"{path.name} is no windIO blade: {_said(error)}; allowed: components, airfoils, materials"
             ) from None
 
     def _airfoils(self, given: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
@@ -177,6 +177,11 @@ class WindIOBlade:
             raise InputError(f"material {name!r}: {error!r}; allowed: E, G, nu, rho") from None
 
 
+def _said(error: Exception) -> str:
+    """A parser's error with its lines, another with its kind: that of a missing key is the key alone."""
+    return " ".join(str(error).split()) if isinstance(error, yaml.YAMLError) else repr(error)
+
+
 def _loaded(text: str) -> Any:
     """The data of a text: bounded before they are made, as aliases multiply and the parser recurses."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -187,17 +192,15 @@ def _loaded(text: str) -> Any:
     if flow.max(initial=0) > BRACKETS:  # the parser's time grows with their square
         raise InputError(f"its data have more than {BRACKETS} brackets that are open at once")
     for event in yaml.parse(text, loader):
+        size = 0
         if isinstance(event, yaml.CollectionStartEvent):
             opened.append((event.anchor, 1))
-            continue
-        if isinstance(event, yaml.CollectionEndEvent):
+        elif isinstance(event, yaml.CollectionEndEvent):
             anchor, size = opened.pop()
             if anchor is not None:
                 sizes[anchor] = size
         elif isinstance(event, yaml.NodeEvent):
             size = sizes.get(event.anchor or "", 1) if isinstance(event, yaml.AliasEvent) else 1
-        else:
-            continue
         opened[-1] = opened[-1][0], opened[-1][1] + size
         if len(opened) > NESTED or opened[-1][1] > ENTRIES:
             break

@@ -40,6 +40,7 @@ from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
+from torchmbd.math.owned import true_or_false
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
@@ -152,9 +153,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.interfaces = interfaces.frames
         self.reduction = reduced(name, self.assembly, reduction, modes, interfaces.kept, self.reference, updated)
         self.modes = self.reduction.size
-        if not isinstance(stiffening, bool):
-            raise InputError(f"stiffening of {name!r} is {stiffening!r}; allowed: True or False")
-        self.stiffening = Stiffening(name, self.assembly) if stiffening else None
+        stiffens = true_or_false(f"stiffening of {name!r}", stiffening)
+        self.stiffening = Stiffening(name, self.assembly) if stiffens else None
         self.damping = ModalDamping(name, damping)
         bend(self, None, None)
         warn_mesh(name, self.assembly.parts.values())

@@ -25,6 +25,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import MeanMotion, RigidLink
 from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.math.owned import true_or_false
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices
 
 
@@ -50,8 +51,7 @@ class Interface:
     weights: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rigid, bool):
-            raise InputError(f"rigid of an Interface is {self.rigid!r}; allowed: True or False")
+        true_or_false("rigid of an Interface", self.rigid)
         if self.rigid and self.weights is not None:
             raise InputError("weights of an Interface are given, and it is rigid; allowed: one of both")
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, uncut
 from torchmbd.fem.reduction.mass_invariants import isotropic, mass_invariants, rigid_motions
-from torchmbd.math.owned import reals, whole
+from torchmbd.math.owned import reals, true_or_false, whole
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
@@ -51,8 +51,7 @@ class MatrixStructure:
         updated: bool,
     ) -> None:
         self.given, self.name, self.mesh, self.module = given, given.name, given.mesh, given.module
-        if not isinstance(updated, bool):
-            raise InputError(f"updated of {self.name!r} is {updated!r}; allowed: True or False")
+        updated = true_or_false(f"updated of {self.name!r}", updated)
         with torch.no_grad():
             M, K = given.now()
             x = self.mesh.nodes

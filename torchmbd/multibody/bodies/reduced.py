@@ -17,7 +17,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
 from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, uncut
-from torchmbd.math.owned import whole
+from torchmbd.math.owned import true_or_false, whole
 from torchmbd.math.sparse import SparseMatrix
 
 
@@ -50,8 +50,7 @@ def reduced(
     if not whole(modes) or not least <= modes <= most:
         allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
         raise InputError(f"modes of {name!r} is {modes!r}; allowed: {allowed}")
-    if not isinstance(updated, bool):
-        raise InputError(f"updated of {name!r} is {updated!r}; allowed: True or False")
+    updated = true_or_false(f"updated of {name!r}", updated)
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
     try:

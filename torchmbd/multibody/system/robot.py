@@ -22,7 +22,7 @@ import torch
 
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.io.robot_file import STAND, Pose, Robot, RobotJoint, combined
-from torchmbd.math.owned import positive, scalar
+from torchmbd.math.owned import positive, scalar, true_or_false
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import put
 from torchmbd.multibody.bodies.rigid import Ground
@@ -69,8 +69,7 @@ def robot(
     friction_speed         below it friction falls off [rad/s, m/s]
     gravity                [m/s2]
     """
-    if not isinstance(fixed_base, bool):
-        raise InputError(f"fixed_base is {fixed_base!r}; allowed: True or False")
+    fixed_base = true_or_false("fixed_base", fixed_base)
     named = {
         "flexible": flexible,
         "positions": positions,

@@ -23,6 +23,7 @@ text throughout. Checked in tests/contracts/test_optimizers.py and tests/optimiz
 
 from __future__ import annotations
 
+from torchmbd.math.owned import true_or_false
 from torchmbd.optimization.methods.feasible_directions import FeasibleDirections, Settings
 from torchmbd.optimization.optimizer import Ending, register, require_count, require_range
 from torchmbd.optimization.search import Search
@@ -54,6 +55,7 @@ def mmfd(
     for name, value in positive.items():
         require_range(name, value, 1e-16, 1e3)
     require_count("itrmop", itrmop, 1, 1000)
+    second_order = true_or_false("second_order", second_order)
     search.refuse_equalities("mmfd")
     first = search.begin()
     if not first.ok:

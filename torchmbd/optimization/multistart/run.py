@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchmbd.errors import argument_names
+from torchmbd.math.owned import true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.batch import at_once
 from torchmbd.optimization.multistart.batched import BatchedSearches
@@ -142,6 +143,8 @@ def multistart(
     require_limits(max_iterations, max_analyses)
     require_count("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)
+    scaling = true_or_false("scaling", scaling)
+    eager_gradients = true_or_false("eager_gradients", eager_gradients)
     initial, lower, upper = checked_box(problem)
     points = np.array([checked_box(problem, point)[0] for point in recipe(starts, initial).points(problem)])
     scale = variable_scale(initial, lower, upper) if scaling else None

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError
+from torchmbd.math.owned import true_or_false
 from torchmbd.optimization.optimizer import Box, as_numbers, require_count
 
 
@@ -44,7 +45,7 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     """
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)
-
+    include_initial = true_or_false("include_initial", include_initial)
     return Starts("sobol", count, partial(_spread, partial(_sobol, seed), count, include_initial))
 
 
@@ -61,7 +62,7 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     """
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)
-
+    include_initial = true_or_false("include_initial", include_initial)
     return Starts("latin_hypercube", count, partial(_spread, partial(_latin, seed), count, include_initial))
 
 
