@@ -112,6 +112,7 @@ def test_an_interruption_outside_of_the_search_is_said(folder, monkeypatch, caps
     assert says in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_a_store_that_cannot_be_written_costs_no_result(folder, capsys):
     """The study ends with its table and says that it was not recorded."""
     (folder / "file").write_text("")
@@ -141,6 +142,7 @@ def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store
     assert "everything is in its tracking store" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_an_odd_folder_and_an_odd_name(folder, capsys, monkeypatch, empty_store):
     """Nothing in a name is read as markup, as a URL, or as an option."""
     odd = folder / "my [red]study# 'é'"
@@ -173,6 +175,7 @@ def test_what_the_system_refuses_is_a_message(folder, capsys, monkeypatch):
     assert "not a database" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_new_check_and_schema(folder, capsys):
     assert cli.main(["new", "mine.yaml", "--model", "rod_model.py:build"]) == 0
     assert cli.main(["check", "mine.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=2"]) == 0
@@ -183,6 +186,7 @@ def test_new_check_and_schema(folder, capsys):
     assert json.loads(capsys.readouterr().out)["title"] == "torchmbd experiment"
 
 
+@pytest.mark.thorough
 def test_list_names_configs_and_studies(folder, capsys):
     assert cli.main(["list", "--folder", "."]) == 0
     output = capsys.readouterr().out

@@ -30,6 +30,7 @@ def _marked(page: Path):
     return pytest.param(page, id=_named(page), marks=[pytest.mark.slow] if slow else long)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "page", [_marked(p) for p in PAGES if {"pycon", "python", "yaml"} & {b.language for b in blocks(p)}]
 )
@@ -68,6 +69,7 @@ def test_pages_are_in_the_navigation():
     assert sorted(listed) == sorted(str(p.relative_to(ROOT / "docs")) for p in PAGES[1:])
 
 
+@pytest.mark.thorough
 def test_the_site_is_built_without_a_warning_and_its_links_lead_somewhere(tmp_path):
     pytest.importorskip("mkdocs", reason="needs mkdocs: pip install -e '.[docs]'")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]

@@ -64,6 +64,7 @@ def studied(tmp_path_factory, empty_store):
     return folder
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "found"), list(_objects()), ids=lambda x: x if isinstance(x, str) else "")
 def test_examples(name, found, tmp_path, monkeypatch, request):
     monkeypatch.chdir(request.getfixturevalue("studied") if name in ("load", "problem_of") else tmp_path)

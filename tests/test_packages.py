@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Modules whose distribution has another name, or that belong to another distribution's interface.
@@ -43,6 +45,7 @@ def packages() -> set[str]:
     return {DISTRIBUTION.get(name, name).replace("_", "-") for name in foreign}
 
 
+@pytest.mark.thorough
 def test_packages_are_declared():
     extras = [line for extra, lines in PROJECT["optional-dependencies"].items() if extra != "test" for line in lines]
     assert {"torch", "nlopt", "dask-jobqueue"} <= packages()

@@ -7,9 +7,12 @@ import subprocess
 import sys
 import warnings
 
+import pytest
+
 from torchmbd.process import ONE_THREAD, brief_warnings
 
 
+@pytest.mark.thorough
 def test_a_process_has_one_thread_unless_the_environment_says_otherwise():
     code = "import torch; from torchmbd.process import use_one_thread; use_one_thread(); print(torch.get_num_threads())"
     for given, expected in (({}, "1"), ({"OMP_NUM_THREADS": "2"}, "2")):

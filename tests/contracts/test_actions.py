@@ -199,7 +199,7 @@ def test_the_iteration_matrix_knows_the_slopes_of_the_law(name):
     assert_close(with_rates - plain, expected, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.thorough("bushing", "table")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "element",
     [

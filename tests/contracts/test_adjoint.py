@@ -44,6 +44,7 @@ def test_joints(kind, pair):
     compared(mbd.System(base.bodies, base.joints, [cord], gravity=(1.0, -9.0, 2.0)), 0.01)
 
 
+@pytest.mark.thorough("rotationalstop", "rotationalspringdamper")
 @pytest.mark.parametrize("name", actions.ELEMENTS)
 def test_forces(name):
     base = actions.system_of(name)

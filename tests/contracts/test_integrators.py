@@ -88,6 +88,7 @@ def test_every_method_is_here():
     assert set(ACCURACY) == set(METHODS)
 
 
+@pytest.mark.thorough("generalized_alpha", "adaptive_heun")
 @every_method
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge")
 def test_method_ends_where_the_motion_ends(method, system, designs, reference):
@@ -103,6 +104,7 @@ def test_method_ends_where_the_motion_ends(method, system, designs, reference):
     assert_close(motion.lam[:, -1], reference.lam[:, -1], rtol=0, atol=10 * asked.v)
 
 
+@pytest.mark.thorough("hht_alpha")
 @others_thorough
 @every_method
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge")
@@ -177,6 +179,7 @@ def test_tangents_are_those_of_the_steps(method, system):
         assert float((found[0] @ e[0] - wanted).abs().max()) < limit * float(wanted.abs().max()), name
 
 
+@pytest.mark.thorough("generalized_alpha")
 @every_method
 def test_the_pullback_is_the_transpose_of_the_tangents(method, system, designs, reference):
     """Or refused by name, with the methods that have one."""

@@ -204,6 +204,7 @@ def test_every_registered_response_is_in_this_contract():
     assert ELSEWHERE | {name: type(given[0]) for name, given in MEASURES.items()} == COMBINATORS | OF_DESIGN
 
 
+@pytest.mark.thorough("angles-buckling_index0", "thickness-buckling_index0")
 @pytest.mark.parametrize("response", [*cases(HISTORIES), reach])
 def test_gradient_of_a_history_against_differences(response, motions):
     response.check(motions[0].system)
@@ -216,6 +217,7 @@ def test_gradient_of_a_history_against_differences(response, motions):
     assert response.series(motions[1]).gradient is None
 
 
+@pytest.mark.thorough("angles-buckling_factor1", "thickness-buckling_factor1")
 @pytest.mark.parametrize("response", [*cases(MEASURES), *OTHERS])
 def test_gradient_of_a_measure_against_differences(response, motions):
     response.check(motions[0].system)
@@ -295,6 +297,7 @@ def failed(native) -> Trajectory:
     return motion
 
 
+@pytest.mark.thorough("at_times0", "at_times1")
 @pytest.mark.parametrize("response", [*cases(HISTORIES), *cases(MEASURES), *OTHERS])
 def test_a_lane_that_failed_has_no_number(response, failed):
     """Of its motion; the mass, the frequencies and what loads buckle belong to the design."""

@@ -59,6 +59,7 @@ def close(K, other):
     assert_close(K, other, rtol=1e-9, atol=1e-11 * float(K.abs().max()))
 
 
+@pytest.mark.thorough
 @given(mesh=cell())
 @settings(max_examples=40, deadline=None)
 def test_exactly_six_motions_are_free(mesh):

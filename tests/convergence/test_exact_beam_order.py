@@ -57,7 +57,7 @@ def place(beam: str, elements: int, steps: int) -> torch.Tensor:
     return motion.body(beam).nodes[0, -1, -1]
 
 
-@pytest.mark.thorough("frame")
+@pytest.mark.thorough
 @pytest.mark.parametrize("beam", MOTIONS)
 @pytest.mark.usefixtures("compiled")
 def test_second_order_in_motion(beam):

@@ -33,7 +33,7 @@ def tip(n: int, force: tuple[float, ...], moment: tuple[float, ...]) -> Tensor:
         return mbd.equilibrium(system).body(chain.bodies[-1].name).at("end").position[0, 0]
 
 
-@pytest.mark.thorough("moment")
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_second_order(case):
     force, moment, level = CASES[case]

@@ -191,6 +191,7 @@ def differences(f: Callable[[Tensor], Tensor], x: Tensor, step: float) -> Tensor
     return (4.0 * central(0.5 * step) - central(step)) / 3.0
 
 
+@pytest.mark.thorough("angles-0.004")
 @pytest.mark.parametrize(("name", "step"), [("angles", 4e-3), ("thickness", 1e-5)])
 def test_gradients_by_torch_func_and_differences(name, step):
     system = pendulum()
@@ -214,6 +215,7 @@ def test_gradients_by_torch_func_and_differences(name, step):
         assert_close(found, wanted, rtol=0.0, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_coinciding_indices_have_the_mean_of_their_derivatives():
     body = tube()
     system = loaded(body, "start", "end", (-1e3, 0.0, 0.0), 0.5)

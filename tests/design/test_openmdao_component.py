@@ -20,6 +20,7 @@ RESPONSES = {
 }
 
 
+@pytest.mark.thorough
 def test_values_and_partials():
     om = pytest.importorskip("openmdao.api")
     arm = mbd.examples.arm()
@@ -61,6 +62,7 @@ def test_an_optimization_ends_where_ours_does():
     assert float(problem.get_val("energy")[0]) == pytest.approx(wanted, rel=1e-4)
 
 
+@pytest.mark.thorough
 def test_the_page_runs():
     pytest.importorskip("openmdao.api")
     [code] = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)

@@ -47,6 +47,7 @@ def test_the_peak_is_found_between_the_samples(shift):
     assert gradient.tolist() == pytest.approx(slopes, abs=2e-5)
 
 
+@pytest.mark.thorough
 def test_the_peak_moves_past_a_sample_without_a_jump():
     """Value and gradient are continuous where the peak crosses a sample: a kink would stop an optimizer."""
     shifts = torch.linspace(0.0, 4.0 / 60, 400, dtype=torch.float64).tolist()

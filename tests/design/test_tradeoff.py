@@ -37,6 +37,7 @@ def test_values_and_gradients_are_those_of_the_measures():
     assert problem.evaluate(X, False)[0].gradients is None
 
 
+@pytest.mark.thorough
 def test_the_front_is_not_dominated_by_any_of_many_designs():
     problem = tradeoff(subject_to=[], steps=15)
     front = pareto_front(problem, divisions=2, starts=[np.radians([20.0, 30.0])], method="slsqp", max_iterations=8)

@@ -44,7 +44,7 @@ CASES = {
 }
 
 
-@pytest.mark.thorough("closed loops", "slider-crank")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CASES)
 def test_both_codes_simulate_the_same_mechanism(name):
     case = CASES[name]()

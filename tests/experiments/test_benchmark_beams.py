@@ -12,7 +12,7 @@ from experiments.benchmark_cases import motion, motion_backwards
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
-@pytest.mark.thorough("True")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("cable", "apart"), [(True, 0.02), (False, 0.04)])
 def test_both_codes_simulate_the_same_mechanism(cable, apart):
     """Exudyn's exact beam of 20 elements is 1.2 % too stiff, its cable has no shear."""

@@ -70,7 +70,14 @@ def studies() -> list:
 
 
 @pytest.mark.thorough(
-    "energy_integral", "multistart", "l1_energy_peak", "l2_energy_bound", "l2_energy_tolerance", "trusses"
+    "energy_integral",
+    "multistart",
+    "l1_energy_peak",
+    "l2_energy_bound",
+    "l2_energy_tolerance",
+    "trusses",
+    "l1_energy_torsion",
+    "l3_energy_integral",
 )
 @pytest.mark.parametrize("file", studies())
 def test_every_study_runs(file, uri):

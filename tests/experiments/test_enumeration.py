@@ -54,6 +54,7 @@ def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     assert found.rank(float(np.sort(found.value)[2])) == 2
 
 
+@pytest.mark.thorough
 def test_constraints_of_one_problem_are_not_those_of_another():
     together = enumerate_all({table: problem_of(table, 2, **TINY) for table in ("3f", "4")}, 30.0)
     alone = enumerate_all({"4": problem_of("4", 2, **TINY)}, 30.0)["4"]

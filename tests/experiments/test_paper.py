@@ -89,6 +89,7 @@ def test_laminates_of_the_rod(tmp_path):
     assert [row.ratio for row in rows if row.label == "inferred"] == pytest.approx([1.0, 1.13, 1.0], abs=0.15)
 
 
+@pytest.mark.thorough
 def test_the_antenna_optimized(tmp_path, monkeypatch):
     monkeypatch.setattr("experiments.sar_antenna_optimum.DURATION", 0.5)
     rows = {row.what: row for row in antenna.optimum(tmp_path, 20, max_iterations=1, modes=2, reduction="vibration")}

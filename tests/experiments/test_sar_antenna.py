@@ -56,6 +56,7 @@ def test_rows_of_phase_1():
     assert len(flexible.left_out) == 2
 
 
+@pytest.mark.thorough
 def test_rigid_motion_is_that_of_one_freedom():
     """Through the steep part of the law; rods do not spin, panel 2 stays."""
     motion = mbd.simulate(build(None), 4.0, steps=160).require_ok()
@@ -82,6 +83,7 @@ def test_gradient_of_the_energy_integral(monkeypatch):
     assert gradient(30, modes=4, cells=COARSE) < 1e-4
 
 
+@pytest.mark.thorough
 def test_gradient_by_the_plies_of_the_trusses():
     """Wound tubes that share their plies, beside differences of the same map."""
     name, angles = "crank.section.angles", (10.0, -30.0)

@@ -26,6 +26,7 @@ def coarse(*angles):
     return p
 
 
+@pytest.mark.thorough
 def test_gradient_of_two_angles_is_the_sum_over_their_layers():
     """By the chain rule: theta1 is the angle of the outer layers of both panels."""
     two, eight = coarse(START), coarse(LAYERS, LAYERS)
@@ -36,6 +37,7 @@ def test_gradient_of_two_angles_is_the_sum_over_their_layers():
     np.testing.assert_allclose(a.objective_gradient, [layers[0] + layers[3], layers[1] + layers[2]], rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_statics_of_the_joints_are_exact_with_craig_bampton():
     """Deflection of a corner of panel 2 under a force at another, of the reduced and of the whole mesh."""
     body = build(modes=2, reduction="craig-bampton").body("panel2")
@@ -54,6 +56,7 @@ def test_statics_of_the_joints_are_exact_with_craig_bampton():
     torch.testing.assert_close(reduced, exact[6 * b + 2], rtol=rounding, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_a_line_tells_the_optimization():
     result = mbd.optimize(coarse(START), method="mmfd", max_iterations=1)
     text = sar_antenna_optimum.line(result)

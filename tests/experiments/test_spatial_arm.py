@@ -69,6 +69,7 @@ def test_gradients_against_differences():
         )
 
 
+@pytest.mark.thorough
 def test_it_starts_at_rest_and_ends_where_its_drives_lead():
     system = build(around=8)
     motion = mbd.simulate(system, END, steps=60, start="equilibrium").require_ok()

@@ -34,6 +34,7 @@ def run(system: mbd.System, **given) -> mbd.Trajectory:
     return mbd.simulate(system, 0.6, phases=phases(), **(COARSE | given)).require_ok()
 
 
+@pytest.mark.thorough
 def test_it_swings_and_latches(system):
     motion = run(system)
     (switch,) = motion.switches

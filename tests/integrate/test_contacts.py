@@ -47,6 +47,7 @@ def test_the_least_of_cubics():
     assert_close(lowest(flat[1:], torch.tensor([-0.5, -0.5]).double(), 1.0), torch.tensor([0.5]).double())
 
 
+@pytest.mark.thorough("native")
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_a_contact_shorter_than_a_step_is_found(backend):
     """It lasts 3 ms; steps take 12 ms, and both ends of each are apart."""
@@ -94,6 +95,7 @@ def test_a_contact_that_the_end_cuts_off(steps):
     assert mbd.Final(mbd.Position("ball", "z"))(motion).item() == pytest.approx(-depth, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_a_contact_that_no_steps_show_keeps_its_status():
     with pytest.warns(UserWarning, match="contact 'floor'"):
         motion = mbd.simulate(dropped(0.01, stiffness=1e13), 0.06, steps=6, gradients="none")
@@ -147,6 +149,7 @@ def test_states_that_are_not_kept_are_looked_at():
     assert motion.status[0].startswith("failed: contact 'ceiling'")
 
 
+@pytest.mark.thorough
 def test_a_plane_on_a_driven_body():
     """The table is prescribed, and no unknown of the steps; the ball rests on it."""
     table = mbd.RigidBody("table", 1.0, (0.01,) * 3)
@@ -160,6 +163,7 @@ def test_a_plane_on_a_driven_body():
     assert float((gap + MASS * G / K).abs().max()) < 2e-5
 
 
+@pytest.mark.thorough
 def test_nothing_is_found_where_bodies_rest():
     for height in (0.0, -MASS * G / K):
         motion = mbd.simulate(dropped(height, damping=1.0), 0.1, steps=1000, gradients="none")

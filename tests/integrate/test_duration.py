@@ -63,7 +63,7 @@ def differences(f: Callable[[float], Tensor], x: float, share: float = 1e-3) -> 
         return (4.0 * slope(share * x) - slope(2.0 * share * x)) / 3.0
 
 
-@pytest.mark.thorough("a prescribed body", "redundant constraints")
+@pytest.mark.thorough("a prescribed body", "redundant constraints", "a driven arm", "forces that depend on time")
 @pytest.mark.parametrize("name", CASES)
 def test_it_is_the_derivative_of_the_discrete_motion(name):
     build, duration = CASES[name]
@@ -106,6 +106,7 @@ def test_with_designs_in_lanes():
     assert_close(many, both[1], rtol=1e-7, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_lane_that_took_half_the_step():
     """By the derivative of the steps that it took."""
     system, stats = pendulum(), {}

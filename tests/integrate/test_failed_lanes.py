@@ -43,7 +43,7 @@ def slopes(system) -> Tensor:
     return torch.stack([torch.func.jacrev(lambda x: numbers(simulated(system, x, "reverse"))[0])(x) for x in MANY[::2]])
 
 
-@pytest.mark.thorough("forward")
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_reverse_mode(system, slopes, way):
     """All rows of all lanes in one call, and under vmap each lane by itself."""
@@ -59,7 +59,7 @@ def test_reverse_mode(system, slopes, way):
         assert_close(found[::2], slopes, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.thorough("reverse")
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_forward_mode(system, slopes, way):
     """Rows and responses of a failed lane have no tangent; what torch makes of nan is nan, and of no other lane."""
@@ -83,6 +83,7 @@ def test_forward_mode(system, slopes, way):
     assert inside(MANY)[1].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.thorough("forward")
 @pytest.mark.parametrize("way", WAYS)
 def test_a_failed_lane_is_nan_under_vmap_from_its_failure_on(system, way):
     """As without vmap."""

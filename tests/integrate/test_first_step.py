@@ -10,7 +10,7 @@ from tests.mechanisms import GRAVITY, laminate, plate
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
-@pytest.mark.thorough("dopri5")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["dopri5", "dopri8"])
 def test_a_stiff_body_begins_to_move(method):
     """Undeformed as it starts, its slopes tell nothing of its vibrations: dopri8 overflowed in its first step."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from torch.testing import assert_close
 
 import torchmbd as mbd
@@ -48,6 +49,7 @@ def test_a_row_that_contradicts_another_is_left_out():
     assert float(whole.lam[..., row].abs().max()) < 1e-20 * float(whole.lam.abs().max())
 
 
+@pytest.mark.thorough
 def test_the_same_on_the_other_route():
     """Index-1 equations: accelerations with the row left out."""
     system = door()

@@ -93,6 +93,7 @@ def test_a_body_that_does_not_fit_is_refused(monkeypatch):
         mbd.simulate(build(), 0.01, steps=60)
 
 
+@pytest.mark.thorough
 def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypatch):
     problem = mbd.Problem(build(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), steps=24, gradients="forward")
     X = np.linspace(-1.0, 1.0, 22).reshape(11, 2)

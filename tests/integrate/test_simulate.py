@@ -102,6 +102,7 @@ def test_sensitivities_of_a_system_without_parameters_are_refused():
         mbd.simulate(rigid_pendulum(), 0.01, steps=1, gradients="forward")
 
 
+@pytest.mark.thorough
 def test_at_most_twenty_steps_in_a_period_of_the_fastest_mode():
     """Of the stiffest design; a rigid mechanism takes 1000 steps."""
     system = mbd.System([plate("rod", modes=2), plate("soft", modes=3, made_of=laminate(ply=SOFT))])
@@ -224,6 +225,7 @@ def test_a_system_at_rest_stays_there():
     assert float(motion.v.abs().max()) < 1e-9
 
 
+@pytest.mark.thorough
 def test_steps_that_do_not_resolve_the_vibrations_are_reported():
     """And the number of steps that is suggested does."""
     from experiments.slider_crank import build

@@ -54,6 +54,7 @@ def test_a_path_of_values_is_followed():
     assert_close(rest.body("load").r[:, 0, 0].detach(), values / 100.0, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_motion_from_rest_stays_there():
     system = cantilever(gravity=9.81)
     calm, swing = (sag(finished(mbd.simulate(system, 0.05, steps=50, start=s))) for s in ("equilibrium", "assembled"))
@@ -135,6 +136,7 @@ def test_no_equilibrium_is_a_status(system, words):
         motion.require_ok()
 
 
+@pytest.mark.thorough
 def test_a_lane_without_equilibrium_leaves_the_others_alone():
     body = box("load", center=(0.0, 0.0, 0.0))
     spring = mbd.AxialSpringDamper(GROUND.at(), body.at(), axis="y", stiffness=mbd.variable(100.0), name="spring")

@@ -48,7 +48,7 @@ def test_modes_that_nothing_excites_cost_nothing():
     assert off < 0.02
 
 
-@pytest.mark.thorough("3.0")
+@pytest.mark.thorough
 @pytest.mark.parametrize("frequency", [3.0, 20.0])
 def test_a_drive_is_followed(frequency):
     system = arm(mbd.Sine(0.02, 2 * math.pi * frequency))

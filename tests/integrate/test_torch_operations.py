@@ -64,6 +64,7 @@ def outputs(system: mbd.System, given: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name: (x * (1.0 + x)).sum() for name, x in ((name, f(motion)) for name, f in OUTPUTS.items())}
 
 
+@pytest.mark.thorough
 def test_reverse_mode_is_the_transpose_of_forward_mode(system, inputs):
     make = torch.Generator().manual_seed(5)
     directions = {

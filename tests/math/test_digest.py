@@ -160,6 +160,7 @@ def test_sources_count(tmp_path, file):
     assert (sources(tmp_path, ["a.py", "sub"]) == before) is file.endswith(".txt")
 
 
+@pytest.mark.thorough
 def test_two_processes_have_one_digest(tmp_path):
     """Sets and dictionaries of words come in another order with every seed of Python's hashes."""
     script = (

@@ -137,6 +137,7 @@ def test_every_search_is_heard_of_at_its_end():
     assert {id(point.result) for point in front.points} <= {id(result) for result in results}
 
 
+@pytest.mark.thorough
 def test_three_criteria():
     front = pareto_front(three_bowls(), divisions=6)
     X = np.array([point.x for point in front.points])

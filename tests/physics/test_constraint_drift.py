@@ -30,6 +30,7 @@ ROUTES = {
 }
 
 
+@pytest.mark.thorough("rk4", "dopri5")
 @pytest.mark.parametrize("method", ROUTES)
 def test_joints_stay_closed(method, slider_crank):
     motion = mbd.simulate(slider_crank, method=method, **ROUTES[method]).require_ok()

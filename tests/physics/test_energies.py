@@ -39,6 +39,7 @@ def fed() -> mbd.System:
     return mbd.System([arm, rod], joints, forces, gravity=GRAVITY)
 
 
+@pytest.mark.thorough
 def test_the_balance_closes_to_second_order():
     system, worst = fed(), []
     for steps in (100, 200):
@@ -62,6 +63,7 @@ def test_lanes_keep_their_own_books():
     assert not torch.allclose(both.strain[0], both.strain[1], rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_force_by_a_function_of_one_time_does_its_work():
     """The function takes one time, not many."""
     block, full = mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01)), torch.tensor([3.0, 0.0, 1.0], dtype=torch.float64)

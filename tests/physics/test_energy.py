@@ -36,6 +36,7 @@ def test_generalized_alpha_without_dissipation_keeps_energy_to_second_order():
     assert drift[0] / drift[1] == pytest.approx(4.0, rel=0.3)
 
 
+@pytest.mark.thorough
 def test_what_is_lost_is_what_the_damping_takes():
     """dE/dt = -w' . D w'."""
     system = pendulum(damping=2e-3)

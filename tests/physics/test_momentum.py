@@ -35,7 +35,7 @@ def floating_mechanism() -> mbd.System:
     return mbd.System([arm, rod], [mbd.Universal(arm.at(0.2, 0.1, -0.05), rod.at("left"), axes="zx")])
 
 
-@pytest.mark.thorough("floating_plate")
+@pytest.mark.thorough
 @pytest.mark.parametrize("build", [floating_plate, floating_mechanism])
 def test_momentum_is_kept(build):
     motion = mbd.simulate(build(), 0.05, "dopri5", steps=5, rtol=1e-9, atol=1e-11).require_ok()
@@ -72,6 +72,7 @@ def floating_chain() -> mbd.System:
     return mbd.System(bodies, joints, stabilization=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [0.2, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_momentum_of_a_floating_chain(duration):
     """To 1e-10 over 10 s; the energy with it."""
@@ -81,6 +82,7 @@ def test_momentum_of_a_floating_chain(duration):
         assert float((x - x[0]).norm(dim=1).max()) < 1e-10 * float(x.norm(dim=1).max())
 
 
+@pytest.mark.thorough("0.0-generalized_alpha-200-1e-09", "0.0-dopri5-10-1e-09")
 @pytest.mark.parametrize(("method", "steps", "drift"), [("generalized_alpha", 200, 1e-9), ("dopri5", 10, 1e-9)])
 @pytest.mark.parametrize("spin", [0.0, 3.0])
 def test_the_spin_of_a_rod_between_two_ball_joints_does_not_drift(method, steps, drift, spin):

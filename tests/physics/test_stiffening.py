@@ -100,7 +100,7 @@ def test_native_steps_are_eager_steps(native: None):
     assert float((fast.dq_db - eager.dq_db).abs().max()) < 1e-9 * float(eager.dq_db.abs().max())
 
 
-@pytest.mark.thorough("start")
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize("reference", ["start", "center"])

@@ -45,7 +45,7 @@ def swinging(joint: str, explicit: bool, mass: float = 1e-7) -> mbd.System:
     return mbd.System(bodies, joints, gravity=GRAVITY)
 
 
-@pytest.mark.thorough("revolute", "universal")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("joint", "whole", "elastic"), [("spherical", 1e-7, 2e-6), ("universal", 1e-6, 1e-4), ("revolute", 1e-4, 5e-3)]
 )

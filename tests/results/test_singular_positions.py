@@ -48,6 +48,7 @@ def test_a_regular_motion_has_none():
     assert motion.singular_positions() == []
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("compiled")
 def test_a_slider_driven_through_its_dead_point_fails_with_a_word():
     """The slider of a slider-crank cannot be driven past the stretched position of the crank: the run ends there."""

@@ -37,7 +37,7 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
-@pytest.mark.thorough("laws of forces", "spatial", "redundant", "driven")
+@pytest.mark.thorough("laws of forces", "spatial", "redundant", "driven", "kink", "laws of drives")
 @pytest.mark.parametrize(  # "kink" is the mechanism of "forces" with a law of its own
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "forces" else []) for name in CASES]
 )
@@ -58,6 +58,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("laws of forces", "many bodies")]  # long compilations
 
 
+@pytest.mark.thorough("laws of drives", "all held")
 @pytest.mark.parametrize("name", ["laws of drives", "redundant", "all held", *SLOW])
 def test_compiled_and_eager_agree(name, native):
     make, duration, steps = CASES[name]
@@ -110,6 +111,7 @@ def test_the_compiled_error_is_the_largest_of_all_steps(native):
     assert_close(compiled_error, own.error, rtol=0.1, atol=0)
 
 
+@pytest.mark.thorough
 def test_against_differences_of_the_same_discrete_map(slider_crank):
     """By another way altogether: simulations of neighbors."""
     angles = slider_crank.get_parameter("rod.laminate.angles").detach()
@@ -124,6 +126,7 @@ def test_against_differences_of_the_same_discrete_map(slider_crank):
     assert_close(found, (plus - minus) / (2 * step), rtol=0, atol=1e-6 * float(found.abs().max()))
 
 
+@pytest.mark.thorough("1")
 @pytest.mark.parametrize("lanes", [1, 11])
 def test_lanes_do_not_depend_on_each_other(lanes, native):
     """More than a block of them, and less than one."""
@@ -141,6 +144,7 @@ def test_lanes_do_not_depend_on_each_other(lanes, native):
         assert_close(together[i], alone, rtol=0, atol=1e-8 * float(alone.abs().max()))
 
 
+@pytest.mark.thorough
 def test_lanes_with_smaller_steps():
     """The adjoint of lanes that were tried again with half the step takes these steps."""
     system = build(3, cells=(6, 2), modes=4)
@@ -153,6 +157,7 @@ def test_lanes_with_smaller_steps():
         assert_close(found, wanted, rtol=0, atol=1e-4 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough("False")
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     if fast:
@@ -212,6 +217,7 @@ def energies(count: int, **options) -> mbd.Problem:
     return mbd.Problem(build(3, cells=(6, 2), modes=3), 0.002, mbd.Integral(energy), limits, steps=20, **options)
 
 
+@pytest.mark.thorough
 def test_a_problem_takes_the_adjoint_where_that_is_less_work():
     assert energies(2).gradients == "reverse"
     assert energies(3).gradients == "reverse"  # as many numbers as variables

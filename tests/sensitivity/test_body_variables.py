@@ -95,7 +95,7 @@ def test_their_names(system):
     }
 
 
-@pytest.mark.thorough("forward")
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_gradients(system, start, slopes, way):
     x = {name: y.clone().requires_grad_() for name, y in start.items()}
@@ -154,6 +154,7 @@ def test_phases_and_methods_of_torchdiffeq(system, start):
         assert_close(found, wanted, rtol=0, atol=2e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_a_mass_that_falls_and_a_ball_that_flies():
     """Closed forms: m g on its hinge; r = r0 + v0 t, by a second order method exactly."""
     ground, m, g = mbd.Ground(), mbd.variable(2.0), 9.81

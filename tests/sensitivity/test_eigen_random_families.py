@@ -51,6 +51,7 @@ def family(modes: list[Mode], variables: int, with_mass: bool, size: int, seed: 
     return Family("random", lowest, variables, with_mass, size, seed)
 
 
+@pytest.mark.thorough
 @settings(max_examples=24, deadline=None, derandomize=True)
 @given(spectra(), st.booleans(), st.sampled_from([16, 23, 151]), st.integers(0, 1000))
 def test_gauge_free_derivatives_are_exact(spectrum, with_mass, size, seed):

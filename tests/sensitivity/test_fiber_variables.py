@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -22,6 +23,7 @@ def system() -> mbd.System:
     return hung(mbd.FlexibleBody.plate("rod", MESH, laminate, modes=3, reference="left_edge"))
 
 
+@pytest.mark.thorough
 def test_motion() -> None:
     check(system(), NAMES)
 
@@ -30,6 +32,7 @@ def test_native(native) -> None:
     check_native(system(), NAMES)
 
 
+@pytest.mark.thorough
 def test_plies_and_paths() -> None:
     """Failure, smooth and exact largest curvature and divergence."""
 

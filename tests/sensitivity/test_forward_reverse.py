@@ -33,7 +33,7 @@ def weights(T: Topology) -> torch.Tensor:
     return torch.randn(2, T.n_q + T.n_v, generator=make, dtype=torch.float64)
 
 
-@pytest.mark.thorough("slider_crank", "shared")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_reverse_mode_through_plain_torchdiffeq_is_the_forward_sensitivity(name):
     system = SYSTEMS[name]()

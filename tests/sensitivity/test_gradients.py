@@ -61,7 +61,7 @@ def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     agree(found.gradient[0], differences(MEASURES[name], neighbors, 1e-5), 1e-5)
 
 
-@pytest.mark.thorough("L1", "L2")
+@pytest.mark.thorough
 def test_default_iterations_leave_little(both):
     """Three corrections with an inverse kept for two steps: cheaper, and still exact enough to optimize with."""
     motion, _ = both
@@ -101,6 +101,7 @@ def test_torchdiffeq_against_differences_of_a_tight_run_on_the_full_rod(layup):
         agree(measure.value_and_gradient(motion).gradient[0], differences(measure, neighbors, 1e-4), 1e-5)
 
 
+@pytest.mark.thorough
 def test_coarse_steps_and_variables_of_any_size():
     """Ten steps of a sprung mechanism: a degree of an angle does 1e-7 of what a meter of thickness does, and as exactly."""
     system = sprung(kind="triangle")  # ten steps resolve it: default iteration 4e-4 off with quadrilaterals

@@ -71,7 +71,7 @@ def differences(system: mbd.System, variables: list[str], run, size: float = 1e-
     return ((plus - minus) / (2.0 * size)).movedim(0, -1)
 
 
-@pytest.mark.thorough("own", "step", "speed")
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", LAWS)
 def test_drives_by_the_structural_integrator(law):
     system = arm(law)
@@ -128,6 +128,7 @@ def test_a_design_is_a_system_of_its_own():
     assert float(balance) < 2e-3
 
 
+@pytest.mark.thorough
 def test_reactions_beside_a_body_that_is_guided():
     """Its rows are solved for good: their multipliers come from equations in which the drive of another body varies."""
     system = arm("sine")
@@ -199,7 +200,7 @@ def sprung() -> mbd.System:
 FORCES = ["cord.stiffness", "cord.damping", "cord.rest", "coil.stiffness", "muscle.factor"]
 
 
-@pytest.mark.thorough("rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("method", "options"), [("generalized_alpha", TIGHT), ("rk4", {})])
 def test_forces(method, options):
     system = sprung()
@@ -260,7 +261,7 @@ LOADS = ["push.x", "wave.factor", "turn.y", "mount.stiffness", "mount.damping_y"
 LOADS += ["wind.pressure", "gust.factor", "cord.stiffness"]
 
 
-@pytest.mark.thorough("rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("method", "options"), [("generalized_alpha", TIGHT), ("rk4", {})])
 def test_loads_and_bushings(method, options):
     system = loaded()

@@ -63,6 +63,7 @@ def test_a_jump_located_has_its_closed_form(method):
     assert float(books.balance.abs().max()) < 1e-9
 
 
+@pytest.mark.thorough
 def test_a_jump_smoothed_comes_near_it():
     errors = []
     for width in (0.04, 0.02):

@@ -53,7 +53,7 @@ LINES = {
 NAMES = {"length": ["length"], "nodes": ["nodes"], "module": ["length", "height"]}
 
 
-@pytest.mark.thorough("nodes")
+@pytest.mark.thorough("nodes", "length")
 @pytest.mark.parametrize("case", LINES)
 def test_gradients(case):
     names = [f"rod.line.{name}" for name in NAMES[case]]
@@ -77,6 +77,7 @@ def test_a_design_is_a_body_of_its_own():
     assert_close(forces[0][1], forces[1][0], rtol=1e-6, atol=1e-7 * float(forces[1].abs().max().detach()))
 
 
+@pytest.mark.thorough
 def test_closed_forms_of_a_cantilever():
     """Mass grows with the length, the frequency with its power -2 where the section is slender."""
     line = mbd.BeamLine.straight(V(1.0), elements=16)

@@ -87,7 +87,14 @@ def simulated(name: str, designs: Tensor, gradients: str, **options) -> Trajecto
     return mbd.simulate(make(), duration, gradients=gradients, **given)
 
 
-@pytest.mark.thorough("drive and forces", "on the grid", "hht_alpha", "a map of velocities", "an event of the design")
+@pytest.mark.thorough(
+    "drive and forces",
+    "on the grid",
+    "hht_alpha",
+    "a map of velocities",
+    "an event of the design",
+    "locks and a release-generalized_alpha",
+)
 @pytest.mark.parametrize(
     ("name", "method"), [*((name, "generalized_alpha") for name in CASES), ("restitution", "hht_alpha")]
 )
@@ -105,6 +112,7 @@ def test_the_gradient_is_that_of_forward_tangents(name, method):
     assert float(((found.gradient - wanted.gradient).abs().amax((0, 2)) / size).max()) < 1e-8
 
 
+@pytest.mark.thorough("an event of the design")
 @pytest.mark.parametrize("name", ["a map of velocities", "an event of the design"])
 def test_against_differences_of_the_same_discrete_map(name):
     """Richardson's extrapolation of central differences; of locks, drives and forces test_events.py has the tangents'."""
@@ -118,6 +126,7 @@ def test_against_differences_of_the_same_discrete_map(name):
     assert_close(found[0] @ way, (4.0 * near - far) / 3.0, rtol=1e-6, atol=0)
 
 
+@pytest.mark.thorough("0.8")
 @pytest.mark.parametrize("impact", [0.8, lambda motion: motion.v * tensor(1.0, 1.0, -0.8, 1.0, 1.0, 1.0)])
 def test_a_bouncing_mass_has_the_gradients_of_its_closed_form(impact):
     fields = tensor(9.81, 7.0, 20.0)[:, None].requires_grad_()
@@ -199,6 +208,7 @@ def test_backward_reaches_the_parameters_and_a_motion_can_be_pickled():
         _ = motion.dq_db
 
 
+@pytest.mark.thorough
 def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
     """Evaluations of the equations for all parameters as for one, none of them with tangents by these.
 
@@ -221,6 +231,8 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
         found = torch.autograd.grad(response, list(motion.variables.values()), allow_unused=True)
         assert found[list(motion.variables).index(NAME)] is not None
     assert sum(x.numel() for x in motion.variables.values()) == 16
-    assert len(counts[2]) == pytest.approx(len(counts[1]), rel=0.15)  # a tangent for each of 16 would be 16 times as many
+    assert len(counts[2]) == pytest.approx(
+        len(counts[1]), rel=0.15
+    )  # a tangent for each of 16 would be 16 times as many
     assert len(counts[1]) > 85
     assert max(counts[1]) <= 2  # the size of a last step, during its search, is the only tangent

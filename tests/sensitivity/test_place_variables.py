@@ -47,6 +47,7 @@ def reacting(system: mbd.System, designs: dict[str, torch.Tensor], **options) ->
     return (found.force.square().sum((1, 2)) + found.torque.square().sum((1, 2))) + number(system, designs, **options)
 
 
+@pytest.mark.thorough
 def test_gradients():
     check(mechanism(), [*POINTS, "spring.stiffness"], reacting)
 

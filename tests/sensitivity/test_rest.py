@@ -46,7 +46,7 @@ def static(system: mbd.System, designs: dict[str, Tensor], times=(0.0, 0.1), **o
     return sum((y * (1.0 + y)).flatten(1).sum(1) for y in parts) + found.body("rod").strain_energy.sum(1)
 
 
-@pytest.mark.thorough("True-names1")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("driven", "names"), [(False, ("tip_a.y", "spring.stiffness")), (True, NAMES)])
 def test_gradients_of_motions_from_rest(driven, names):
     check(hanging(driven), list(names), resting)
@@ -57,6 +57,7 @@ def test_both_backends(native):
     check_native(hanging(), list(NAMES), resting)
 
 
+@pytest.mark.thorough
 def test_gradients_of_equilibria():
     system = hanging()
     start = {name: system.get_parameter(name).detach().clone() for name in NAMES}
@@ -98,6 +99,7 @@ def test_phases_from_rest():
     check(system, ["rod.laminate.angles", "hinge_a.x", "push.x"], locked)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:the joints do not allow the initial velocities")
 def test_gradients_by_what_is_given_for_the_start():
     """Reverse mode: by modal coordinates, rates, and through a motion into the next."""

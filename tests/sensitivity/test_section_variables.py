@@ -43,7 +43,7 @@ def dimensions(section: Section) -> list[str]:
     return [name for name, _ in section.named_parameters() if name != "angles"]
 
 
-@pytest.mark.thorough("rectangle", "tube", "circle")
+@pytest.mark.thorough("rectangle", "tube", "circle", "box")
 @pytest.mark.parametrize("case", SECTIONS)
 def test_a_section_of_other_dimensions_is_that_section(case):
     """Forward and reverse by every dimension against differences; numbers are those of a section that is made anew."""
@@ -105,6 +105,7 @@ def test_closed_forms_of_a_tube():
     assert_close(torch.stack(by), wanted, rtol=5e-3, atol=0)
 
 
+@pytest.mark.thorough("box")
 @pytest.mark.parametrize("case", ["box", "tube"])
 def test_gradients_of_a_motion(case):
     line = mbd.BeamLine(BENT)
@@ -112,6 +113,7 @@ def test_gradients_of_a_motion(case):
     check(system, [f"rod.section.{name}" for name in dimensions(system.body("rod").parts["section0"].section)])
 
 
+@pytest.mark.thorough
 def test_gradients_of_the_failure_index():
     def failing(system, designs, **options):
         motion = mbd.simulate(system, 0.02, steps=6, iterations=(8, 4), designs=designs, **options)

@@ -56,6 +56,7 @@ def test_bad_numbers_of_workers_are_named(write):
         study_workers(load_study(write(simulate=SHORT)), "", 1, -1)
 
 
+@pytest.mark.thorough
 def test_only_the_study_reaches_its_workers(write):
     """Dask runs what it is sent: without the key that this study made for itself there is no answer on any port."""
     from distributed import Client, Security

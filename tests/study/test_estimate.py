@@ -21,6 +21,7 @@ def clock_of(seconds: list[float]) -> SimpleNamespace:
     return SimpleNamespace(perf_counter=lambda: seconds[0], process_time=lambda: seconds[0])
 
 
+@pytest.mark.thorough
 def test_simulations_are_counted(write):
     plan = load_study(
         write(starts={"sampler": "sobol", "count": 70, "seed": 1}, simulate={"duration": 1e-3, "steps": 4})
@@ -34,6 +35,7 @@ def test_simulations_are_counted(write):
     assert estimate(plan, plan.simulated).simulations == 10  # with the start design
 
 
+@pytest.mark.thorough
 def test_the_time_is_that_of_a_batch(write, monkeypatch):
     """By a clock that only simulations move: two short motions tell what the structure stage and a step take."""
     plan = load_study(write(simulate={"duration": 0.01, "steps": 60}))
@@ -67,6 +69,7 @@ def test_the_cost_of_a_valid_file(write):
     assert "retained modes: make joints and forces" in text  # what these leave out (multibody/system/truncation.py)
 
 
+@pytest.mark.thorough
 def test_responses_count(write, monkeypatch):
     """By a clock that only the response moves: the estimate is what a batch takes, of the whole motion."""
     clock = [0.0]
@@ -85,6 +88,7 @@ def test_responses_count(write, monkeypatch):
     assert cost > 0.02 * 60
 
 
+@pytest.mark.thorough
 def test_scenarios_of_several_systems_count(monkeypatch):
     """By a clock that only simulations move: every batch simulates each system with a lane for each of its scenarios."""
     clock, light, heavy = [0.0], mbd.examples.arm(), mbd.examples.arm()

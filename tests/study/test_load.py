@@ -53,6 +53,7 @@ def test_which_way_gradients_come_can_be_chosen(write, way):
     assert load(write(simulate=simulate)).resolved()["simulate"]["gradients"] == "auto"
 
 
+@pytest.mark.thorough
 def test_motions_start_where_the_file_says(write):
     simulate = {"duration": 0.002, "steps": 20}
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}
@@ -66,6 +67,7 @@ def test_motions_start_where_the_file_says(write):
         assert words in fault.text
 
 
+@pytest.mark.thorough
 def test_scenarios_of_a_file_are_those_of_python(write):
     simulate = {"duration": 0.002, "steps": 8}
     cases = [
@@ -88,6 +90,7 @@ def test_scenarios_of_a_file_are_those_of_python(write):
         assert any(words in text for text in found), found
 
 
+@pytest.mark.thorough
 def test_phases_come_from_a_function(write):
     """A motion in two phases of one mechanism is that of one."""
     simulate = {"duration": 0.01, "steps": 60}
@@ -274,6 +277,7 @@ scraps = st.recursive(
 )
 
 
+@pytest.mark.thorough
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from([name for name in StudyFile.model_fields if name != "model"]), scraps)
 def test_any_section_is_accepted_or_refused_with_its_path(write, section, scrap):

@@ -88,6 +88,7 @@ def test_models_of_two_folders_have_their_own_modules(tmp_path):
     assert found == [["one"], ["two"]]
 
 
+@pytest.mark.thorough
 def test_modules_in_the_current_folder_are_not_executed_by_the_server_of_ui(tmp_path):
     """With the environment that `ui` gives it, its workers too."""
     proof = tmp_path / "proof"

@@ -33,6 +33,7 @@ def test_the_extra_variable_is_the_last_column(write):
     np.testing.assert_allclose(points, [[*np.radians([45.0, -45.0]), 1.0], [*np.radians([20.0, -70.0]), 1.0]])
 
 
+@pytest.mark.thorough
 def test_a_study_of_the_highest_peaks_is_run_and_loaded(write, folder, empty_store):
     uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
     plan = load_study(write(minimize=PEAKS), SHORT)

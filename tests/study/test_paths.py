@@ -118,6 +118,7 @@ def test_what_a_model_reads_counts_and_comments_do_not(study, folder, name, old,
     assert (problem_key(load_study(study).simulated) == before) is same
 
 
+@pytest.mark.thorough
 def test_evaluations_of_the_same_model_are_known(study, folder, monkeypatch):
     """Those of a file with one more comment, but none of a file with another number, whose table is another."""
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "store"))

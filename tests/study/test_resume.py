@@ -93,6 +93,7 @@ def test_a_killed_study_repeats_no_evaluation(study, monkeypatch):
     assert re.findall(r"(\d+) of (\d+) evaluations known", output) == [("4", str(total))]
 
 
+@pytest.mark.thorough
 def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
     run(study, Silent())
     plan = load_study(study)
@@ -108,6 +109,7 @@ def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
     assert Evaluations(evaluations_file(), problem_key(plan.simulated)).count() == count
 
 
+@pytest.mark.thorough
 def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):
     """The first life ends by Ctrl-C after its first batch, the second by itself."""
     uri = f"sqlite:///{folder / 'runs.db'}"

@@ -189,6 +189,7 @@ def test_an_exception_leaves_failed_runs(run):
     assert math.isfinite(broken.parent.info.end_time)
 
 
+@pytest.mark.thorough
 def test_a_study_without_a_feasible_design_says_which_constraint_is_in_the_way(write, folder, empty_store):
     limits = [{"mass": "rod", "at_most": 1e-6}, {"max": {"strain_energy": "rod"}, "at_most": "initial"}]
     file = write(subject_to=limits, optimizer={"name": "slsqp", "max_iterations": 1}, starts=None)

@@ -49,6 +49,7 @@ def same(file, own, x=None):
     return asked
 
 
+@pytest.mark.thorough
 def test_maximize(write):
     limit = {"max": {"strain_energy": "rod"}, "at_most": "initial"}
     file = write(
@@ -61,6 +62,7 @@ def test_maximize(write):
     assert "maximize" in repr(own)
 
 
+@pytest.mark.thorough
 def test_links_of_numbers_in_units(write):
     links = {
         f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0},
@@ -118,6 +120,7 @@ def test_tolerances(write, kind):
     assert same(file, own).kind == kind
 
 
+@pytest.mark.thorough
 def test_the_worst_case_of_what_is_to_be_large(write):
     design = {ANGLES: {**DEGREES, "tolerance": 2.5}}
     first = {"frequency": {"body": "rod", "number": 1}}

@@ -18,6 +18,7 @@ from torchmbd.study.scaffold import EXAMPLE_PARTS, TEXT, begin, parts_of
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 
+@pytest.mark.thorough
 def test_the_example_runs(tmp_path, empty_store):
     file, model = begin(tmp_path / "arm.yaml")
     assert model.name == "arm_model.py"

@@ -52,6 +52,7 @@ def small() -> mbd.Study:
     return mbd.Study(problem(), starts, name="small", max_iterations=2, question="Which angles?", experiment="py")
 
 
+@pytest.mark.thorough
 def test_a_study_of_python_and_one_of_a_file_are_the_same(own, write, small):
     file = write(simulate={"duration": 0.002, "steps": 8})
     loaded = mbd.Study.from_file(file)
@@ -63,6 +64,7 @@ def test_a_study_of_python_and_one_of_a_file_are_the_same(own, write, small):
     assert list(a.to_dataframe().value) == list(b.to_dataframe().value)
 
 
+@pytest.mark.thorough
 def test_it_is_tracked_and_reported(own, small):
     with pytest.raises(mbd.InputError, match=r"'small' has not run in this process; allowed: after study.run\(\)"):
         _ = small.best
@@ -180,6 +182,7 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     np.testing.assert_allclose(angles, angles.round(), atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_scenarios_are_a_study_like_any_other(own):
     cases = [{"rod.laminate.thickness": h} for h in (1e-3, 2e-3)]
     asked = mbd.Scenarios(

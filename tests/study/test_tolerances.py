@@ -27,6 +27,7 @@ def given(tolerance, **more):
     return {"design": {"rod.laminate.angles": {**ANGLES, "tolerance": tolerance}}, "simulate": SHORT, **more}
 
 
+@pytest.mark.thorough
 def test_the_criterion_is_the_mean_over_the_tolerances(write):
     """By sampling angles that are off."""
     plan = load_study(write(**given([3.0, 6.0], subject_to=None)))
@@ -40,6 +41,7 @@ def test_the_criterion_is_the_mean_over_the_tolerances(write):
     assert abs(found.objective - problem.evaluate(problem.start[None], False)[0].objective) > 0.2 * spread
 
 
+@pytest.mark.thorough
 def test_a_study_with_tolerances(write, tmp_path, empty_store):
     """Its designs are those of the same problem in Python; every simulation is kept, and known the next time."""
     plan, output = load_study(write(**given(4.0, starts=None))), io.StringIO()
@@ -79,6 +81,7 @@ def test_what_is_wrong_is_named(write, changes, words):
         load_study(write(**changes))
 
 
+@pytest.mark.thorough
 def test_scenarios_and_tolerances_multiply():
     thick = [{"arm.laminate.thickness": [x, x]} for x in (1e-3, 2e-3, 3e-3)]
     over = mbd.Scenarios(

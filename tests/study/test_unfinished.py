@@ -56,6 +56,7 @@ def logged(folder: Path) -> dict[str, tuple]:
     return found
 
 
+@pytest.mark.thorough
 def test_sync_sends_what_the_study_would_have_sent(file, folder, capsys):
     hide(folder)
     assert cli.main(["run", str(file)]) == 1
@@ -76,6 +77,7 @@ def test_sync_sends_what_the_study_would_have_sent(file, folder, capsys):
     assert logged(folder) == late
 
 
+@pytest.mark.thorough
 def test_a_finished_study_makes_no_second_run(file, folder, capsys):
     assert cli.main(["run", str(file)]) == 0
     first = {run.info.run_id: run.info.end_time for run in runs(folder)}

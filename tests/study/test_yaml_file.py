@@ -102,6 +102,7 @@ def test_a_missing_file_is_named(tmp_path):
         read_yaml(tmp_path / "missing.yaml")
 
 
+@pytest.mark.thorough
 @settings(max_examples=200, deadline=None)
 @given(st.text(max_size=80) | st.text(alphabet="ab:- \n[]{},&*!?|>'\"#%@`1.e", max_size=60))
 def test_any_text_is_read_or_refused_with_a_reason(text):

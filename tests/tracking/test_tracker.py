@@ -146,6 +146,7 @@ def test_a_deleted_experiment_is_named(uri, monkeypatch):
         tracker.close()
 
 
+@pytest.mark.thorough
 def test_a_store_that_is_away_is_caught_up_with(uri, tmp_path):
     """The study goes on; what it tells meanwhile is there in the end."""
     hide(tmp_path)
@@ -166,6 +167,7 @@ def test_a_store_that_is_away_is_caught_up_with(uri, tmp_path):
     assert [run.info.status for run in runs(uri)] == ["FINISHED"]
 
 
+@pytest.mark.thorough
 def test_a_store_that_another_process_writes_is_waited_for(uri):
     other = sqlite3.connect(uri.removeprefix("sqlite:///"), check_same_thread=False, isolation_level=None)
     tracker = MlflowTracker("locked", uri)
@@ -197,6 +199,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.thorough
 def test_a_study_that_was_killed_goes_on_in_its_runs(uri):
     """kill -9 leaves runs RUNNING: the next life ends them, and writes nothing twice."""
     subprocess.run([sys.executable, "-c", LIFE, uri], check=False)

@@ -40,6 +40,7 @@ def numbers(*x: float) -> list[Tensor]:
     return [torch.tensor(y, dtype=torch.float64, requires_grad=True) for y in x]
 
 
+@pytest.mark.thorough
 def test_bounces_come_back_in_time_and_height():
     k, m, h = numbers(K, MASS, HEIGHT)
     fall, w = (2.0 * h / G).sqrt(), (k / m).sqrt()
@@ -55,6 +56,7 @@ def test_bounces_come_back_in_time_and_height():
     assert max(errors) < 1e-3
 
 
+@pytest.mark.thorough
 def test_gradients_of_the_height_after_a_bounce():
     """By stiffness, mass and drop height: differences of the same steps, and the closed form to first order of the step.
 
@@ -116,6 +118,7 @@ def test_gradients_of_a_force_without_a_kink(exponent, error):
     assert float(found[2]) == pytest.approx(expected, rel=error)
 
 
+@pytest.mark.thorough("1.0-0.3", "1.5-0.8", "2.0-0.0")
 @pytest.mark.parametrize(("exponent", "damping"), [(1.0, 0.3), (1.5, 0.8), (2.0, 0.0), (1.0, 3.0)])
 def test_restitution_of_hunt_and_crossley(exponent, damping):
     """Of no mass and no stiffness: from the law without time."""
@@ -132,6 +135,7 @@ def test_restitution_of_hunt_and_crossley(exponent, damping):
     assert found == pytest.approx(w, rel=2e-5)
 
 
+@pytest.mark.thorough("True")
 @pytest.mark.parametrize("turns", [False, True])
 def test_the_period_between_stops(turns):
     clearance, v, inertia, k = 0.24, 1.5, 0.4, 3e4
@@ -159,6 +163,7 @@ def sliding(speed: float, slope: float = 0.0, mu: float = 0.3, v: float = 0.8, d
     return mbd.simulate(system, duration, steps=1000, gradients="none").require_ok()
 
 
+@pytest.mark.thorough
 def test_the_sliding_distance_to_second_order_of_the_speed_of_friction():
     """v^2 / (2 mu g) + pi^2 u0^2 / (12 mu g) of the regularized law."""
     mu, v = 0.3, 0.8
@@ -171,6 +176,7 @@ def test_the_sliding_distance_to_second_order_of_the_speed_of_friction():
         assert coarse / fine == pytest.approx(4.0, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_a_block_on_a_slope_stops_up_to_the_stated_creep():
     slope, mu, v, speed = 0.2, 0.4, 0.8, 0.005
     motion = sliding(speed, slope, mu, v)
@@ -182,6 +188,7 @@ def test_a_block_on_a_slope_stops_up_to_the_stated_creep():
     assert float(x) == pytest.approx(v * v / (2.0 * braking), rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_ball_that_slides_begins_to_roll():
     """A full sphere ends with 5/7 of its speed, however rough the plane is; no energy is lost by rolling."""
     r, v, mu = 0.1, 1.0, 0.2

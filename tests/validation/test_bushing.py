@@ -66,6 +66,7 @@ def test_one_spring_beyond_a_right_angle(axis):
     assert_close(found, expected, rtol=0, atol=2e-3)
 
 
+@pytest.mark.thorough
 def test_springs_slide_along_the_axes_of_a_frame_that_turns():
     """Two turns of the disk: unequal springs keep to its axes."""
     rate, m, kx, ky, cx, cy = 30.0, 0.5, 4000.0, 9000.0, 1.0, 4.0

@@ -27,6 +27,7 @@ def spin_up(t: Tensor) -> Tensor:
     return SPEED / RISE * (0.5 * s**2 + ((turn * s).cos() - 1.0) / turn**2) + SPEED * (t - RISE).clamp(min=0.0)
 
 
+@pytest.mark.thorough
 def test_spin_up():
     """The tip lags by 0.57 m at most, and ends 5.14e-4 m further out: E A = 2.8e7 N, E I = 1.4e4 N m2, 1.2 kg/m, 10 m."""
     section = given(2.8e7, 1e7, 1e7, 2.8e4, 1.4e4, 1.4e4, mass=matrix(1.2, 1.2, 1.2, 1.2e-3, 6e-4, 6e-4))
@@ -42,6 +43,7 @@ def test_spin_up():
     assert abs(float(out[-300:].mean()) - 5.14e-4) < 0.01 * 5.14e-4
 
 
+@pytest.mark.thorough
 def test_flying_spaghetti():
     """Free in the plane, E A = G A = 1e4 N, E I = 500 N m2, 1 kg/m, 10 kg m; 8 N and 80 N m at one end for 2.5 s."""
     section = given(1e4, 1e4, 1e4, 500.0, 500.0, 500.0, mass=matrix(1.0, 1.0, 1.0, 20.0, 10.0, 10.0))
@@ -67,6 +69,7 @@ def test_flying_spaghetti():
     assert float((stored - stored[0]).abs().max()) < 5e-3 * float(stored[0])
 
 
+@pytest.mark.thorough
 def test_right_angle_cantilever():
     """Displacements out of the plane as large as the legs: three peaks of the published curves."""
     motion = mbd.simulate(right_angle(10), 20.0, steps=400, gradients="none")

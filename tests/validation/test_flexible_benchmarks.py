@@ -118,6 +118,7 @@ def compare(motion: Trajectory, u: np.ndarray, U: np.ndarray) -> None:
     assert float(motion.stats["spin_ratio"]["rod"]) < 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_flexible_pendulum():
     """It hangs from a cart that is moved 0.3 m aside."""
@@ -136,6 +137,7 @@ def test_flexible_pendulum():
     compare(motion, exact.u, exact.U)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_flexible_slider_crank():
     """Half a turn of the crank in 0.26 s."""
@@ -194,6 +196,7 @@ def exact_blade(rate: float, duration: float, steps: int) -> np.ndarray:
     return from_hub(law, torch.from_numpy(run.t), run.u[:, -1, :2])
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_spin_up_at_low_speed():
     """0.3 rad/s, a thirteenth of the first frequency."""
@@ -212,6 +215,7 @@ def test_faster_a_warning_gives_the_ratio():
     assert np.abs(found[:, 0] - exact[:, 0]).max() > 0.1 * np.abs(exact[:, 0]).max()
 
 
+@pytest.mark.thorough
 def test_the_exact_beam_has_the_published_figures():
     exact = exact_blade(6.0, 20.0, 800)
     assert exact[:, 0].min() == pytest.approx(-0.57, abs=0.01)

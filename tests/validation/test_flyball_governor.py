@@ -87,6 +87,7 @@ def place(steps: int, duration: float, every: int) -> tuple[np.ndarray, np.ndarr
     return s.numpy(), ball.numpy()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [0.2, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_the_slider_and_the_balls(duration):
     """Second order, and extrapolated from two step sizes the reference to 1e-6."""

@@ -27,6 +27,7 @@ from torchmbd.fem.elements import PlateMatrices
 from torchmbd.fem.materials import Laminate, Ply
 
 
+@pytest.mark.thorough
 def test_free_square_plate_out_of_plane():
     """omega a^2 sqrt(rho h / D) of an irregular mesh, turned in space: six rigid modes, then five in print."""
     h, E = 0.005, 70e9

@@ -32,6 +32,7 @@ def test_motion_at_the_end(nonlinear: bool, wanted: dict[str, float], native: No
         assert found[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
 
 
+@pytest.mark.thorough("False")
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_motion_is_that_of_the_equations_of_the_source(nonlinear: bool, native: None):
     """After a third of a turn."""
@@ -40,12 +41,14 @@ def test_motion_is_that_of_the_equations_of_the_source(nonlinear: bool, native: 
         assert found[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
 
 
+@pytest.mark.thorough
 def test_the_equations_of_the_source_have_the_published_numbers():
     found = reference(accuracy=1e-7)
     for name, value in PUBLISHED.items():
         assert found[name] == pytest.approx(value, rel=1e-4), name
 
 
+@pytest.mark.thorough
 def test_energy_is_that_which_the_drive_gives(native: None):
     motion = mbd.simulate(build(True), 0.01, steps=1000, gradients="none", backend="native").require_ok()
     energies = motion.energies
@@ -53,6 +56,7 @@ def test_energy_is_that_which_the_drive_gives(native: None):
     assert float((energies.strain - motion.body("rod").strain_energy).abs().max()) < 1e-9
 
 
+@pytest.mark.thorough("eager")
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_gradients_pass_the_quadratic_stiffness(backend: str, native: None):
     def loss(w: torch.Tensor) -> torch.Tensor:

@@ -28,6 +28,7 @@ def run(system: mbd.System, duration: float, steps: int = 100, **given) -> mbd.T
     return mbd.simulate(system, duration, steps=steps, **({"iterations": (5, 1)} | given)).require_ok()
 
 
+@pytest.mark.thorough("45.0")
 @pytest.mark.parametrize("bend", [20.0, 45.0])
 def test_hookes_joint_turns_unevenly(bend):
     """tan phi = cos(bend) tan th; speeds between cos(bend) and 1 / cos(bend) of the driving shaft's, twice in a turn."""
@@ -105,6 +106,7 @@ def test_a_link_carries_a_conical_pendulum():
     assert_close(force[5:], torch.full_like(force[5:], 2.0 * G / math.cos(al)), rtol=2e-3, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_mass_on_a_guide_with_a_spring():
     """x = x0 cos(w t) about where spring and weight balance."""
     e, stiffness = LEAN[:, 0], 80.0

@@ -82,6 +82,7 @@ def deflections(n: int, D: np.ndarray, As: np.ndarray) -> list[tuple[float, floa
     return found
 
 
+@pytest.mark.thorough
 def test_plate_of_tacs():
     X = laminate().stiffness()
     T, R = (x[0] for x in turning(torch.full((1,), np.pi / 4, dtype=torch.float64)))

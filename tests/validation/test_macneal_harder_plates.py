@@ -49,6 +49,7 @@ CURVED = Laminate(Ply.isotropic(1e7, 0.25, 1.0), [0.0], 0.1)
 TWISTED = Laminate(Ply.isotropic(29e6, 0.22, 1.0), [0.0], 0.32)
 
 
+@pytest.mark.thorough("curved-laminate8-cells8-2-0.5022-0.02")
 @pytest.mark.parametrize(
     ("place", "laminate", "cells", "direction", "reference", "tolerance"),
     [

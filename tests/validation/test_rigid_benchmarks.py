@@ -57,6 +57,7 @@ def check(motion: mbd.Trajectory, found: torch.Tensor, wanted: np.ndarray, error
     assert violation(motion) < error
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [2.0, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_simple_pendulum(duration):
     """A01; the library asks for 1e-5 J of drift in 10 s at its high precision."""
@@ -65,6 +66,7 @@ def test_simple_pendulum(duration):
     check(motion, found, simple_pendulum_at(motion.t.numpy()), 1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [1.1, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_n_four_bar_through_its_singular_positions(duration):
     """A02: flat on the ground at t = 0.71 s the mechanism has three freedoms; it goes on as before."""
@@ -79,6 +81,7 @@ def test_n_four_bar_through_its_singular_positions(duration):
     assert np.abs(total - total[0]).max() < 1e-6 * kinetic.max()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [1.1, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_n_four_bar_with_the_structural_integrator(duration):
     """A02 with equal steps, some of them next to singular positions: second order, no growth of the energy."""
@@ -102,6 +105,7 @@ def test_bricard_has_30_rows_of_rank_29():
     assert found.redundant[0].startswith("hinge_")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [0.8, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_bricard(duration):
     """A04: the closed chain of six hinges moves, by the one freedom that Gruebler's count denies it."""
@@ -112,6 +116,7 @@ def test_bricard(duration):
     check(motion, found, wanted, 1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("duration", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_heavy_top(duration):
     motion = run(heavy_top(), duration, 20)
@@ -121,6 +126,7 @@ def test_heavy_top(duration):
     check(motion, found, wanted, 1e-6)
 
 
+@pytest.mark.thorough
 def test_heavy_top_with_the_structural_integrator():
     """Second order: a quarter of the error with half the step."""
     errors = []

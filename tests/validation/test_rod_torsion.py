@@ -49,5 +49,6 @@ def test_quadrilaterals_are_nearer_at_every_mesh(cells):
     assert 0.0 < made["quad"] < 0.8 * made["triangle"]
 
 
+@pytest.mark.thorough
 def test_the_limit_is_that_of_the_theory():
     assert twist(mbd.mesh.rectangle(ROD, DEPTH, (192, 32))) == pytest.approx(1.0, abs=3e-3)

@@ -47,6 +47,7 @@ def figures(motion: Trajectory) -> tuple[float, float]:
     return float(mbd.Max(ENERGY).value(motion)[0]), float(mbd.Integral(ENERGY).value(motion)[0])
 
 
+@pytest.mark.thorough("(45.0,)")
 @pytest.mark.parametrize("angles", REFERENCE, ids=str)
 def test_energies_of_independent_codes(angles):
     assert figures(motion(angles)) == pytest.approx(REFERENCE[angles], rel=0.02)
@@ -108,6 +109,7 @@ def test_the_mesh_and_the_step_are_converged(angles):
     assert figures(motion(angles, steps=1200)) == pytest.approx(coarse, rel=5e-3)
 
 
+@pytest.mark.thorough
 def test_the_universal_joint_is_another_model_where_bending_and_twist_are_coupled(native):
     """One layer at 45 and at 0 degrees within 1e-3 of spherical joints, at 17 degrees not; an unknown joint is refused."""
     joints = ("universal", "spherical")

@@ -50,6 +50,7 @@ def test_the_published_reference():
         assert float(view.omega[0, -1, 2]) == pytest.approx(of_body(rates, name), rel=1e-6, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_the_beginning_against_the_structural_integrator():
     """Two routes, a tenth of the way: 0.003 s."""
     motion = mbd.simulate(squeezer(), 0.003, method="dopri5", steps=30, rtol=1e-8, atol=1e-8).require_ok()

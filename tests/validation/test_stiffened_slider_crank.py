@@ -52,6 +52,7 @@ def peak(count: int, stiffening: bool) -> float:
     return float(torch.stack([motion.body(rod.name).strain_energy[0] for rod in rods]).sum(0).max())
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:body 'rod")
 def test_one_stiffened_body_is_a_chain(native: None):
     chain, one, linear = peak(8, True), peak(1, True), peak(1, False)

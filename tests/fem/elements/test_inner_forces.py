@@ -68,6 +68,7 @@ def test_chosen_numbers_are_those_of_the_whole():
     assert_close(PLATE.values(entries), whole)
 
 
+@pytest.mark.thorough
 def test_lanes_and_tangents_of_all_angles():
     angles = torch.tensor([[0.1, 0.2, -0.3], [1.0, -1.2, 0.4]], dtype=torch.float64)
 

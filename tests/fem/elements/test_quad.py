@@ -199,6 +199,7 @@ def rough(refined, kind):
     return u[6 * mesh.node("right") + 2]
 
 
+@pytest.mark.thorough
 def test_bilinear_patches_bend_as_fine_triangles_say():
     """No patch is flat. Two cells across each are within 1 %; one, warped to and fro, keeps 0.95 of it."""
     fine = rough(8, "triangle")

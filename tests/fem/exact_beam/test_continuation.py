@@ -46,6 +46,7 @@ def test_an_unstable_equilibrium_is_followed_where_that_is_asked_for():
     assert state.nodes[-1].tolist() == pytest.approx([2.0 - 4.0 * euler / 1e8, 0.0, 0.0], abs=1e-8)
 
 
+@pytest.mark.thorough
 def test_beyond_buckling_with_an_imperfection():
     """The elastica: at 1.293 times Euler's load the tip has turned by 80 degrees (Timoshenko and Gere, table 2-4)."""
     euler = math.pi**2 * 100.0 / 16.0

@@ -130,6 +130,7 @@ def test_the_beam_does_not_see_a_turned_world():
     torch.testing.assert_close(found[1].forces, found[0].forces, rtol=1e-8, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_tension_does_not_buckle_a_coarse_beam():
     """N h^2 = 40 E I: a string; a load across it gives a triangle."""
     beam = mbd.ExactBeam("string", mbd.BeamLine.straight(1.0, 20), given(1e7, 1e7, 1e7, 0.01, 0.01, 0.01))

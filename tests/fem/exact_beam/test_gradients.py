@@ -55,6 +55,7 @@ def difference(f: Callable[[float], Tensor], h: float) -> float:
     return float((4.0 * one - two) / 3.0)
 
 
+@pytest.mark.thorough
 def test_all_derivatives_are_those_of_differences(point):
     leaves = [x.clone().requires_grad_() for x in point]
     gradients = torch.autograd.grad(response(*leaves), leaves)

@@ -27,6 +27,7 @@ def test_line_loads_of_small_displacements(which):
     assert found == pytest.approx([1.0 - 1 / 75, 1.0 - 1 / 300], abs=1e-4)  # 1 - 1 / (3 n^2)
 
 
+@pytest.mark.thorough
 def test_follower_loads_are_those_of_the_differential_equation():
     """A load that turns with the tip."""
     state = rod(40).equilibrium(follower_loads={"end": (0.0, 6.0, 0.0)})

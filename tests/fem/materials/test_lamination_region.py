@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import scipy.optimize
 import torch
 from hypothesis import given
@@ -43,6 +44,7 @@ def reach(direction: np.ndarray, layers: int = 40, count: int = 36) -> float:
     return float(found.x[-1])
 
 
+@pytest.mark.thorough
 def test_the_region_is_hardly_larger_than_that_of_stacks():
     """In directions of symmetric laminates it is at most 15 % too large, in the plane or in bending alone 2 %."""
     random = np.random.default_rng(3)

@@ -57,7 +57,7 @@ def test_symmetric_layers_fail_together():
     assert steps[0].layers == [3, 4]
 
 
-@pytest.mark.thorough("0")
+@pytest.mark.thorough
 @pytest.mark.parametrize("step", [0, 1])
 def test_gradients_against_differences(step):
     angles = torch.as_tensor(mbd.deg([10.0, 80.0, -15.0]))

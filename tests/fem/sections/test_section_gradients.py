@@ -140,6 +140,7 @@ def test_two_angles_of_one_wall_are_one_parameter():
     assert_close(one[..., 0], each.sum(-1), rtol=1e-9, atol=1e-7 * float(one.abs().max()))
 
 
+@pytest.mark.thorough
 def test_lanes_of_equal_and_of_other_designs():
     """Equal designs are analysed once; the gradient of each lane is its own, by wall thickness and angles."""
     section = sections.tube(0.02, AS4, mbd.deg([40.0, -20.0]), mbd.variable(1e-3), cells=(8, 1))

@@ -61,6 +61,7 @@ def test_where_the_section_is_held_does_not_matter(made, monkeypatch):
     assert_close(one, two, rtol=0, atol=1e-8 * float(one.abs().max()))
 
 
+@pytest.mark.thorough
 def test_five_thousand_elements():
     """A fine box against a coarse one: nothing is lost in the factorization of 50,000 freedoms."""
     coarse, fine = (

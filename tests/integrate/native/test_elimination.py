@@ -57,6 +57,7 @@ def test_places_that_are_met_are_those_of_the_later_row() -> None:
             assert [int(x) for x in found] == [places[int(i), int(j)] for j in later]
 
 
+@pytest.mark.thorough
 def test_numbers_grow_with_the_links() -> None:
     numbers = []
     for links in (6, 12, 24):

@@ -44,6 +44,7 @@ def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> No
     assert library.key(dynamics()) != before
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_corrupt_library_is_removed_and_built_again(cache: Path) -> None:
     d = library.resolved(dynamics(modes=1), "eager")
@@ -79,6 +80,7 @@ def test_the_command_lists_and_clears_what_is_its_own(cache: Path, capsys: pytes
     assert [file for file in others if not file.exists()] == []
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_the_first_call_gives_the_numbers_of_the_tenth(cache: Path) -> None:
     """With an empty cache, a full one, and a library that is loaded: the same bits."""
@@ -133,6 +135,7 @@ def test_a_folder_that_others_can_write(cache: Path) -> None:
     refused(dynamics(), "can be written by others")
 
 
+@pytest.mark.thorough
 def test_a_key_is_that_of_a_kind() -> None:
     """One library serves any number of bodies, modes and joints, but not another kind of joint."""
     assert len({library.key(dynamics(modes)) for modes in (1, 3, 4)}) == 1

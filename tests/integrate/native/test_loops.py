@@ -44,7 +44,7 @@ def gradients(system: mbd.System, backend: str) -> dict[str, torch.Tensor]:
     return dict(zip(wanted, torch.autograd.grad(total, list(wanted.values())), strict=True))
 
 
-@pytest.mark.thorough("Spherical-2", "Universal-3", "Universal-7")
+@pytest.mark.thorough("Spherical-2", "Universal-3", "Universal-7", "Spherical-3")
 @pytest.mark.parametrize("links", [2, 3, 7])
 @pytest.mark.parametrize("joint", [mbd.Spherical, mbd.Universal])
 def test_chains(links: int, joint: type) -> None:
@@ -58,7 +58,7 @@ def test_chains(links: int, joint: type) -> None:
     same(eager, fast)
 
 
-@pytest.mark.thorough("4")
+@pytest.mark.thorough
 @pytest.mark.parametrize("links", [2, 4])
 def test_the_adjoint_of_chains(links: int) -> None:
     system = linked(links)
@@ -77,6 +77,7 @@ def test_forces_and_closed_loops() -> None:
         torch.testing.assert_close(found[name], x, rtol=0, atol=1e-7 * float(x.abs().max()), msg=name)
 
 
+@pytest.mark.thorough
 def test_the_right_hand_side_of_a_chain() -> None:
     system = linked(4)
     eager, fast = (mbd.simulate(system, 1e-3, "rk4", 10, backend=backend) for backend in ("eager", "native"))

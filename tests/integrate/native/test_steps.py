@@ -53,6 +53,7 @@ def same(eager: mbd.Trajectory, fast: mbd.Trajectory, q: float = 1e-10, dq: floa
         assert float((fast.dq_db - eager.dq_db).abs().max()) < dq * float(eager.dq_db.abs().max())
 
 
+@pytest.mark.thorough("iterations1-1", "iterations1-3")
 @pytest.mark.parametrize("lanes", [1, 3])
 @pytest.mark.parametrize("iterations", [(3, 1), (1, 1), (2, 2)])
 def test_compiled_and_eager_agree(both: Both, lanes: int, iterations: tuple[int, int]) -> None:
@@ -68,6 +69,7 @@ def test_values_alone_and_more_lanes_than_a_block(both: Both) -> None:
     same(*both(build(3, cells=(6, 2), modes=3), 0.002, steps=30, designs=designs, refresh=3))
 
 
+@pytest.mark.thorough
 def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
     """A nan in the data of one lane."""
     system = build(3, cells=(6, 2), modes=3)
@@ -77,11 +79,13 @@ def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pyte
     torch.testing.assert_close(fast.q[[0, 2]], eager.q[[0, 2]], rtol=0, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_body_without_inertia_goes_the_eager_way(both: Both) -> None:
     """Its pivots are zero: the compiled factorization finds out and hands over."""
     same(*both(weightless(), 0.02, steps=20))
 
 
+@pytest.mark.thorough
 def test_forces_are_compiled(both: Both) -> None:
     system = sprung()
     angles = system.body("rod").laminate.angles.detach()
@@ -89,6 +93,7 @@ def test_forces_are_compiled(both: Both) -> None:
     same(*both(system, 0.01, steps=20, gradients="forward", designs=designs))
 
 
+@pytest.mark.thorough
 def test_laws_of_the_user_are_compiled(both: Both) -> None:
     """With branches and time in them, without slopes of their own."""
     stiffness = 2.0
@@ -113,6 +118,7 @@ def test_phases_are_compiled(both: Both) -> None:
     same(*both(pushed(0.7), 0.06, steps=60, phases=phases))
 
 
+@pytest.mark.thorough("False")
 @pytest.mark.parametrize("gradients", [False, True])
 def test_the_right_hand_side_is_compiled(both: Both, gradients: bool) -> None:
     """Methods of torchdiffeq: more lanes than a block, forces, and drives with laws."""
@@ -138,7 +144,7 @@ def test_rigid_systems_are_compiled(both: Both, method: str) -> None:
     same(*both(rigid_pendulum(), 0.002, method, 10))
 
 
-@pytest.mark.thorough("1")
+@pytest.mark.thorough
 @pytest.mark.parametrize("refresh", [1, 0])
 def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> None:
     """What they prescribe differs from lane to lane and step to step, with its tangents."""
@@ -150,6 +156,7 @@ def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> 
     same(*both(system, 0.05, steps=20, designs=designs, refresh=refresh))
 
 
+@pytest.mark.thorough
 def test_forces_with_design_variables_are_compiled(both: Both) -> None:
     system = strung()
     names = ["cord.stiffness", "cord.damping", "coil.factor", "push.x", "twist.factor"]

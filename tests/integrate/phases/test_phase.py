@@ -139,6 +139,7 @@ def tip(motion: Trajectory) -> Tensor:
     return motion.body("rod").at("right").position[..., 2] + 0.0155
 
 
+@pytest.mark.thorough
 def test_lanes_switch_at_their_own_times_and_do_not_interact():
     system = pendulum(damping=1e-4)
     designs = mbd.deg([[20.0, -50.0], [-30.0, 40.0], [80.0, 10.0]])
@@ -175,6 +176,7 @@ def test_tangents_before_a_lane_arrives_are_not_looked_at():
         assert_close(together.stats["tangent_error"][lane], alone.stats["tangent_error"][0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_phase_that_never_ends_is_the_status_of_its_lane():
     """The threshold lies between what the designs reach."""
     system = pendulum(damping=1e-4)
@@ -276,6 +278,7 @@ class TestDoor:
         assert "when phase '2' begins at t = 0.05 s: a joint that begins to act must be closed" in motion.status[0]
 
 
+@pytest.mark.thorough
 def test_energy_lost_at_switches():
     """The balance goes on through locks and impacts to second order, and a lock loses what a plastic joint does."""
     phases = [mbd.Phase(until=0.0325), mbd.Phase(until=0.06, lock=["hinge"]), mbd.Phase()]

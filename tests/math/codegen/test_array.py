@@ -100,6 +100,7 @@ def test_programs_compute_what_torch_does(name: str) -> None:
     np.testing.assert_allclose(found, expected.flatten().numpy(), rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 def test_compiled_functions_compute_lanes(tmp_path: Path) -> None:
     """All functions in one library; a nan stays in its lane."""

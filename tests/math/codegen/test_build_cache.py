@@ -45,6 +45,7 @@ LOAD = (
 )
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_library_that_was_cut_ends_no_process(folder: Path) -> None:
     """Loaded, it is a SIGBUS: at the first look at a page that the file does not have."""

@@ -20,6 +20,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_it_appears_complete_when_it_is_asked_for(cache: Path) -> None:
     native = Native(SOURCE)

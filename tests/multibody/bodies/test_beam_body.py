@@ -102,6 +102,7 @@ class _Structure(torch.nn.Module):
         return self.body.structure()["Kr"]
 
 
+@pytest.mark.thorough
 def test_a_cantilever_swings_at_its_frequency():
     """A beam fixed to the ground and released from its straight shape under gravity: sag, frequency and its mean."""
     section = GivenSection.isotropic(70e9, 0.3, 2700.0, 4e-4, 3.3e-9, 5.3e-8, 1e-8)
@@ -121,6 +122,7 @@ def test_a_cantilever_swings_at_its_frequency():
     assert -np.mean(tip) == pytest.approx(sag, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_pendulum_of_a_stiff_beam_is_the_rigid_one():
     """Turned out of every plane, off its line: the motion of the tip is that of a rigid body with its inertia."""
     section, length = coupled_section(), 0.5

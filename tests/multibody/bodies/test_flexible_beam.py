@@ -91,7 +91,7 @@ def tip(damping: float, designs: dict[str, Tensor], backend: str, gradients: str
     return blade.nodes[:, -1, -1].sum(-1) + 1e-2 * blade.forces[:, -1, 0, 0].sum(-1)
 
 
-@pytest.mark.thorough("0.0")
+@pytest.mark.thorough
 @pytest.mark.parametrize("damping", [0.0, 5e-4])
 def test_gradients_by_plies_taper_and_twist(damping):
     own = dict(spun(damping).named_parameters())

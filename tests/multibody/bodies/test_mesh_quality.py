@@ -34,6 +34,7 @@ def test_good_cells_raise_no_warning(kind):
         body(grid(0.3, 0.1, (6, 2), kind))
 
 
+@pytest.mark.thorough
 def test_cells_within_the_limits_raise_no_warning():
     """Long ones, sheared ones, small ones of a stiff laminate."""
     with warnings.catch_warnings():

@@ -58,6 +58,7 @@ def test_derivatives_against_differences(ratios, b):
         assert_close(D(at + 0.2), 0.01 * K + 0.2 * root, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_gradients_of_a_damped_motion():
     system = pendulum()
     system.body("rod").damped((0.05, 0.1))

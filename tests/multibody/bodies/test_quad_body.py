@@ -24,7 +24,7 @@ def plate(kind="quad", cells=(9, 3), laminate=GENERAL, **given):
     return mbd.FlexibleBody.plate("plate", grid(0.3, 0.1, cells, kind), laminate, 4, reference="left_edge", **given)
 
 
-@pytest.mark.thorough("lumped")
+@pytest.mark.thorough
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_both_elements_have_one_limit(mass):
     """Eigenvalues of an unbalanced stack, clamped at one edge: 1.2 % apart with 48 x 16 cells."""

@@ -35,7 +35,7 @@ def place(K: torch.Tensor, backend: str, gradients: str = "auto") -> torch.Tenso
     return motion.body("c").r[:, -1]
 
 
-@pytest.mark.thorough("eager")
+@pytest.mark.thorough
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_gradients_by_stiffness(backend):
     K, h = coupled(), 1e-3

@@ -143,7 +143,7 @@ NUMBERS = {
 }
 
 
-@pytest.mark.thorough("eager")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("backend", "height", "duration"), [("eager", 0.05, 0.08), ("native", 0.14, 0.3)])
 def test_gradients_by_all_numbers(backend, height, duration):
     """Forward and reverse against differences of the same steps, on a path that bounces, slides and begins to roll."""

@@ -90,7 +90,7 @@ CASES = {
 }
 
 
-@pytest.mark.thorough("rail-rk4", "hinge-rk4")
+@pytest.mark.thorough("rail-rk4", "hinge-rk4", "point-rk4")
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 @pytest.mark.parametrize("case", CASES)
 def test_the_motion_of_equivalent_springs(case, method):
@@ -139,6 +139,7 @@ def looked_at(motion: mbd.Trajectory) -> Tensor:
 OPTIONS = {"steps": 8, "iterations": (6, 4)}
 
 
+@pytest.mark.thorough("controller.0.weight")
 @pytest.mark.parametrize("name", ["controller.0.weight", "controller.2.bias"])
 def test_gradients_of_weights(name):
     """By the adjoint, by tangents, by torch.func, and by differences."""
@@ -248,6 +249,7 @@ def test_a_lane_that_is_not_finite_fails_alone_and_is_named():
     assert "module Steep of the controller 'controller' is not finite near t = 0.0" in motion.status[1]
 
 
+@pytest.mark.thorough
 def test_the_iteration_matrix_knows_the_controller():
     """By rates and by coordinates, with gains that a matrix without them would not bear."""
     body, joint = hinged()
@@ -277,7 +279,7 @@ def test_training_of_a_network_and_of_ply_angles():
     assert all(bool((system.get_parameter(name) != x).any()) for name, x in before.items())
 
 
-@pytest.mark.thorough("linear")
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["linear", "hold"])
 def test_control_histories(kind):
     values = torch.randn(4, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
@@ -367,6 +369,7 @@ def test_signals_of_a_flexible_body():
     assert float(x[1]) == pytest.approx(float(ahead - behind) / (2.0 * h), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_shared_weights():
     """One module in two controllers, and one layer twice in a module: one parameter, whose gradient is of all its places."""
     layer = linear((0.3, -0.8), (0.9, 0.4))

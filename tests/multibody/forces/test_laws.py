@@ -84,6 +84,7 @@ def oscillator(x, rate, k, c, m, t):
     return torch.exp(-d * t) * (x * torch.cos(w * t) + (rate + d * x) / w * torch.sin(w * t))
 
 
+@pytest.mark.thorough("AxialSpringDamper")
 @pytest.mark.parametrize("kind", [mbd.SpringDamper, mbd.AxialSpringDamper])
 def test_a_mass_on_a_spring(kind):
     ground = mbd.Ground()
@@ -96,6 +97,7 @@ def test_a_mass_on_a_spring(kind):
     assert_close(motion.body("mass").r[0, :, 0], expected, rtol=0, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_wheel_on_a_torsion_spring():
     ground, wheel = mbd.Ground(), mbd.RigidBody("wheel", 2.0, (1.0, 1.0, 0.3), angular_velocity=(0.0, 0.0, 2.0))
     spring = mbd.RotationalSpringDamper(ground.at(), wheel.at(), stiffness=4.0, damping=0.2)
@@ -105,6 +107,7 @@ def test_a_wheel_on_a_torsion_spring():
     assert_close(angle, oscillator(0.0, 2.0, 4.0, 0.2, 0.3, motion.t), rtol=0, atol=3e-4)
 
 
+@pytest.mark.thorough
 def test_loads_in_both_axes():
     """A force in ground axes moves the center straight on; one that follows the body turns with it."""
     load = (0.4, -0.3, 0.2)
@@ -119,6 +122,7 @@ def test_loads_in_both_axes():
     assert_close(turning.body("block").r[0, :, :2], torch.stack([x, y], 1), rtol=0, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_torque_that_grows_with_time():
     body = mbd.RigidBody("block", 0.5, (0.3, 0.2, 0.4))
     law = lambda t: torch.stack([0.0 * t, 0.0 * t, 0.8 * t])  # noqa: E731
@@ -126,6 +130,7 @@ def test_a_torque_that_grows_with_time():
     assert_close(motion.body("block").omega[0, :, 2], motion.t**2, rtol=0, atol=3e-5)
 
 
+@pytest.mark.thorough("generalized_alpha")
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4", "dopri5"])
 def test_a_law_that_ceases_to_be_finite_is_named(method):
     """A root of a length that is used up: the motion ends there, and says whose law it was."""

@@ -74,6 +74,7 @@ def test_gradients_of_a_beam_with_imposed_displacement():
     check_gradients(Factors(body, {}, 1, supports), name, 1e-2)
 
 
+@pytest.mark.thorough
 def test_gradients_by_the_nodes_of_a_beam_whose_loads_are_spread():
     section = mbd.sections.tube(0.03, CARBON, [0.3, 0.3, -0.2], 5e-4)
     nodes = torch.tensor([[0.0, 0.0, 0.0], [0.3, 0.01, 0.0], [0.7, 0.0, -0.02], [1.0, 0.0, 0.0]], dtype=torch.float64)

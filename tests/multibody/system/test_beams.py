@@ -87,6 +87,7 @@ def test_matrix_is_the_derivative_of_the_residual(damping):
     assert_close(found, wanted, rtol=1e-9, atol=1e-9 * max(1.0, float(wanted.abs().max())))
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("compiled")
 def test_energy_is_kept():
     options: dict = {"spectral_radius": 0.9}  # that of 0.6 takes more energy

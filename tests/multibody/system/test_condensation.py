@@ -82,7 +82,7 @@ def compared(system: mbd.System, duration: float, steps: int, monkeypatch: pytes
     return found, [(x, y) for x, y in pairs if x is not None]
 
 
-@pytest.mark.thorough("wavy")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "angle", [lambda t: 0.3 + 5.0 * t + 2.0 * torch.sin(9.0 * t), lambda t: -4.0 * t], ids=["wavy", "backwards"]
 )
@@ -153,6 +153,7 @@ def test_redundant_rows_of_a_guided_body_share_the_reaction(monkeypatch):
     assert_close(turn[:, 0, 0, 0], weight, rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_multipliers_of_a_motion_that_failed():
     """Those of condensed joints are nan from the failure on, like everything else."""
     system = driven(lambda t: 2.0 * t)

@@ -87,6 +87,7 @@ def test_a_flexible_pendulum_swings_as_a_rod():
     assert float(found.frequencies[0, 0]) == pytest.approx(math.sqrt(1.5 * G) / (2 * math.pi), rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_the_motion_from_rest_has_the_frequencies():
     """Independent of the linearization: a small swing of the double pendulum in its first mode comes back in time."""
     shape = mbd.equilibrium(double_pendulum()).vibrations[0].shapes[:, 0]

@@ -48,7 +48,7 @@ def jacobian(motion: mbd.Trajectory, i: int) -> Tensor:
     return d.saddle.jacobian(d.data, placement(d.topology, d.data, q, d.topology.prescribed(motion.t[i], d.data)))[0]
 
 
-@pytest.mark.thorough("angle1")
+@pytest.mark.thorough
 @pytest.mark.parametrize("angle", [None, mbd.Sine(0.4, 5.0)])
 def test_they_do_not_depend_on_the_iteration(angle):
     """Two to twenty corrections a step, and what is left of lam in combinations of rows that act on no body."""
@@ -66,6 +66,7 @@ def test_they_do_not_depend_on_the_iteration(angle):
         assert_close(other.lam, found[0].lam, rtol=0, atol=1e-5 * float(found[0].lam.abs().max()))
 
 
+@pytest.mark.thorough
 def test_both_routes_have_the_same():
     """Towards the end: multipliers of the structural integrator are of first order in the first steps."""
     system = doors(mbd.Sine(0.4, 5.0))
@@ -74,7 +75,7 @@ def test_both_routes_have_the_same():
     assert_close(fast, reference, rtol=0, atol=1e-3 * float(reference.abs().max()))
 
 
-@pytest.mark.thorough("rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_gradients_are_those_of_the_reactions(method):
     system = doors(mbd.Sine(mbd.variable(0.4), 5.0))
@@ -96,6 +97,7 @@ def test_gradients_are_those_of_the_reactions(method):
         assert_close(gradient[0], wanted, rtol=1e-6, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_a_lock_that_repeats_a_hinge_shares_with_it():
     """Phases: a hinge and a lock on the same joint, which repeats four of its rows; before it, the hinge alone."""
     ground, arm = mbd.Ground(), mbd.RigidBody("arm", 0.7, (3e-3, 2e-3, 2.5e-3), center=(0.2, 0.1, 0.03), axes=AXES)
@@ -114,6 +116,7 @@ def test_a_lock_that_repeats_a_hinge_shares_with_it():
     assert_close(weight, -0.7 * (axes @ tensor(*GRAVITY)), rtol=0, atol=1e-2)  # at rest, locked
 
 
+@pytest.mark.thorough
 def test_both_sides_of_a_switch_share_what_they_carry():
     """A driven door whose second leaf stops at an angle: the time of the switch, and with it the motor's law, moves
     with the design. Total derivatives beside those of neighbors with switches of their own."""

@@ -29,6 +29,7 @@ def test_roll_up(turns):
     assert_close(rest.body("beam").nodes[0, 0, -1], wanted, atol=1e-9, rtol=0)
 
 
+@pytest.mark.thorough
 def test_bend_at_five_times_the_load():
     alone = bend(4)
     beam = mbd.FlexibleBeam("bend", alone.mesh, alone.section)
@@ -87,7 +88,7 @@ def test_snap_through():
         mbd.equilibrium(mbd.System([beam], [wall, guide], [push]))
 
 
-@pytest.mark.thorough("0.001")
+@pytest.mark.thorough("0.001", "0.0001")
 @pytest.mark.parametrize("EI", [1e-1, 1e-3, 1e-4])
 def test_soft_beam_hangs_as_the_beam_alone(EI):
     """Weight of up to 10,000 E I / L^2; E A = 1e6 N."""
@@ -114,6 +115,7 @@ def test_drive_that_turns_far():
     assert_close(hung(1.2, 0.0), hung(0.0, 1.2), atol=1e-8, rtol=0)
 
 
+@pytest.mark.thorough
 def test_drive_that_turns_too_far_at_once():
     """Its row is zero half a turn away, too."""
     beam = mbd.FlexibleBeam("beam", mbd.BeamLine.straight(1.0, 2), given(1e4, 5e3, 5e3, 1.0, 1.0, 1.0))

@@ -101,6 +101,7 @@ def test_an_arm_of_three_joints_follows_the_recursion(file):
         np.testing.assert_allclose(found, own, rtol=1e-10, atol=1e-10 * abs(own).max())
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("compiled")
 def test_the_motion_converges_to_that_of_the_recursion(file):
     """Positions after 0.1 s against steps of Runge and Kutta on the recursion."""
@@ -153,6 +154,7 @@ def test_limits_are_stops_and_friction_takes_energy(file):
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(3.0 - 0.7 / J * 0.5, rel=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("compiled")
 def test_stops_are_watched_and_may_lose_energy(file):
     """Steps that a stop is too short for are halved; with damping the speed after it is that of Hunt and Crossley's law."""

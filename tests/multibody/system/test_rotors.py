@@ -90,6 +90,7 @@ def test_a_flat_shaft_is_unstable_between_its_critical_speeds(speed, stable):
     assert turning(speed, flat=2.0).stable == stable
 
 
+@pytest.mark.thorough
 def test_without_the_option_a_shaft_ends_at_its_critical_speed():
     with pytest.raises(mbd.InputError, match=r"buckles at 0\.50\d* of the loads; allowed: .* unstable=True"):
         mbd.equilibrium(rotor(50.0), spin=(50.0, 0.0, 0.0))

@@ -83,6 +83,7 @@ def test_one_backward_pass_after_another():
         first, before = f.dynamics, after
 
 
+@pytest.mark.thorough
 def test_functional_call_and_transforms():
     system = hung()
     f = system()

@@ -149,6 +149,7 @@ def bent(K: Tensor | None = None) -> tuple[mbd.System, float]:
 MASS = matrix(0.1, 0.1, 0.1, 2e-5, 1e-5, 1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("compiled")
 def test_a_motion_that_starts_there_stays():
     system, speed = bent()
@@ -160,6 +161,7 @@ def test_a_motion_that_starts_there_stays():
     assert_close(tip, tip[:1].expand_as(tip), atol=1e-5, rtol=0.0)
 
 
+@pytest.mark.thorough
 def test_derivatives():
     """Of the place, velocity and root moment, by the stiffness: forward, reverse and differences."""
     system, speed = bent()

@@ -64,7 +64,7 @@ CASES: dict[str, tuple[Callable[[], Analytic], float | list, int, float]] = {
 }
 
 
-@pytest.mark.thorough("angles by 5 degrees")
+@pytest.mark.thorough("angles by 5 degrees", "angles by 15 degrees")
 @pytest.mark.parametrize("case", CASES)
 def test_equals_exhaustive_enumeration(case):
     make, allowed, starts, share = CASES[case]
@@ -85,7 +85,7 @@ RULES = {
 }
 
 
-@pytest.mark.thorough("45 degrees between neighbors")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", RULES)
 def test_rules_of_a_laminate_are_kept(name):
     """The best of all stacks that keep the rules, by enumeration."""
@@ -98,6 +98,7 @@ def test_rules_of_a_laminate_are_kept(name):
     assert all(rules.admits(candidate.x) for candidate in result.candidates)
 
 
+@pytest.mark.thorough
 def test_rules_that_no_design_keeps():
     result = optimize_discrete(valley(), 1.0, admits=lambda x: False)
     assert result.status == "failed"
@@ -133,7 +134,7 @@ def test_without_boxes_the_descent_over_neighbors_remains():
     assert result.status == "max_boxes"
 
 
-@pytest.mark.thorough("1000")
+@pytest.mark.thorough("1000", "10")
 @pytest.mark.parametrize("limit", [1, 10, 1000, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 5, 20))])
 def test_a_search_cut_off_by_its_limit_of_boxes_says_so(limit):
     """And never "converged" while a box is left that may hold something better; with room enough the result is exact."""
