@@ -10,7 +10,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
-    {"errors", "process", "progress", "summary"},
+    {"errors"},
+    {"process", "progress", "summary"},
     {"math", "viz.figures"},
     {"fem.mesh", "fem.materials"},
     {"fem.elements", "fem.sections"},

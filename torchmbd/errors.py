@@ -77,6 +77,17 @@ def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
     return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")
 
 
+def true_or_false(name: str, given: Any) -> bool:
+    """Read a switch; InputError for words, numbers and None: bool() makes True of "no"."""
+    if isinstance(given, bool):
+        return given
+    import numpy as np  # not above: the command line names its commands without it
+
+    if not isinstance(given, np.bool_):
+        raise InputError(f"{name} is {given!r}; allowed: True or False")
+    return bool(given)
+
+
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn of something at the line outside of torchmbd (and torch and scipy, which call it back) that led to it."""
     frame, level = sys._getframe(1), 2

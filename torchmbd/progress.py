@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from torchmbd.math.owned import true_or_false
+from torchmbd.errors import true_or_false
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -15,7 +15,7 @@ import torch
 
 import torchmbd as mbd
 from tests.study.rod_model import build
-from torchmbd.errors import ArgumentError, InputError
+from torchmbd.errors import ArgumentError, InputError, true_or_false
 
 NUMBERS: dict[str, Any] = {
     **{"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9},
@@ -203,6 +203,18 @@ MISTAKES = {
     "sed": (lambda: any_.sobol(2, 1, sed=1), "'sed' (= 1) of sobol", "did you mean 'seed'"),
     "tolerance": (lambda: mbd.RobustProblem(BOX, -0.1), "tolerance is -0.1", "not negative"),
     "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
+    # switches
+    "symmetric": (lambda: any_.Laminate(PLY, [0.0], 1e-3, symmetric="no"), "symmetric is 'no'", "True or False"),
+    "rules": (lambda: any_.LaminationRules(balanced="no"), "balanced of LaminationRules is 'no'", "True or False"),
+    "rigid": (lambda: any_.Interface([0], rigid=1), "rigid of an Interface is 1", "True or False"),
+    "scaling": (lambda: any_.optimize(BOX, scaling=None), "scaling is None", "True or False"),
+    "eager": (lambda: any_.multistart(BOX, eager_gradients="no"), "eager_gradients is 'no'", "True or False"),
+    "second order": (lambda: any_.optimize(BOX, second_order="no"), "second_order is 'no'", "True or False"),
+    "initial": (lambda: any_.sobol(2, 1, include_initial="no"), "include_initial is 'no'", "True or False"),
+    "progress": (lambda: simulate(progress="no"), "progress is 'no'", "True or False"),
+    "follow": (lambda: any_.equilibrium(SYSTEM, follow="no"), "follow is 'no'", "True or False"),
+    "unstable": (lambda: any_.equilibrium(SYSTEM, unstable=2), "unstable is 2", "True or False"),
+    "stiffening": (lambda: plate(stiffening="no"), "stiffening of 'rod' is 'no'", "True or False"),
     # files and pictures
     "file": (lambda: any_.problem_of(3), "file is 3", "the path of a file"),
     "store": (lambda: mbd.load("run", uri="foo"), "uri = 'foo'", "sqlite:"),
@@ -220,6 +232,13 @@ def test_argument_value_and_what_is_allowed_are_named(name):
     assert given in text
     assert allowed in text
     assert "allowed" in text or "must" in text
+
+
+def test_switches_that_are_none_are_named():
+    assert (true_or_false("x", True), true_or_false("x", np.bool_(False))) == (True, False)
+    for given in (None, "no", 0, 1.0, [], torch.tensor(True)):
+        with pytest.raises(InputError, match=r"x is .*; allowed: True or False"):
+            true_or_false("x", given)
 
 
 def test_there_are_many():

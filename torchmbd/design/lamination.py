@@ -19,8 +19,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from torchmbd.errors import InputError
-from torchmbd.math.owned import real, true_or_false
+from torchmbd.errors import InputError, true_or_false
+from torchmbd.math.owned import real
 
 DIRECTIONS = (0.0, 90.0, 45.0, -45.0)
 

@@ -18,13 +18,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.integrate.arguments import GRADIENTS, check_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import labels_of, presented, same_lanes, variables_of
 from torchmbd.math.module_call import exclusive
-from torchmbd.math.owned import reals, true_or_false
+from torchmbd.math.owned import reals
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import Balance, reactions, rest, search

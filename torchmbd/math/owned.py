@@ -69,13 +69,6 @@ def real(given: Any) -> bool:
     return isinstance(given, numbers.Real) and not isinstance(given, bool)
 
 
-def true_or_false(name: str, given: Any) -> bool:
-    """Read a switch; InputError for numbers, words and None: bool() makes True of "no"."""
-    if not isinstance(given, (bool, np.bool_)):
-        raise InputError(f"{name} is {given!r}; allowed: True or False")
-    return bool(given)
-
-
 def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
     """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
     if watched(x):

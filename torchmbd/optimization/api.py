@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names
-from torchmbd.math.owned import true_or_false
+from torchmbd.errors import InputError, argument_names, true_or_false
 from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (

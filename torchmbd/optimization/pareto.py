@@ -24,8 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names
-from torchmbd.math.owned import true_or_false
+from torchmbd.errors import InputError, argument_names, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.criteria import Criteria, ManyCriteria

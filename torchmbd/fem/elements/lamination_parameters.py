@@ -25,11 +25,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
 from torchmbd.fem.materials.lamination_region import outside
-from torchmbd.math.owned import parameter, real, true_or_false
+from torchmbd.math.owned import parameter, real
 from torchmbd.math.plausible_units import THICKNESS, doubt
 
 _UNKNOWN = (

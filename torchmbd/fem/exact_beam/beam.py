@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements import BeamLine, BeamMatrices
 from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.exact_beam.assemble import beam_data
@@ -27,7 +27,7 @@ from torchmbd.fem.exact_beam.sections import Elements, SpanSections, elements
 from torchmbd.fem.exact_beam.solution import solve
 from torchmbd.fem.exact_beam.vibrations import frequencies
 from torchmbd.math.module_call import outside
-from torchmbd.math.owned import parameter, plain, reals, true_or_false, whole
+from torchmbd.math.owned import parameter, plain, reals, whole
 
 _STATIONS, _TURNING = 2, 8  # of prismatic elements; of those that are twisted, tapered or arcs
 _SIDES = torch.tensor([-1.0, 1.0], dtype=torch.float64)  # section forces act on the face whose normal is along the beam

@@ -35,7 +35,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.materials.laminate_checks import (
     checked_angles,
     checked_correction,
@@ -44,7 +44,7 @@ from torchmbd.fem.materials.laminate_checks import (
 )
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
-from torchmbd.math.owned import real, true_or_false
+from torchmbd.math.owned import real
 from torchmbd.math.variable import Several, is_variable, stacked
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements import (
     Assembly,
     BeamLine,
@@ -40,7 +40,6 @@ from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
-from torchmbd.math.owned import true_or_false
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations

@@ -22,10 +22,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements import MeanMotion, RigidLink
 from torchmbd.fem.elements.beam_nodes import varying_nodes
-from torchmbd.math.owned import true_or_false
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices
 
 

@@ -22,10 +22,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, true_or_false, unknown, warn
 from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, uncut
 from torchmbd.fem.reduction.mass_invariants import isotropic, mass_invariants, rigid_motions
-from torchmbd.math.owned import reals, true_or_false, whole
+from torchmbd.math.owned import reals, whole
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom

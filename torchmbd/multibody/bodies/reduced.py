@@ -14,10 +14,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
 from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, uncut
-from torchmbd.math.owned import true_or_false, whole
+from torchmbd.math.owned import whole
 from torchmbd.math.sparse import SparseMatrix
 
 

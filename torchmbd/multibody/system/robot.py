@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, true_or_false, unknown, warn
 from torchmbd.io.robot_file import STAND, Pose, Robot, RobotJoint, combined
-from torchmbd.math.owned import positive, scalar, true_or_false
+from torchmbd.math.owned import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import put
 from torchmbd.multibody.bodies.rigid import Ground

@@ -23,7 +23,7 @@ text throughout. Checked in tests/contracts/test_optimizers.py and tests/optimiz
 
 from __future__ import annotations
 
-from torchmbd.math.owned import true_or_false
+from torchmbd.errors import true_or_false
 from torchmbd.optimization.methods.feasible_directions import FeasibleDirections, Settings
 from torchmbd.optimization.optimizer import Ending, register, require_count, require_range
 from torchmbd.optimization.search import Search

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError
-from torchmbd.math.owned import true_or_false
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.optimization.optimizer import Box, as_numbers, require_count
 
 
