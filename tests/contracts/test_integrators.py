@@ -88,7 +88,7 @@ def test_every_method_is_here():
     assert set(ACCURACY) == set(METHODS)
 
 
-@pytest.mark.thorough("generalized_alpha", "adaptive_heun")
+@pytest.mark.thorough("generalized_alpha", "adaptive_heun", "hht_alpha", "bosh3")
 @every_method
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge")
 def test_method_ends_where_the_motion_ends(method, system, designs, reference):

@@ -26,6 +26,7 @@ def test_both_codes_simulate_the_same_mechanism(cable, apart):
     assert float((found - ours).abs().max()) < apart * float(ours.max())
 
 
+@pytest.mark.thorough
 def test_gradients():
     case = slider_crank(2)
     found, by = motion_backwards(case.dynamics(1, gradients=True), DURATION, 200, observed=deflection)

@@ -98,6 +98,7 @@ def test_the_antenna_optimized(tmp_path, monkeypatch):
     assert {file.name for file in tmp_path.iterdir()} == {f"figure{k}.png" for k in (20, 21, 22, 23)}
 
 
+@pytest.mark.thorough
 def test_deployment_of_both_designs(tmp_path):
     rows = {row.what: row for row in antenna.deployment(tmp_path, rate=10, modes=4, cells=(16, 8))}
     assert {file.name for file in tmp_path.iterdir()} == {f"figure{k}.png" for k in (24, 25, 26)}

@@ -47,6 +47,7 @@ def test_it_swings_and_latches(system):
     assert float(motion.energies.lost[0, -1]) > 1e-3
 
 
+@pytest.mark.thorough
 def test_where_the_iteration_fails_it_is_taken_again_carefully(system):
     cured = run(system, refresh=1, iterations=(3, 1))
     assert cured.stats["renewed"] == [0]

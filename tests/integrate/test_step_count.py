@@ -68,6 +68,7 @@ def test_a_short_load_is_seen():
     assert first_steps(arm(push=[0.0, 10.0, 0.0], modes=0).dynamics(), 4.0) == 200
 
 
+@pytest.mark.thorough
 def test_what_starts_in_a_high_mode_is_resolved():
     """Every mode moves: as many steps as the fastest that does so asks for."""
     body = mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(1.0, 6), ROD, modes=6, reference="start")

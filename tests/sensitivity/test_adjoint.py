@@ -77,7 +77,7 @@ def test_compiled_and_eager_agree(name, native):
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
 
-@pytest.mark.thorough("eager")
+@pytest.mark.thorough
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_segments_change_nothing(backend, native, monkeypatch):
     """The algorithmic acceleration at the start of a segment, the cotangents at its end, and laws of the design."""

@@ -104,6 +104,7 @@ def test_gradients(system, start, slopes, way):
         assert_close(x[name].grad, wanted, rtol=0, atol=2e-6 * float(wanted.abs().max()), msg=name)
 
 
+@pytest.mark.thorough("reverse")
 @pytest.mark.parametrize("way", WAYS)
 def test_lanes_are_designs_of_their_own(system, start, way):
     many = {name: torch.stack([y, 1.01 * y]).requires_grad_() for name, y in start.items()}

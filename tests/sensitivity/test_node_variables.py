@@ -53,7 +53,7 @@ LINES = {
 NAMES = {"length": ["length"], "nodes": ["nodes"], "module": ["length", "height"]}
 
 
-@pytest.mark.thorough("nodes", "length")
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", LINES)
 def test_gradients(case):
     names = [f"rod.line.{name}" for name in NAMES[case]]

@@ -87,14 +87,7 @@ def simulated(name: str, designs: Tensor, gradients: str, **options) -> Trajecto
     return mbd.simulate(make(), duration, gradients=gradients, **given)
 
 
-@pytest.mark.thorough(
-    "drive and forces",
-    "on the grid",
-    "hht_alpha",
-    "a map of velocities",
-    "an event of the design",
-    "locks and a release-generalized_alpha",
-)
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "method"), [*((name, "generalized_alpha") for name in CASES), ("restitution", "hht_alpha")]
 )

@@ -118,7 +118,7 @@ def test_gradients_of_a_force_without_a_kink(exponent, error):
     assert float(found[2]) == pytest.approx(expected, rel=error)
 
 
-@pytest.mark.thorough("1.0-0.3", "1.5-0.8", "2.0-0.0")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("exponent", "damping"), [(1.0, 0.3), (1.5, 0.8), (2.0, 0.0), (1.0, 3.0)])
 def test_restitution_of_hunt_and_crossley(exponent, damping):
     """Of no mass and no stiffness: from the law without time."""
@@ -135,7 +135,7 @@ def test_restitution_of_hunt_and_crossley(exponent, damping):
     assert found == pytest.approx(w, rel=2e-5)
 
 
-@pytest.mark.thorough("True")
+@pytest.mark.thorough
 @pytest.mark.parametrize("turns", [False, True])
 def test_the_period_between_stops(turns):
     clearance, v, inertia, k = 0.24, 1.5, 0.4, 3e4

@@ -80,6 +80,7 @@ def test_right_angle_cantilever():
         assert float(own[own.abs().argmax()]) == pytest.approx(wanted, rel=1e-2)
 
 
+@pytest.mark.thorough
 def test_flying_spaghetti_in_space():
     """Momentum and angular momentum are those of the loads, the energy stays when they have gone."""
     motion = mbd.simulate(flying_rod(10), 7.0, steps=700, gradients="none")

@@ -32,7 +32,7 @@ def test_motion_at_the_end(nonlinear: bool, wanted: dict[str, float], native: No
         assert found[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
 
 
-@pytest.mark.thorough("False")
+@pytest.mark.thorough
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_motion_is_that_of_the_equations_of_the_source(nonlinear: bool, native: None):
     """After a third of a turn."""

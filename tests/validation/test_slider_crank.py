@@ -47,7 +47,7 @@ def figures(motion: Trajectory) -> tuple[float, float]:
     return float(mbd.Max(ENERGY).value(motion)[0]), float(mbd.Integral(ENERGY).value(motion)[0])
 
 
-@pytest.mark.thorough("(45.0,)")
+@pytest.mark.thorough("(45.0,)", "(45.0, -45.0)")
 @pytest.mark.parametrize("angles", REFERENCE, ids=str)
 def test_energies_of_independent_codes(angles):
     assert figures(motion(angles)) == pytest.approx(REFERENCE[angles], rel=0.02)

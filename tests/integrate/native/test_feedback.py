@@ -55,15 +55,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.thorough(
-    "network-1",
-    "branch in Python-10",
-    "branch in Python-1",
-    "slopes stated-10",
-    "network-10",
-    "slopes stated-1",
-    "factor-10",
-)
+@pytest.mark.thorough
 @pytest.mark.parametrize("lanes", [1, 10])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_eager_and_native_agree(native: None, name: str, lanes: int) -> None:

@@ -113,12 +113,13 @@ def test_redundant_rows_are_compiled(both: Both) -> None:
         same(*both(system, 0.02, steps=40, refresh=refresh), q=1e-8)
 
 
+@pytest.mark.thorough
 def test_phases_are_compiled(both: Both) -> None:
     phases = [mbd.Phase(until=0.0233), mbd.Phase(release=["motor"])]
     same(*both(pushed(0.7), 0.06, steps=60, phases=phases))
 
 
-@pytest.mark.thorough("False")
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", [False, True])
 def test_the_right_hand_side_is_compiled(both: Both, gradients: bool) -> None:
     """Methods of torchdiffeq: more lanes than a block, forces, and drives with laws."""

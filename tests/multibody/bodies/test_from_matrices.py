@@ -51,7 +51,7 @@ def swing(body: mbd.FlexibleBody) -> torch.Tensor:
     return finished(motion).body("arm").nodes[0, :, 6]
 
 
-@pytest.mark.thorough("vibration")
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["vibration", "craig-bampton"])
 def test_a_beam_is_the_built_in_one(numbers, kind):
     other = {"reduction": kind, "interface": "end" if kind == "craig-bampton" else ()}

@@ -175,6 +175,7 @@ def test_gradients_by_all_numbers(backend, height, duration):
     assert bool(((expected * values).abs().amax(0) > 1e-4 * size).all())
 
 
+@pytest.mark.thorough
 def test_both_backends_agree():
     found = [
         mbd.simulate(bouncing(0.05, **NUMBERS), 0.08, steps=40, backend=backend, halvings=0).q

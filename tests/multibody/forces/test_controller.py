@@ -139,7 +139,7 @@ def looked_at(motion: mbd.Trajectory) -> Tensor:
 OPTIONS = {"steps": 8, "iterations": (6, 4)}
 
 
-@pytest.mark.thorough("controller.0.weight")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["controller.0.weight", "controller.2.bias"])
 def test_gradients_of_weights(name):
     """By the adjoint, by tangents, by torch.func, and by differences."""
