@@ -61,6 +61,7 @@ def file(tmp_path):
         ("</mujoco>", "", "allowed: XML"),
         ("<mujoco", "<!DOCTYPE r [<!ENTITY a 'b'>]><mujoco", "document type"),
         ("mujoco", "robot", "its root is <robot>"),
+        ("<worldbody>", "<actuators/><worldbody>", "element 'actuators' does not exist; allowed: compiler"),
         ("<worldbody>", "<worldbody>" + "<frame>" * 120 + "</frame>" * 120, "100 levels"),
         ("<worldbody>", '<include file="../other.xml"/><worldbody>', "include '../other.xml'"),
         ("<worldbody>", '<include file="arm.xml"/><worldbody>', "include 'arm.xml'"),
@@ -162,10 +163,10 @@ def test_groups_and_total_mass(file):
 
 def test_one_warning_lists_what_is_left_out(file):
     text = """<mujoco><option density="1.2"/><worldbody><body name="a" gravcomp="1"><geom size=".1"/>
-    <joint name="h" armature=".1" springdamper="1 1" actuatorfrcrange="-1 1"/>
+    <joint name="h" armature=".1" springdamper="1 1" actuatorfrcrange="-1 1" dampng="1" springyield="1"/>
     <body name="b"><joint name="s" type="ball" damping="1"/><geom size=".1"/></body></body></worldbody>
     <tendon><fixed name="rope"><joint joint="h" coef="1"/></fixed></tendon>
-    <actuator><motor name="m" tendon="rope"/><muscle name="n" joint="h"/></actuator></mujoco>"""
+    <actuator><motor name="m" tendon="rope" delay=".1"/><muscle name="n" joint="h"/></actuator></mujoco>"""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         assert read_mjcf(file(text)).actuators == ()
@@ -180,5 +181,8 @@ def test_one_warning_lists_what_is_left_out(file):
         "ball",
         "rope",
         "'m', 'n'",
+        "dampng of <joint> ['h']",
+        "springyield",
+        "delay of <motor>",
     ):
         assert word in only, word

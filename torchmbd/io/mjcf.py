@@ -10,7 +10,8 @@
 Defaults, classes, units of angles and how inertia follows from geoms are as there; also the flags that disable contact,
 limits, friction, equality or gravity. Not read: what is seen or measured (assets, visuals, sites, sensors, cameras, keyframes)
 and options of the solver. One warning lists what would change the motion and is left out, such as armature, tendons and
-contact. Refused by file, element and value: the rest, such as deformable or repeated bodies, and what robot_file.py refuses.
+contact, and attributes that are not known here, such as misspelt ones. Refused by file, element and value: the rest, such as
+deformable or repeated bodies, and what robot_file.py refuses.
 Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py, tests/multibody/system/test_robot_mjcf.py.
 Over 300 lines: one reader of one tree of elements; numbers, classes and shapes are in mjcf_values.py.
 """
@@ -317,7 +318,7 @@ class _Reader(Values):
                 gain = self.one(where, given, "kv", "1")
                 bias = (0.0, 0.0, -gain)
             gear = self.numbers(where, given, "gear", "1")[0]
-            limits = self.range(where, given, "ctrlrange", "ctrllimited")
+            limits = None if self.off("clampctrl") else self.range(where, given, "ctrlrange", "ctrllimited")
             yield Actuator(
                 name, joint, gear, gain, bias, limits, self.range(where, given, "forcerange", "forcelimited")
             )

@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.io.mjcf_words import KNOWN, SECTIONS
 from torchmbd.io.robot_file import Pose, numbers, rotation
 
 ACTUATORS = ("motor", "position", "velocity", "general")
@@ -46,6 +47,12 @@ class Values:
             raise InputError(f"{file}, compiler: eulerseq is {self.sequence!r}; allowed: three of xyz, XYZ")
         self.classes: dict[str, dict[str, Attributes]] = {"main": {}}
         self.left: dict[str, list[str]] = {}
+        for element in root:
+            if element.tag not in SECTIONS:
+                raise unknown(f"{file}: element", element.tag, SECTIONS)
+        for element in root.iter():
+            for key in element.attrib.keys() - KNOWN.get(element.tag, element.attrib.keys()):
+                self.leave(f"{key} of <{element.tag}>", element.get("name", ""))
         for element in root.findall("default"):
             self.add_defaults(element, None)
 
