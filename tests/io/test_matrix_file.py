@@ -124,6 +124,12 @@ def test_a_file_of_two_matrices(tmp_path):
         ("a.op4", "not a matrix\n", "no header of an OP4 matrix"),
         ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{7:8}{2:8}\n{1.0:23.16E}\n", "row 7, column 1"),
         ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{1:8}{2:8}\n{1.0:23.16E}\n", "ends in column 1 of 2"),
+        ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{1:8}{2:8}\n 1.0X\n", "a.op4, line 3: '1.0X'"),
+        (
+            "a.op4",
+            f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{1:8}       y\n",
+            "a.op4, line 2: 'y'; allowed: whole",
+        ),
         ("a.mtx", "%%MatrixMarket matrix coordinate real general\n3 3 1000000000000\n1 1 1.0\n", "entries in 72 bytes"),
         ("a.mtx", "%%MatrixMarket matrix array real general\n3000000 3000000\n1.0\n", "9000000000000 entries"),
         ("a.mtx", "1,1,1,1,4.0\n1,8,1,8,5.0\n", "node 1 has the direction 8; allowed: 1 to 6"),

@@ -150,6 +150,11 @@ def test_caps_carry_along_the_span(blade):
         ([skin("outer", "glass", 2e-3)], [], "no windIO blade|material 'glass'|'glass'"),
         ([skin("outer", "steel", 2e-3) | {"thickness": {"grid": FLAT, "values": ["a", 1]}}], [], "thickness of outer"),
         ([layer("outer", "steel", 2e-3, start_nd_arc=along(0.0))], [], "outer"),
+        (
+            [skin("outer", "steel", 2e-3), layer("cap", "steel", 2e-3, start_nd_arc=along(0.9), end_nd_arc=along(0.1))],
+            [],
+            r"layer 'cap' at 0\.5 reaches from 0\.9 to 0\.1 of the contour; allowed: start below end",
+        ),
         ([*FULL[:6], *FULL[6:]], [*WEBS, WEBS[0] | {"name": "other"}], None),
     ],
 )
@@ -160,6 +165,18 @@ def test_what_is_refused(blade, layers, webs, words):
         return
     with pytest.raises(InputError, match=words):
         made.section(0.5)
+
+
+def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
+    def area(start: float) -> float:
+        cap = layer("cap", "steel", 2e-3, start_nd_arc=along(start), end_nd_arc=along(0.2))
+        section = blade(wing(), [skin("outer", "steel", 2e-3), cap], []).section(0.5)
+        return float(section.stiffness()[0, 0])
+
+    with pytest.warns(
+        UserWarning, match=r"layer 'cap' at 0\.5 reaches from -0\.1 to 0\.2 of the contour; it is cut off"
+    ):
+        assert area(-0.1) == pytest.approx(area(0.0), rel=1e-12)
 
 
 def test_a_blade_of_one_airfoil(blade):

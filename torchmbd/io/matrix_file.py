@@ -18,7 +18,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.io
@@ -166,6 +166,14 @@ def _op4(file: Path) -> Iterator[tuple[str, FileMatrix]]:
             yield head[32:40].strip(), FileMatrix(_op4_columns(file.name, lines, columns, width))
 
 
+def _number(where: str, text: str, kind: type) -> Any:
+    """A number of a line; Fortran writes 1D0."""
+    try:
+        return kind(text.upper().replace("D", "E"))
+    except ValueError:
+        raise InputError(f"{where}: {text.strip()[:40]!r}; allowed: {'whole ' if kind is int else ''}numbers") from None
+
+
 def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: int) -> scipy.sparse.csr_array:
     i: list[int] = []
     j: list[int] = []
@@ -175,14 +183,14 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
         if "." in line:
             text = line.rstrip("\n").rstrip()
             for start in range(0, len(text), width):
-                values.append(float(text[start : start + width].upper().replace("D", "E")))
+                values.append(_number(f"{name}, line {number}", text[start : start + width], float))
                 i.append(row - 1)
                 j.append(column - 1)
                 row += 1
             if not (1 <= column <= size and row - 1 <= size and i[-1] >= 0):
                 raise InputError(f"{name}, line {number}: row {row - 1}, column {column}; allowed: 1 to {size}")
             continue
-        words = [int(word) for word in line.split()]
+        words = [_number(f"{name}, line {number}", word, int) for word in line.split()]
         if len(words) == 3:
             column, row = words[0], words[1]
             if column > size:

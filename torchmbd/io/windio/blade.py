@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
 from torchmbd.io.windio.profile import Layer, Profile, Web, profile_section
@@ -26,6 +26,7 @@ from torchmbd.io.windio.profile import Layer, Profile, Web, profile_section
 LARGEST = 20_000_000  # bytes of a file
 ENTRIES = 5_000_000  # of the data, those behind aliases counted each time
 NESTED = 50  # levels of the data
+BEYOND = 1e-3  # share of the contour that layers may reach beyond it without a warning
 BRACKETS = 1000  # open at once, those in comments and texts counted too
 THIN = 2e-5  # m: layers below are left out
 _POINTS = 200  # of a contour
@@ -129,7 +130,7 @@ class WindIOBlade:
                 webs[own["web"]].append((number, thickness))
             else:
                 start, end = (self._end(name, side, position, length) for side in ("start", "end"))
-                layers.append(Layer(number, thickness, start, end))
+                layers.append(Layer(number, thickness, *_within(name, position, start, end)))
         made = []
         for name, stack in webs.items():
             if stack:
@@ -207,6 +208,20 @@ def _loaded(text: str) -> Any:
     else:
         return yaml.load(text, loader)
     raise InputError(f"its data have more than {NESTED} levels or {ENTRIES} entries")
+
+
+def _within(name: str, position: float, start: float, end: float) -> tuple[float, float]:
+    """The part of the contour that a layer covers; what reaches beyond it is cut off, with a warning."""
+    if min(start, 1.0 - end) < -BEYOND:
+        warn(
+            f"layer {name!r} at {position:g} reaches from {start:g} to {end:g} of the contour; it is cut off at 0 and 1"
+        )
+    start, end = max(start, 0.0), min(end, 1.0)
+    if not start < end:
+        raise InputError(
+            f"layer {name!r} at {position:g} reaches from {start:g} to {end:g} of the contour; allowed: start below end, 0 to 1"
+        )
+    return start, end
 
 
 def _named(kind: str, given: Any, *keys: str) -> dict[str, Any]:
