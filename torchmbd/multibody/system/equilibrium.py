@@ -30,7 +30,7 @@ from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, dot, linear, value
 from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.multibody.system.linearized import NEGATIVE_MASS, AtRest, Vibrations
 from torchmbd.multibody.system.load_steps import LoadSteps
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
@@ -46,7 +46,6 @@ _MIRRORED = (
     "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
     "less than a quarter of a turn from it"
 )
-_ZERO_MASS = 1e-9  # of the largest
 _SMALLER = "allowed: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
 _NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
 
@@ -154,10 +153,10 @@ def _balanced(
                 return _none(T, start, _MIRRORED)
             if rotation is not None and not _steady(dynamics, rest, q, t, rotation, largest):
                 return _none(T, start, _UNSTEADY)
-            if _negative(rest.inertia):
-                return _none(
-                    T, start, f"no static equilibrium: bodies bend until their modes have a negative mass; {_SMALLER}"
-                )
+            if (
+                rotation is not None and rest.negative_mass
+            ):  # centrifugal forces are wrong there; at rest masses do not count
+                return _none(T, start, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}")
             return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
         if not bool(torch.isfinite(rest.forces).all()):
             break
@@ -235,12 +234,6 @@ def _step(rest: AtRest, unstable: bool) -> Tensor:
     step = torch.zeros_like(rest.forces)
     step[own] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
     return step
-
-
-def _negative(M: Tensor) -> bool:
-    """Whether an eigenvalue is; those of parts without inertia are zero."""
-    found = torch.linalg.eigvalsh(M)
-    return bool(len(found)) and float(found[0]) < -_ZERO_MASS * float(found[-1])
 
 
 def _stiffness(rest: AtRest) -> tuple[Tensor, Tensor]:

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
@@ -28,6 +29,8 @@ _CANCELS, _EIGEN = (
     1e-10,
     1e-15,
 )  # a freedom without stiffness: of terms that cancel, of the largest eigenvalue for each freedom
+_ZERO_MASS = 1e-9  # of the largest
+NEGATIVE_MASS = "bodies bend until their modes have a negative mass"
 _GROWS = 1e-6  # real part of a pole by its size: vibrations that grow
 _AT_REST = 1e-7  # of the largest frequency: zero, of a freedom without stiffness
 _UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetric stiffness by forces that remain, by the largest stiffness: none
@@ -117,6 +120,12 @@ class AtRest:
         return 0.5 * (M + M.T)
 
     @property
+    def negative_mass(self) -> bool:
+        """Whether an eigenvalue of the inertia is negative; those of parts without inertia are zero."""
+        found = torch.linalg.eigvalsh(self.inertia)
+        return bool(len(found)) and float(found[0]) < -_ZERO_MASS * float(found[-1])
+
+    @property
     def follows(self) -> bool:
         """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
 
@@ -145,7 +154,11 @@ class Vibrations:
 
     @classmethod
     def of(cls, rest: AtRest) -> Vibrations:
-        """The eigenvalue problem in the null space."""
+        """The eigenvalue problem in the null space. InputError where displacements are too large for one."""
+        if rest.negative_mass:
+            raise InputError(
+                f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
+            )
         M, C, whole = rest.inertia, rest.reduced(rest.C), rest.reduced(rest.K)
         K = 0.5 * (whole + whole.T)
         inverse = torch.linalg.inv(torch.linalg.cholesky(M))
