@@ -54,7 +54,7 @@ def problem(cases: int, controls: tuple[int, int], cells: tuple[int, int], steps
 
 
 def load_cases(settings: Settings) -> Result:
-    """load_cases: the gradient over the simulations alone; load_cases_error: of its slope along a random direction;
+    """load_cases: the gradient over the simulations alone; load_cases_error: of its slopes, the worst case;
     load_cases_peer: the peer's differences by 30 variables over 20 cases, over a gradient of ours."""
     figures: dict[str, Any] = dict.fromkeys(("load_cases", "load_cases_error", "load_cases_peer"))
     if unavailable() is not None:
@@ -89,12 +89,13 @@ def load_cases(settings: Settings) -> Result:
 
 
 def _error(own: mbd.Scenarios, x: np.ndarray) -> float:
-    """Of the mean slope along a random direction, relative, by Richardson's differences, over the cases that have one.
+    """Largest relative error of a slope by Richardson's differences, of the cases that have one.
 
     In the others the ranking of cycles or the worst point changes between the designs: differences of two widths disagree.
+    All variables add to the slope along the direction, of random components with the signs of the gradient: where they cancel,
+    rounding of the modes is 1e-6 of the differences.
     """
     [name], cases = own.space.variables, list(own.scenarios.values())
-    along = np.random.default_rng(5).normal(size=len(x))
     designs = {key: torch.stack([case[key] for case in cases]) for key in cases[0]}
     angles = own.space.designs(x[None])[name].repeat(len(cases), 1, 1).requires_grad_()
     motion = mbd.simulate(
@@ -102,10 +103,12 @@ def _error(own: mbd.Scenarios, x: np.ndarray) -> float:
     )
     gradient = DAMAGE.value_and_gradient(motion).gradient
     assert gradient is not None
-    exact = gradient.numpy() @ along
+    G = gradient.numpy()
+    along = np.abs(np.random.default_rng(5).normal(size=len(x))) * np.sign(G.mean(0))
+    exact = G @ along
     one, two = (
-        (DAMAGE(own.motions(x + h * along)) - DAMAGE(own.motions(x - h * along))) / (2 * h) for h in (5e-5, 1e-4)
+        (DAMAGE(own.motions(x + h * along)) - DAMAGE(own.motions(x - h * along))) / (2 * h) for h in (1e-4, 2e-4)
     )
     smooth = ((one / two - 1.0).abs() < 1e-5).numpy()
     difference = ((4.0 * one - two) / 3.0).numpy()
-    return abs(float(difference[smooth].mean() / exact[smooth].mean()) - 1.0)
+    return float(np.abs(difference[smooth] / exact[smooth] - 1.0).max())

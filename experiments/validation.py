@@ -73,6 +73,9 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="print the commands of the pages, run nothing")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
+    known = [x for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
+    if arguments.only not in (None, *known):
+        parser.error(f"--only is {arguments.only!r}; allowed: one of {known}")
     for name in arguments.pages or names:
         path = FOLDER / f"{name}.md"
         found = [x for x in recorded.commands(path) if arguments.only in (None, x)]
