@@ -121,7 +121,10 @@ class BeamMotion(Summary):
 
     @property
     def forces(self) -> Float[Tensor, "lanes times m 2 6"]:
-        """(N, V_y, V_z, T, M_y, M_z) of the sections at both ends of the elements, about their axes."""
+        """(N, V_y, V_z, T, M_y, M_z) of the sections at both ends of the elements, about their axes.
+
+        Weight and inertia act at nodes: N and V are those of the middle of an element.
+        """
         screw, _, f = self._strains
         ends = torch.stack(end_wrenches(screw, f), -2)
         return (_wide(self._elements.recover, 4) @ ends[..., None])[..., 0] * _SIDES[:, None]
