@@ -12,7 +12,7 @@ from experiments.benchmark_cases import compilation, interleaved
 from experiments.benchmark_report import Grid, Result, Settings
 from torchmbd.math.codegen.compiler import unavailable
 
-LANES, FEW, MANY = 32, 400, 1200
+LANES, FEW, MANY = 32, 400, 4400
 
 
 def system(stiffening: bool) -> mbd.System:
@@ -37,7 +37,7 @@ def _run(model: mbd.System, steps: int, gradients: bool) -> None:
     make = torch.Generator().manual_seed(1)
     angles = 0.7 + 0.05 * torch.rand(LANES, 3, generator=make, dtype=torch.float64)
     designs = {"rod.laminate.angles": angles.requires_grad_(gradients)}
-    way, duration = "reverse" if gradients else "none", slider_crank.DURATION * steps / MANY
+    way, duration = "reverse" if gradients else "none", slider_crank.DURATION * steps / 1200
     motion = mbd.simulate(model, duration, steps=steps, designs=designs, gradients=way, backend="native")
     if gradients:
         mbd.Integral(mbd.StrainEnergy("rod"))(motion).sum().backward()

@@ -26,6 +26,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.pair import dot, matvec, value
 from torchmbd.multibody.system import beams, equations
+from torchmbd.multibody.system.moments import bent_stiffness, moments
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.motion_data import MotionData
@@ -114,7 +115,7 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
         strain = 0.5 * (w * matvec(data["Kr"], w)).sum((0, 1))
         plain["Kr"] = torch.zeros_like(data["Kr"])
         if "K2" in plain:
-            strain = strain + (w * matvec(equations.bent_stiffness(plain, w), w)).sum((0, 1)) / 6.0
+            strain = strain + (w * matvec(bent_stiffness(plain, w), w)).sum((0, 1)) / 6.0
             del plain["K2"]
         if "D" in data:
             dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
@@ -142,7 +143,7 @@ def _potential(motion: MotionData, data: equations.Data, at: equations.Placement
     T = motion.dynamics.topology
     if "gravity" not in data:
         return torch.zeros_like(q[0])
-    S = equations.moments(T, data, at.w)[0] if T.flexible else data["S0"]
+    S = moments(T, data, at.w).S
     weight = data["mass"] * equations.split_q(T, q)[0] + matvec(at.A[:, :, : T.bodies], S)
     return -(weight * data["gravity"]).sum((0, 1))
 

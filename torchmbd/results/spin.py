@@ -42,8 +42,8 @@ def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
 def stiffened(motion: Trajectory, name: str) -> bool:
     """Whether a body has displacements of second order (multibody/bodies/stiffening.py)."""
     dynamics = motion.dynamics
-    F1 = dynamics.data.get("F1")
-    return F1 is not None and bool(value(F1)[:, :, :, dynamics.topology.names.index(name)].any())
+    V1 = dynamics.data.get("V1")
+    return V1 is not None and bool(value(V1)[:, :, :, dynamics.topology.names.index(name)].any())
 
 
 def warn_of_spin(motion: Trajectory) -> None:

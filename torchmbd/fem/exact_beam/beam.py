@@ -46,8 +46,8 @@ class BeamState(NamedTuple):
 
     nodes      places [*lanes, n, 3], m
     rotations  of the nodes, from their axes without load to space [*lanes, n, 3, 3]
-    forces     (N, V_y, V_z, T, M_y, M_z) at start and end of each element, about its section's axes [*lanes, m, 2, 6]; loads along
-               the line act at nodes, so N and V are those of the middle of an element
+    forces     (N, V_y, V_z, T, M_y, M_z) at start and end of each element, about its section's axes [*lanes, m, 2, 6]; loads
+               along the line act at nodes, so N and V are those of the middle of an element
     reactions  forces and moments of the supports on the beam at their nodes, in mesh axes [*lanes, n, 6]
     factor     of the loads that was reached: 1 where the status is "ok" [*lanes]
     status     "ok", or why the loads are not borne: a limit point, buckling, no convergence; of the first lane that fails

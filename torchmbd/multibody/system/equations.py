@@ -11,15 +11,15 @@ velocity (f: of bodies with stiffening, else zero):
     s = S1 + F1 w                              sum m (t + f w)
     S = S0 + S1 w + 1/2 w' F1 w                sum m b
     G = C0 + C1 w + F2 w                       sum m (t + f w) b'    [3, 3, modes]
-    P = P0 + (C0 w)' + G w                     sum m b b', its part with F2 halved and symmetric
+    P = P0 + (C0 w)' + G w                     sum m b b', its part with F2 halved and symmetric; these by moments.py
     H                                          sum m t x t + mu r x r (antisymmetric in the modes)
     F1, F2                                     sum m f, sum m f x'   (multibody/bodies/stiffening.py)
     K2                                         of bodies with quadratic stiffness, symmetric: energy 1/6 K2 www
 
 The terms with F1 and F2 in the modes are stiffness by the accelerations of the frame; those in force and torque make the mass
 matrix symmetric: all come from one kinetic energy, exact to the second order in w and w', so energy is conserved. Of higher
-order is 1/2 |V w'|^2 - 1/2 |V0 w'|^2 in it, V = V0 + V1 w, V0'V0 = X0' R^-1 X0: R is the rigid inertia of the undeformed body,
-X = X0 + X1 w = (s; axial of G without C1, and R1) couples it with the modes. It takes f for a rigid motion and keeps the mass
+order is 1/2 |V w'|^2 - 1/2 |V0 w'|^2 in it, V = V0 + V1 w = L^-1 (X0 + X1 w): L L' is the rigid inertia of the undeformed body,
+X0 + X1 w = (s; axial of G without C1, and R1) couples it with the modes. It takes f for a rigid motion and keeps the mass
 matrix definite where the modes leave little mass to the frame.
 
 set equal to the applied forces minus Phi_q' lam: eqs. (5)-(9) of the paper, with the nodal sums of eq. (2) replaced by
@@ -46,11 +46,11 @@ from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.math.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
 from torchmbd.multibody.system import beams
+from torchmbd.multibody.system.moments import Data, bent_stiffness, moments, on_frame
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # data of every body and their tensor rank
 ATTACHED = {"x": 1, "Y": 2, "E": 3}  # data of attached vectors and the axis of these
-Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 
 
 @dataclass
@@ -160,7 +160,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         force = data["mass"] * rdd + matvec(A, matvec(Z, S))
         return force, axial(matmul(Z, data["P0"])) + cross(S, u) + data["mu"] * omd, linear(torch.zeros_like, w)
     spin_f, Z_f, u_f, om_f, omd_f = spin[:, :, :f], Z[:, :, :f], u[:, :f], om[:, :f], omd[:, :f]
-    S, P, G, SR = moments(T, data, w)
+    S, P, G, SR, V = moments(T, data, w)
     rates = _stack2(wd, wdd)  # [modes, 2, flexible]
     sr = contract(SR.unsqueeze(2), rates, 1)  # [6, 2, flexible]
     gg = contract(G.unsqueeze(3), rates, 2)  # [3, 3, 2, flexible]
@@ -168,10 +168,11 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     extra = sr[:3, 1] + 2.0 * matvec(spin_f, sr[:3, 0])
     Y = matmul(Z, P)
     extra_Y = gg[:, :, 1] + 2.0 * matmul(spin_f, gg[:, :, 0])
-    if "F1" in data:
-        extra = extra + contract(contract(data["F1"], wd, 2), wd, 1)
-        extra_Y = extra_Y + contract(contract(data["F2"], wd, 3), wd, 2)
     turn = sr[3:, 1] + cross(om_f, sr[3:, 0])
+    if V is not None:
+        drift = matvec(contract(data["V1"], wd, 2), wd)
+        F1_wd_wd, axial_F2_wd_wd = on_frame(data, drift.unsqueeze(1))
+        extra, turn = extra + F1_wd_wd[:, 0], turn + axial_F2_wd_wd[:, 0]
     torque = cross(S, u) + data["mu"] * omd
     if f < n:
         h = cat([h[:, :f] + extra, h[:, f:]], 1)
@@ -183,41 +184,14 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     modal = (
         matvec_t(SR, cat([u_f, omd_f])) + contract(Z_f.unsqueeze(2), G, (0, 1)) + wdd + coriolis + matvec(data["Kr"], w)
     )
-    if "F1" in data:
-        V, V0 = frame_share(data, w), data["V0"]
-        rate = matvec(V, wdd) + contract(contract(data["V1"], wd, 2), wd, 1)
-        modal = modal + matvec_t(V, rate) - matvec_t(V0, matvec(V0, wdd))
+    if V is not None:
+        V0 = data["V0"]
+        modal = modal + matvec_t(V, matvec(V, wdd) + drift) - matvec_t(V0, matvec(V0, wdd))
     if "K2" in data:
         modal = modal + 0.5 * matvec(bent_stiffness(data, w), w)
     if "D" in data:
         modal = modal + matvec(data["D"], wd)
     return data["mass"] * rdd + matvec(A, h), axial(Y) + torque, modal
-
-
-def moments(T: Topology, data: Data, w):
-    """S [3, bodies], P [3, 3, bodies], G [3, 3, modes, flexible] and s above R1 [6, modes, flexible] of the deformed bodies."""
-    f = T.flexible
-    S, P, C0, SR = data["S0"], data["P0"], data["C0"], data["SR"]
-    G = C0 + contract(data["C1"], w, 3)
-    S_f, outer = S[:, :f] + matvec(SR[:3], w), C0.transpose(0, 1) + G
-    if "F1" in data:
-        s, g = contract(data["F1"], w, 2), contract(data["F2"], w, 3)
-        S_f, outer = S_f + 0.5 * matvec(s, w), outer + 0.5 * (g + g.transpose(0, 1))
-        G, SR = G + g, cat([SR[:3] + s, SR[3:]])
-    P_f = P[:, :, :f] + contract(outer, w, 2)
-    if f == T.bodies:
-        return S_f, P_f, G, SR
-    return cat([S_f, S[:, f:]], 1), cat([P_f, P[:, :, f:]], 2), G, SR
-
-
-def frame_share(data: Data, w):
-    """V [6, modes, flexible]: the motion of the frame that carries as much momentum as the modes do."""
-    return data["V0"] + contract(data["V1"], w, 2)
-
-
-def bent_stiffness(data: Data, w):
-    """K2 w [modes, modes, flexible]: what bending adds to the stiffness of bodies with a quadratic one."""
-    return contract(data["K2"], w, 2)
 
 
 def _stack2(a, b):

@@ -32,7 +32,7 @@ def pad(x: Tensor, modes: int, axes: tuple[int, ...]) -> Tensor:
 def modal_data(stages: list[dict[str, Tensor]], damping: list[Tensor | None], modes: int) -> dict[str, Tensor]:
     """Invariants of the modes; padded modes couple to nothing."""
     SR = [pad(torch.cat([s["S1"], s["R1"]], -2), modes, (-1,)) for s in stages]
-    C1 = [pad(s["C1"], modes, (-2, -1)) for s in stages]
+    C1 = [pad(s["C1"] + s["F2"] if "F2" in s else s["C1"], modes, (-2, -1)) for s in stages]
     # H_k ab = eps_ikj (2 C1 + R2)_ij ab: the Coriolis force on mode a is om_k H_kab w'_b.
     H = []
     for s in stages:
@@ -72,13 +72,8 @@ def carriers(T: Topology, body: int) -> list[int]:
 
 
 def second_order(T: Topology, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """F1, F2 of the bodies and E of the attached vectors; zero of bodies without stiffening."""
-    found = {}
-    for name, rank in (("F1", 3), ("F2", 4)):
-        none = [s["C0"].new_zeros(*[3] * (rank - 2), 1, 1) for s in stages]
-        own = [pad(s.get(name, zero), T.modes, (-2, -1)) for s, zero in zip(stages, none, strict=True)]
-        found[name] = together(own, rank)
-    rows = []
+    """V0, V1, L of the bodies and E of the attached vectors (equations.py); V1 and E are zero of bodies without stiffening."""
+    found, rows = {}, []
     for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
         made = stages[body]
         if "bow" in made:
@@ -87,17 +82,18 @@ def second_order(T: Topology, stages: list[dict[str, Tensor]]) -> dict[str, Tens
         else:
             rows.append(made["psi"].new_zeros(3, T.modes, T.modes))
     shares = [_frame_shares(s) for s in stages]
-    for k, (name, axes) in enumerate((("V0", (-1,)), ("V1", (-2, -1)))):
-        found[name] = together([pad(share[k], T.modes, axes) for share in shares], 2 + k)
-    none = found["F1"].new_zeros(3, T.modes, T.modes, 0, 1, 1)
+    for k, (name, axes) in enumerate((("V0", (-1,)), ("V1", (-2, -1)), ("L", ()))):
+        own = [pad(share[k], T.modes, axes) for share in shares]
+        found[name] = together(own, (2, 3, 2)[k])
+    none = found["V1"].new_zeros(3, T.modes, T.modes, 0, 1, 1)
     return found | {"E": together(rows, 3) if rows else none}
 
 
-def _frame_shares(made: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """V0 [..., 6, m] and V1 [..., 6, m, m] of equations.py: L^-1 X0 and L^-1 X1 with the rigid inertia R = L L'."""
+def _frame_shares(made: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """V0 [..., 6, m], V1 [..., 6, m, m] and L [..., 6, 6] of equations.py."""
     S, P, R1 = made["S0"], made["P0"], made["R1"]
     if "F1" not in made:
-        return torch.zeros_like(torch.cat([made["S1"], R1], -2)), S.new_zeros(6, 1, 1)
+        return torch.zeros_like(torch.cat([made["S1"], R1], -2)), S.new_zeros(6, 1, 1), S.new_zeros(6, 6)
     eye = torch.eye(3, dtype=S.dtype)
     lever = torch.linalg.cross(S[..., None, :].expand(*S.shape[:-1], 3, 3), eye.expand(*S.shape[:-1], 3, 3), dim=-1)
     J = (P.diagonal(dim1=-2, dim2=-1).sum(-1) + made["mu"])[..., None, None] * eye - P
@@ -109,7 +105,7 @@ def _frame_shares(made: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     X0 = torch.cat([made["S1"], _axial(made["C0"], -2) + R1], -2)
     X1 = torch.cat([made["F1"], _axial(made["F2"], -3)], -3)
     V1 = torch.linalg.solve_triangular(L, X1.flatten(-2), upper=False).unflatten(-1, X1.shape[-2:])
-    return torch.linalg.solve_triangular(L, X0, upper=False), V1
+    return torch.linalg.solve_triangular(L, X0, upper=False), V1, L
 
 
 def _axial(Y: Tensor, dim: int) -> Tensor:

@@ -22,21 +22,16 @@ from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
 from torchmbd.math.rotation import axial, skew
 from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.equations import (
-    Data,
     Placement,
     beam_rates,
-    bent_stiffness,
-    frame_share,
-    moments,
     split_v,
     total_on_vectors,
     turns_of_vectors,
 )
 from torchmbd.multibody.system.index_maps import SegmentSum
+from torchmbd.multibody.system.moments import Data, Moments, bent_stiffness, moments, on_frame
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import Block, UnitForces
-
-Moments = tuple[Tensor, Tensor, Tensor | None, Any]  # S, P, G and s above R1 of equations.moments
 
 
 class SaddleBlocks:
@@ -91,7 +86,7 @@ class SaddleBlocks:
         turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
         """
         T = self.T
-        body = moments(T, data, at.w) if T.flexible else (data["S0"], data["P0"], None, None)
+        body = moments(T, data, at.w)
         blocks = self._mass_blocks(data, at, body, stiffness, damping)
         blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
         if v is not None:
@@ -100,6 +95,8 @@ class SaddleBlocks:
             self._add_gyroscopic(blocks, data, at, body, damping, (om, wd, spin))
             if a is not None:
                 self._add_inertial(blocks, data, at, body, stiffness, (wd, spin), split_v(T, a))
+        if body.V is not None:
+            self._add_second_order(blocks, data, at, body.V, stiffness, damping, v, a)
         if lam is not None:
             pulls = total_on_vectors(T, data, at, v, lam)
             if pulls is not None:
@@ -148,7 +145,7 @@ class SaddleBlocks:
         n, f = T.bodies, T.flexible
         eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
         A = at.A[:, :, :n]
-        S, P, G, SR = body
+        S, P, G, SR, _ = body
         trace = P[0, 0] + P[1, 1] + P[2, 2]
         blocks = {
             "mass": data["mass"],
@@ -162,9 +159,6 @@ class SaddleBlocks:
             modal = T.modal_identity(data["Kr"]) + stiffness * data["Kr"]
             if "K2" in data:
                 modal = modal + stiffness * bent_stiffness(data, at.w)
-            if "F1" in data:
-                V, V0 = frame_share(data, at.w), data["V0"]
-                modal = modal + (V[:, :, None] * V[:, None]).sum(0) - (V0[:, :, None] * V0[:, None]).sum(0)
             blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
         return blocks
 
@@ -178,7 +172,7 @@ class SaddleBlocks:
         rates: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         """Add the derivatives of the inertia forces by om and w' (equations.py)."""
-        T, (om, wd, spin), (S, _, G, SR) = self.T, rates, body
+        T, (om, wd, spin), (S, _, G, SR, _) = self.T, rates, body
         f = T.flexible
         A, J = at.A[:, :, : T.bodies], blocks["inertia"]
         drift = cross(om, S)
@@ -193,9 +187,6 @@ class SaddleBlocks:
             coriolis = matmul(twice, SR[:3])
             R1, X = SR[3:], (G * wd).sum(2)
             turning = matmul(factor * spin_f, R1) + axial((twice[:, :, None, None] * G[None]).sum(1))
-            if "F1" in data:
-                coriolis = coriolis + 2.0 * factor * (data["F1"] * wd[:, None]).sum(1)
-                turning = turning + 2.0 * factor * axial((data["F2"] * wd[:, None]).sum(2))
             blocks["pull"] = blocks["pull"] + matmul(A[:, :, :f], coriolis)
             blocks["twist"] = blocks["twist"] + turning
             eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
@@ -207,9 +198,6 @@ class SaddleBlocks:
             coriolis = (data["H"] * wd).sum(2)
             blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
-            if "F1" in data:
-                V, slow = frame_share(data, at.w), (data["V1"] * wd[:, None]).sum(1)
-                blocks["modal"] = blocks["modal"] + 2.0 * factor * (V[:, :, None] * slow[:, None]).sum(0)
 
     def _add_inertial(
         self,
@@ -222,7 +210,7 @@ class SaddleBlocks:
         accelerations: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         """Add the derivatives of the inertia forces by the rotations and by w (equations.py)."""
-        T, (wd, spin), (rdd, omd, wdd), (S, _, G, SR) = self.T, rates, accelerations, body
+        T, (wd, spin), (rdd, omd, wdd), (S, _, G, SR, _) = self.T, rates, accelerations, body
         f = T.flexible
         A = at.A[:, :, : T.bodies]
         Z = skew(omd) + matmul(spin, spin)
@@ -233,26 +221,48 @@ class SaddleBlocks:
             Z_f, spin_f, u_f = Z[:, :, :f], spin[:, :, :f], u[:, :f]
             bending = h[:, :f] + matvec(S1, wdd) + 2.0 * matvec(spin_f, matvec(S1, wd))
             h = cat([bending, h[:, f:]], 1) if f < T.bodies else bending
-            pull, modal = matmul(Z_f, S1), 0.0
-            if "F1" in data:
-                F1, C1 = data["F1"], C1 + data["F2"]
-                slow, fast = ((F1 * x[:, None]).sum(1) for x in (wd, wdd))  # [3, modes, flexible]
-                pull = pull + fast + 2.0 * matmul(spin_f, slow)
-                V, V1 = frame_share(data, at.w), data["V1"]
-                slow, fast = ((V1 * x[:, None]).sum(1) for x in (wd, wdd))  # [6, modes, flexible]
-                rate = matvec(V, wdd) + matvec(slow, wd)
-                modal = (u_f[:, None, None] * F1).sum(0) + (rate[:, None, None] * V1).sum(0)
-                modal = factor * (modal + (V[:, :, None] * fast[:, None]).sum(0))
-            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], pull)
+            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
             slow, fast = ((C1 * x[:, None]).sum(2) for x in (wd, wdd))  # [3, 3, modes, flexible]
             dP = G + G.transpose(0, 1)  # C1_ijab = C1_jiba
             turned = _times(Z_f, dP) + fast + 2.0 * _times(spin_f, slow)
             pulled = matmul(skew(u_f), S1)
             blocks["twist"] = blocks["twist"] + factor * (axial(turned) - pulled)
             blocks["twist_back"] = blocks["twist_back"] - factor * pulled
-            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0) + modal
+            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0)
         blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
+
+    def _add_second_order(
+        self,
+        blocks: dict[str, Tensor],
+        data: Data,
+        at: Placement,
+        V: Tensor,
+        stiffness: Any,
+        damping: Any,
+        v: Any,
+        a: Any,
+    ) -> None:
+        """Add the mass of V, and the derivatives by w' and w of the terms with F1, axial F2 and V (equations.py)."""
+        T, f, V0, V1, root = self.T, self.T.flexible, data["V0"], data["V1"], data["L"][0, 0]
+        modal = -(V0[:, :, None] * V0[:, None]).sum(0)
+        moved = V  # with what w'' and w' add to it
+        if v is not None:
+            _, om, wd = (x[:, :f] for x in split_v(T, v))
+            slow = (V1 * wd[:, None]).sum(1)  # [6, modes, flexible]
+            moved = moved + 2.0 * damping * slow
+            pull, twist = on_frame(data, 2.0 * damping * slow)
+            if a is not None:
+                rdd, _, wdd = (x[:, :f] for x in split_v(T, a))
+                u = matvec_t(at.A[:, :, :f], rdd - data["gravity"] if "gravity" in data else rdd)
+                fast = (V1 * wdd[:, None]).sum(1)
+                moved = moved + stiffness * fast
+                pull = pull + stiffness * root * (fast[:3] + 2.0 * matmul(skew(om), slow[:3]))
+                rate = matvec(V, wdd) + matvec(slow, wd)
+                modal = modal + stiffness * (cat([rate[:3] + root * u, rate[3:]])[:, None, None] * V1).sum(0)
+            blocks["pull"] = blocks["pull"] + matmul(at.A[:, :, :f], pull)
+            blocks["twist"] = blocks["twist"] + twist
+        blocks["modal"] = blocks["modal"] + modal + (V[:, :, None] * moved[:, None]).sum(0)
 
     def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: Any, pulls: Tensor) -> None:
         """Add what the forces on attached vectors change by when bodies turn and bend under them, forces held in ground axes.
