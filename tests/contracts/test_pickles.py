@@ -46,6 +46,19 @@ def test_systems_and_motions(system, again):
         assert torch.equal(ENERGY(found).detach(), ENERGY(motion).detach())
 
 
+@pytest.mark.parametrize("backend", ["eager", "native"])
+def test_motions_after_a_gradient(system, again, backend, request):
+    """The adjoint keeps its solvers for further rows: native ones hold a library, which no file can hold."""
+    if backend == "native":
+        request.getfixturevalue("native")
+    motion = mbd.simulate(system, 0.01, steps=5, backend=backend)
+    ENERGY(motion).sum().backward()
+    system.zero_grad()
+    found = again(motion)
+    assert torch.equal(found.q, motion.q.detach())
+    assert torch.equal(ENERGY(found), ENERGY(motion).detach())
+
+
 def test_a_copied_system_has_numbers_of_its_own(system, again):
     other, place = again(system), "rod.laminate.angles"
     with torch.no_grad():

@@ -139,8 +139,8 @@ class Adjoint:
         return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without sweeps: those by compiled code hold a library, and all can be made again."""
-        return vars(self) | {"_sweeps": {}, "known": None}
+        """Without the solvers: native ones hold a library, eager ones a graph; both are made again where they are needed."""
+        return vars(self) | {"_solvers": {}, "known": None}
 
     @torch.no_grad()
     def __call__(self, of_motion: MotionCotangents, names: Sequence[str]) -> dict[str, Tensor]:

@@ -105,7 +105,7 @@ def test_eager_and_switched_off(cache: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert library.resolved(dynamics(), "eager").backend == "eager"
     monkeypatch.setenv("TORCHMBD_COMPILE", "0")
     assert library.resolved(dynamics(), "auto").backend == "eager"
-    assert list(cache.iterdir()) == []
+    assert not list(cache.glob("step-*"))  # products of the structure stage have a library of their own
 
 
 def test_a_backend_that_does_not_exist() -> None:
