@@ -120,7 +120,7 @@ def test_a_lane_that_fails_is_named_and_leaves_the_others_alone(method, system, 
         sick.data["Kr"] = sick.data["Kr"].clone()
         sick.data["Kr"][..., 1] = torch.nan
         history, _, status = run(integrator, sick, DURATION, steps, precise=False)
-        alone, _, healthy = run(integrator, system.dynamics(designs).some([0]), DURATION, steps, precise=False)
+        alone, _, healthy = run(integrator, system.dynamics(designs).select_lanes([0]), DURATION, steps, precise=False)
     assert healthy == ["ok"]
     assert status[0] == "ok"
     assert status[1].startswith("failed: ")

@@ -187,7 +187,7 @@ class Adjoint:
             or names != tuple(k for k, x in known.data.items() if x.requires_grad)
         ):
             known = differentiable(
-                self.dynamics.some(lanes) if len(lanes) < self.dynamics.lanes else self.dynamics, names
+                self.dynamics.select_lanes(lanes) if len(lanes) < self.dynamics.lanes else self.dynamics, names
             )
         leaves = {name: known.data[name] for name in names}
         _, left, start = prepare(known)

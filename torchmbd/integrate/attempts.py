@@ -61,12 +61,12 @@ def run(
     poor = [False] * len(made.status)
     if precise and again is not None and again.steps == 1:
         poor = (made.stats["iteration_error"] > IMPRECISE).tolist()
-    _without_start(dynamics.faults, made.status, made.stats, made.history)
+    _without_start(dynamics.start_errors, made.status, made.stats, made.history)
     doubtful = {lane: doubt for lane, doubt in found.doubts.items() if not has_failed(made.status[lane])}
     often = _steps_of_contacts(integrator, dynamics, steps, finer, doubtful)
     if often > 1:
         lanes = list(doubtful)
-        retried = run(integrator, dynamics.some(lanes), duration, often * steps, precise, finer=often * finer)
+        retried = run(integrator, dynamics.select_lanes(lanes), duration, often * steps, precise, finer=often * finer)
         for lane in made.take(lanes, often, retried):
             del doubtful[lane]
             poor[lane] = False
@@ -75,10 +75,12 @@ def run(
     failed = [
         lane
         for lane, reason in enumerate(made.status)
-        if lane not in dynamics.faults and lane not in doubtful and (has_failed(reason) or poor[lane])
+        if lane not in dynamics.start_errors and lane not in doubtful and (has_failed(reason) or poor[lane])
     ]
     if failed and again is not None:
-        retried = run(again.integrator, dynamics.some(failed), duration, again.steps * steps, precise, finer=finer)
+        retried = run(
+            again.integrator, dynamics.select_lanes(failed), duration, again.steps * steps, precise, finer=finer
+        )
         made.take(failed, again.steps, retried)
     return replace(made.history, finer=made.finer), made.stats, made.status
 
@@ -150,9 +152,9 @@ def _look_at_joints(
     if "iteration_error" not in stats or not dynamics.topology.rows:
         return
     for lane in torch.nonzero(stats["iteration_error"] > IMPRECISE)[:, 0].tolist():
-        if lane in dynamics.faults or has_failed(status[lane]):
+        if lane in dynamics.start_errors or has_failed(status[lane]):
             continue
-        one = dynamics.values().some([lane])
+        one = dynamics.values().select_lanes([lane])
         T, end, x = one.topology, history.q[-1:, :, :1, [lane]], history.expansion
         t = end.new_tensor([duration])
         q = end if x is None else Expansion.of(x.condensation, x.data, t).rows(0, end)
@@ -226,7 +228,7 @@ def chosen(
     while True:
         room(steps)
         found, stats, status = attempt(steps)
-        wanted = wanted_steps(steps, stats, status, dynamics.faults)
+        wanted = wanted_steps(steps, stats, status, dynamics.start_errors)
         if wanted <= steps or steps >= most:
             return steps, found
         steps = min(integrator.fitting(wanted), most)

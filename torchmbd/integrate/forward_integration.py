@@ -98,7 +98,7 @@ class ForwardIntegration:
         else:
             made = run(self.integrator, self.dynamics, self.duration, self.steps, precise)
         self.history, self.stats, self.status = made
-        self.dynamics.judged()
+        self.dynamics.evaluate_rank()
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, phase_models = plan(self.system, phases, self.duration)

@@ -53,8 +53,8 @@ def _prepared(dynamics: Dynamics) -> Prepared:
     x, left = initial(dynamics), dynamics.condensed()
     if left is dynamics:
         return Prepared(dynamics, dynamics, x)
-    x = left.initial.condensation.state(x)
-    return Prepared(dynamics, left, x._replace(lam=left.carried(x.lam)))
+    x = left.initial.condensation.retained_state(x)
+    return Prepared(dynamics, left, x._replace(lam=left.zero_left_out(x.lam)))
 
 
 def _detached(dynamics: Dynamics) -> Dynamics:

@@ -90,7 +90,7 @@ class ReverseIntegration:
         h = self.history
         self.validity = validity(h, self.status, self.stats)
         vars(self.dynamics)["rank"] = known.rank
-        self.dynamics.judged()
+        self.dynamics.evaluate_rank()
         return h.q, h.v, h.vd, h.lam, self.validity
 
     def tangents(self, directions: Tensors) -> list[Tensor]:

@@ -45,7 +45,7 @@ from torchmbd.math.module_call import exclusive, outside
 from torchmbd.math.owned import watched
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.multibody.system.truncation import look
+from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
@@ -128,7 +128,7 @@ def simulate(
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
-        look(system)
+        warn_static_truncation(system)
         timed = check_timed(duration, gradients, integrator, phases is not None)
         names = variables_of(system, given, gradients, variables, timed)
         check_start(begins, gradients, integrator)

@@ -27,11 +27,11 @@ from torchmbd.math.module_call import exclusive
 from torchmbd.math.owned import reals
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.equilibrium import Balance, reactions, rest, search
+from torchmbd.multibody.system.equilibrium import Balance, equilibrium_coordinates, find_equilibria, reactions
 from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.multibody.system.linearized import Linearization, Vibrations
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
-from torchmbd.multibody.system.truncation import look
+from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK
 from torchmbd.results.spin import warn_of_spin
@@ -69,9 +69,9 @@ class Equilibrium(Trajectory):
 
     def _at_rest(self, lane: int, time: int) -> Vibrations:
         with torch.no_grad():
-            dynamics = self.dynamics.values().some([lane])
+            dynamics = self.dynamics.values().select_lanes([lane])
             return Vibrations.of(
-                AtRest.of(dynamics, self.q[lane, time].detach(), self.t[time].detach(), None, self.rotation)
+                Linearization.of(dynamics, self.q[lane, time].detach(), self.t[time].detach(), None, self.rotation)
             )
 
 
@@ -107,13 +107,13 @@ class StaticIntegration:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
-            self._found.append(search(self.dynamics, q, t, self.follow, self.rotation, self.unstable))
+            self._found.append(find_equilibria(self.dynamics, q, t, self.follow, self.rotation, self.unstable))
             self._refuse(t, self._found[-1])
-            q = rest(self.dynamics, self._found[-1], t, self.rotation)
+            q = equilibrium_coordinates(self.dynamics, self._found[-1], t, self.rotation)
         self.status = [OK] * self.dynamics.lanes
         q, v, a, lam = self._numbers(self.dynamics)
         self.history = History(q, v, a, lam, times=self.times)
-        self.dynamics.judged()
+        self.dynamics.evaluate_rank()
         self.validity = torch.tensor([[float(len(q))], [1.0]], dtype=torch.float64).expand(2, q.shape[-1])[:, None]
         return q, v, a, lam, self.validity.clone()
 
@@ -166,7 +166,7 @@ class StaticIntegration:
         """q, v, v' and lam [times, n, 1 + n_b, lanes] as functions of the data."""
         rows: list[list[Tensor]] = []
         for t, found in zip(self.times, self._found, strict=True):
-            q = rest(dynamics, found, t, self.rotation)
+            q = equilibrium_coordinates(dynamics, found, t, self.rotation)
             lam = reactions(dynamics, q, t, self.rotation)
             still = value(q).detach().new_zeros(dynamics.topology.n_v, 1, value(q).shape[-1])
             v, a = (still, still.clone()) if self.rotation is None else self.rotation.rates(dynamics.topology, q)
@@ -175,9 +175,9 @@ class StaticIntegration:
 
     def _refuse(self, t: Tensor, found: list[Balance]) -> None:
         for lane, one in enumerate(found):
-            if one.missing:
+            if one.failure:
                 where = f" of lane {lane}" * (len(found) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
-                raise InputError(one.missing + (f" ({where.strip()})" if where else ""))
+                raise InputError(one.failure + (f" ({where.strip()})" if where else ""))
 
 
 @exclusive
@@ -222,12 +222,12 @@ def equilibrium(
     t = _times(times)
     rotation = SteadyRotation.of(spin, center)
     begins = start_of(system, start)
-    if begins.rests:
+    if begins.in_equilibrium:
         raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
     system = system.starting(begins)
     given = check_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
-        look(system)
+        warn_static_truncation(system)
         names = variables_of(system, given, "auto", variables, False)
         own = dict(system.named_parameters())
         batch = {name: own[name][None] for name in names if name not in given} | given

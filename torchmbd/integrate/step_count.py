@@ -47,7 +47,7 @@ def first_steps(dynamics: Dynamics, duration: float) -> int:
     """Enough for loads and drives of the first design; see the module header."""
     least = FEWEST if "Kr" in dynamics.data else RIGID
     with torch.no_grad():
-        laws = _laws(dynamics.values().some([0]), duration)
+        laws = _laws(dynamics.values().select_lanes([0]), duration)
     for count in (2**k for k in range(6, 12)):
         if all(_followed(f, _SAMPLES // count) for f in laws):
             return max(least, count)

@@ -68,7 +68,9 @@ class Torchdiffeq(Integrator):
             if dynamics.lanes == 1:
                 x = initial(dynamics).map(lambda y: y * torch.nan)
                 return Integrated(History.of([x] * (steps + 1)), {}, {0: str(error)})
-            return _joined_lanes([self.integrate(dynamics.some([i]), duration, steps) for i in range(dynamics.lanes)])
+            return _joined_lanes(
+                [self.integrate(dynamics.select_lanes([i]), duration, steps) for i in range(dynamics.lanes)]
+            )
         watch, h = ContactWatch(dynamics), duration / steps
         if not watch.idle:
             times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)

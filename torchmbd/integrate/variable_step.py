@@ -46,7 +46,7 @@ def _solved(dynamics: Dynamics, step: Step, z: Tensor) -> tuple[Tensor, Tensor]:
     """The unknowns z [n, 1, 1] of a step from an estimate, and the iteration matrix there."""
     before = torch.inf
     for _ in range(_MOST):
-        K = dynamics.determined(step.matrix(z))
+        K = dynamics.regularize(step.matrix(z))
         z, correction = step.correct(factored(K), z)
         size = float(step.size(correction))
         if _done(size, before, z):

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.equations import Data
-from torchmbd.multibody.system.expansion import Expansion, chosen
+from torchmbd.multibody.system.expansion import Expansion, select_rows
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.results.state import State
 
@@ -73,7 +73,7 @@ class History:
         x = (self.q, self.v, self.vd)[order][:, :, pair]
         if self.expansion is not None:
             return self.expansion.rows(order, x, rows, known=not pair.start)
-        return x if rows is None else chosen(x, rows)
+        return x if rows is None else select_rows(x, rows)
 
     @property
     def multipliers(self) -> Tensor:

@@ -37,7 +37,7 @@ def laws_at_fault(motion: MotionData, lane: int) -> list[str]:
         return []
     i = int(ended[0]) - 1
     t, h = motion.t[i + 1], motion.t[i + 1] - motion.t[i]
-    dynamics = motion.dynamics.values().some([lane if motion.dynamics.lanes > 1 else 0])
+    dynamics = motion.dynamics.values().select_lanes([lane if motion.dynamics.lanes > 1 else 0])
     data = {name: value(x) for name, x in dynamics.data.items()}
     q, v = (x[lane, i][:, None, None] for x in (motion.q, motion.v))
     at = equations.placement(T, data, q, T.prescribed(t, data))

@@ -232,7 +232,7 @@ class MotionData(Summary):
             t=t[None],
             signals=Given(there),
             status=self.status[one],
-            dynamics=self.dynamics.some([lane]),
+            dynamics=self.dynamics.select_lanes([lane]),
             shapes=OneLane(self.shapes, lane),
             designs={name: x[one] for name, x in self.designs.items()},
             parameters=(),

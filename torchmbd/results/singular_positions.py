@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
-from torchmbd.multibody.system.rank import RELATIVE, jacobians, lost_rows
+from torchmbd.multibody.system.rank import RELATIVE, dominant_rows, jacobians
 from torchmbd.results.law_faults import laws_at_fault
 from torchmbd.results.motion_data import MotionData
 
@@ -53,7 +53,7 @@ def of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
     q, t = motion.q[lane, good], motion.t[good]
     with torch.no_grad():
         dynamics = motion.dynamics.values()
-        J = jacobians(dynamics.some([lane if dynamics.lanes > 1 else 0]), q, t)
+        J = jacobians(dynamics.select_lanes([lane if dynamics.lanes > 1 else 0]), q, t)
         J[:, list(dynamics.rank.left_out)] = 0.0
         sound = torch.isfinite(J).all(2).all(1)
         t = t[sound]
@@ -63,7 +63,7 @@ def of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
         last = s[:, rank - 1] / s[:, 0]
         low = _minima(last, NEAR)
         U = torch.linalg.svd(J[low], full_matrices=False)[0]
-    rows = (lost_rows(T, x[:, rank - 1]) for x in U)
+    rows = (dominant_rows(T, x[:, rank - 1]) for x in U)
     return [SingularPosition(lane, float(t[i]), float(last[i]), names) for i, names in zip(low, rows, strict=True)]
 
 

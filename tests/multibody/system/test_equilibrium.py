@@ -15,7 +15,7 @@ from tests.mechanisms import box, pendulum, plate, turned
 from torchmbd.errors import InputError
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import AtRest
+from torchmbd.multibody.system.linearized import Linearization
 
 G = 9.81
 
@@ -105,7 +105,7 @@ def test_stiffness_is_the_difference_of_forces(system):
     T, t = dynamics.topology, torch.zeros((), dtype=torch.float64)
     with torch.no_grad():
         q = dynamics.initial.solve(dynamics)[0][:, 0, 0]
-        rest = AtRest.of(dynamics, q, t)
+        rest = Linearization.of(dynamics, q, t)
         h = 1e-6
         for k in range(T.n_v):
             ends = []

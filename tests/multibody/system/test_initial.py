@@ -354,9 +354,9 @@ def test_designs_whose_start_does_not_depend_on_the_design_share_it():
     """Found once, the same as found for each; the rank of the constraints, too."""
     system, name = crank_of_plates(), "rod.laminate.angles"
     first, second = (system.dynamics({name: torch.tensor([[a, -a], [0.3, a]]).double()}, (name,)) for a in (0.2, 1.1))
-    assert first.alike is not None
-    assert first.alike is second.alike
-    assert first.condensed().alike is second.condensed().alike
+    assert first.shared_start is not None
+    assert first.shared_start is second.shared_start
+    assert first.condensed().shared_start is second.condensed().shared_start
     for shared, own in zip(second.start, second.initial._closed(second), strict=True):
         assert_close(shared, value(own), rtol=0, atol=1e-14)
     assert second.rank is first.rank
@@ -371,6 +371,6 @@ def test_a_start_is_found_anew_where_points_or_drives_have_changed():
         for attached in system.topology.attached:
             attached.vector.mul_(1.1 if attached.is_point else 1.0)
     after = system.dynamics()
-    assert after.alike is not before.alike
+    assert after.shared_start is not before.shared_start
     assert float((value(after.start[0]) - q).abs().max()) > 1e-3
     assert float((value(after.start[1]) - v).abs().max()) > 1e-3

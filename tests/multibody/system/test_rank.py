@@ -12,7 +12,7 @@ import torchmbd as mbd
 from tests.mechanisms import box, laminate, plate
 from tests.multibody.system.test_initial import four_bar
 from torchmbd.errors import InputError
-from torchmbd.multibody.system.rank import jacobians, lost_rows, rank_of
+from torchmbd.multibody.system.rank import dominant_rows, jacobians, rank_of
 
 
 @pytest.mark.parametrize("dependent", [(), (4,), (1, 3, 16)])
@@ -77,7 +77,7 @@ def test_the_rows_that_are_lost_in_line_are_those_along_the_line():
     J = jacobians(dynamics, dynamics.initial.q[None], torch.zeros(1).double())[0]
     U, s, _ = torch.linalg.svd(J)
     assert float(s[-1]) < 1e-12 < 1e-3 < float(s[-2])
-    named = lost_rows(T, U[:, -1])
+    named = dominant_rows(T, U[:, -1])
     assert "rod: distance" in named
     assert not any("perpendicular" in name or name.endswith(("y", "z")) for name in named)
 

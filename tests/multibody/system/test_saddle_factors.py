@@ -11,7 +11,7 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, plate
 from torchmbd.integrate.prepared import initial
 from torchmbd.multibody.system import Dynamics
-from torchmbd.multibody.system.saddle_factors import LARGE, Columns, Factors
+from torchmbd.multibody.system.saddle_factors import LARGE, ColumnPattern, Factors
 
 LANES = 3
 
@@ -77,7 +77,7 @@ def test_values_tangents_and_cotangents_are_those_of_dense_matrices(closed):
 def test_derivatives_by_states_in_both_modes():
     """Under torch.func, also where states are a batch: matrices then are one as well."""
     system = chain(14)
-    f = batch(system).some([0])
+    f = batch(system).select_lanes([0])
     g = dense(f)
     assert f.rank.rank == g.rank.rank  # found outside of all transforms
     z = f.initial_state()
@@ -108,7 +108,7 @@ def test_a_lane_without_factors_is_nan_alone():
     K = A + A.mT
     K[1], K[2] = 0.0, torch.nan
     row, column = (x.flatten().numpy() for x in torch.meshgrid(*[torch.arange(5)] * 2, indexing="ij"))
-    columns = Columns.of(row, column, row * 5 + column, 5, 25)
+    columns = ColumnPattern.of(row, column, row * 5 + column, 5, 25)
     b = torch.randn(5, 2, 4, generator=generator, dtype=torch.float64)
     x = Factors(K.flatten(1)[:, columns.place], None, columns).solve(b)
     assert x.isnan().flatten(0, 1).all(0).tolist() == [False, True, True, False]
@@ -122,6 +122,6 @@ def test_other_errors_of_superlu_are_raised(monkeypatch):
 
     monkeypatch.setattr("scipy.sparse.linalg.splu", splu)
     index = torch.arange(3).numpy()
-    columns = Columns.of(index, index, index, 3, 3)
+    columns = ColumnPattern.of(index, index, index, 3, 3)
     with pytest.raises(RuntimeError, match="out of memory"):
         Factors(torch.ones(1, 3, dtype=torch.float64), None, columns).solve(torch.ones(3, 1, 1, dtype=torch.float64))

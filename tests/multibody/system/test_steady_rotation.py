@@ -14,7 +14,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import given, matrix
 from tests.fem.exact_beam.test_vibrations import INCH, blade
-from torchmbd.multibody.system.linearized import AtRest
+from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 GROUND = mbd.Ground()
@@ -49,7 +49,7 @@ def test_mass_on_springs_seen_by_a_turning_observer():
     spin = SteadyRotation.of((0.0, 0.0, SPEED), (0.0, 0.0, 0.0))
     dynamics = mbd.System([mass], forces=[hold]).dynamics()
     q, _ = dynamics.initial.solve(dynamics)
-    rest = AtRest.of(dynamics, q[:, 0, 0], torch.zeros((), dtype=torch.float64), rotation=spin)
+    rest = Linearization.of(dynamics, q[:, 0, 0], torch.zeros((), dtype=torch.float64), rotation=spin)
     own = [0, 1, 2]
     M, C, K = (x[own][:, own] for x in (rest.M, rest.C, rest.K))
     one, nothing = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)

@@ -59,7 +59,7 @@ def test_lanes_of_a_batch_are_the_designs_one_by_one():
         # Modes of a batch may be rotated or mirrored among themselves: compare what does not depend on them.
         T = system.topology
         rigid = [*range(T.n_q), *range(T.n_q, T.n_q + 6 * T.bodies)]
-        picked = batch.some([lane])
+        picked = batch.select_lanes([lane])
         assert_close(picked(0.0, z[:1]), both[lane : lane + 1], rtol=1e-12, atol=1e-12)
         still = z[:1].clone()
         still[:, 7 * T.bodies : T.n_q] = 0.0

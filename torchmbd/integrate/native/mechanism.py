@@ -16,7 +16,7 @@ from torchmbd.integrate.native.feedback import CalledLaws
 from torchmbd.integrate.native.symbolic import groups
 from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.index_maps import SparseMap
-from torchmbd.multibody.system.saddle import places, saddle_entries, size_of
+from torchmbd.multibody.system.saddle import entry_count, entry_numbers, saddle_entries
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import UnitForces
@@ -124,10 +124,10 @@ class Mechanism:
         T = self.T
         row, column, place = saddle_entries(T, self.blocks)
         if T.beams is not None and slopes:
-            own = beams.places(T, places(self.blocks.shapes())["beam"])
+            own = beams.matrix_entries(T, entry_numbers(self.blocks.shapes())["beam"])
             row, column, place = (np.concatenate(x) for x in zip((row, column, place), own, strict=True))
         row, column, place, factor = self._projected(row, column, place)
-        total = size_of(self.blocks.shapes())
+        total = entry_count(self.blocks.shapes())
         products = self._products(total) if slopes and T.actions else [np.empty(0, dtype=np.int64)] * 6
         n = T.n_v + T.rows
         all_rows, all_columns = (
@@ -170,10 +170,10 @@ class Mechanism:
     def _products(self, total: int) -> list[np.ndarray]:
         """Rows, columns, weights, first and second entries and factors of the slopes of actions."""
         shapes = self.blocks.action_shapes()
-        rate, action, place = self.blocks.actions.places(self.T, places(shapes), "action")
+        rate, action, place = self.blocks.actions.matrix_entries(self.T, entry_numbers(shapes), "action")
         which, rate, factor = self._expanded(rate)
         action, place = action[which], total + place[which]
-        weights, count = total + size_of(shapes), sum(len(some) for some in self.groups.values())
+        weights, count = total + entry_count(shapes), sum(len(some) for some in self.groups.values())
         found = []
         for i in range(len(self.blocks.actions.pairs) and int(action.max()) + 1):
             own = np.nonzero(action == i)[0]

@@ -222,7 +222,7 @@ class PhaseAdjoint:
         cotangents: list[Tensor],
     ) -> tuple[State, dict[Key, Tensor]]:
         """Cotangents [..., rows, lanes] of the state at the first point, and by data."""
-        dynamics = record.dynamics.some(lanes)
+        dynamics = record.dynamics.select_lanes(lanes)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
         dynamics = replace(dynamics, data={**dynamics.data, **leaves})

@@ -35,7 +35,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
-from torchmbd.multibody.system.start import RestingConditions
+from torchmbd.multibody.system.start import EquilibriumConditions
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, Moment, Switch
 from torchmbd.results.state import State
@@ -154,13 +154,13 @@ class MultiphaseRun:
         first = selected(whole.topology, phase_model.start)
         initial = replace(whole.initial, topology=first)
         free = replace(whole, topology=first, saddle=Saddle(first), initial=initial)
-        if not isinstance(initial, RestingConditions):
+        if not isinstance(initial, EquilibriumConditions):
             return initial.solve(free)
         q, v = initial.assembled(free)  # locks hold there, and what they hold sags
         held = replace(whole, data=marked(whole.topology, whole.data, self._wide(q), phase_model.locks))
         held = replace(held, topology=phase_model.topology, saddle=phase_model.saddle)
-        q = initial.resting(held, q)
-        for lane, reason in held.faults.items():
+        q = initial.equilibrium_near(held, q)
+        for lane, reason in held.start_errors.items():
             self.fail(lane, reason)
         return q, initial.compatible(replace(free, data=held.data), q, v)
 
@@ -234,7 +234,7 @@ class MultiphaseRun:
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
             v = mapped(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
-        return State(x.q, v, a, a, dynamics.carried(lam))
+        return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
     def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
         """Fail a lane in which a joint begins to act that is not closed."""

@@ -41,7 +41,7 @@ class InitialState:
     v: Tensor
     condensed: None = None
 
-    def alike(self, dynamics: Dynamics) -> None:
+    def shared_start(self, dynamics: Dynamics) -> None:
         """Nothing is shared with other simulations."""
 
     def solve(self, dynamics: Dynamics) -> tuple[Any, Any]:
@@ -70,7 +70,7 @@ def together(states: Sequence[State]) -> State:
 
 def lane_of(dynamics: Dynamics, lane: int) -> Dynamics:
     """The dynamics of one lane."""
-    return replace(dynamics.some([lane]), statistics=dynamics.statistics)
+    return replace(dynamics.select_lanes([lane]), statistics=dynamics.statistics)
 
 
 def marked(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
@@ -170,7 +170,7 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
             rates = rates - equations.constraint_jets(T, at, data, still, still, t).velocity
         return cat([forces, rates])
 
-    x = dynamics.solved(left, t, q, impulse, v)
+    x = dynamics.solve_linear(left, t, q, impulse, v)
     return x[: T.n_v], x[T.n_v :]
 
 

@@ -175,7 +175,7 @@ def _turning(e: Elements) -> Any:
     return cat(rows)
 
 
-def places(T: Any, block: np.ndarray) -> np.ndarray:
+def matrix_entries(T: Any, block: np.ndarray) -> np.ndarray:
     """Row, column and place of the entries of the block [12, 12, n] in the matrix of all rates [3, entries]."""
     n, count = T.bodies, block.shape[-1]
     body = np.array(T.beams.bodies).reshape(2, count)

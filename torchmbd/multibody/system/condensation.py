@@ -60,13 +60,13 @@ class Condensation:
 
         return {name: pick(name, x) for name, x in data.items()}
 
-    def left(self, q: Any, v: Any) -> tuple[Any, Any]:
+    def retained(self, q: Any, v: Any) -> tuple[Any, Any]:
         """Coordinates [n_q, ...] and independent rates [n_v, ...] out of those of the whole."""
         return q.index_select(0, component_rows(self.whole, self.bodies, 7)), v.index_select(0, self.independent)
 
-    def state(self, x: Any) -> Any:
+    def retained_state(self, x: Any) -> Any:
         """The state (integrate/step.py) of what is left."""
-        q, v = self.left(x.q, x.v)
+        q, v = self.retained(x.q, x.v)
         vd, a = (y.index_select(0, self.independent) for y in (x.vd, x.a))
         return type(x)(q, v, vd, a, x.lam.index_select(0, self.rows))
 

@@ -72,7 +72,7 @@ class Description:
 
 def describe(system: Any) -> Description:
     """Describe a system at its assembled initial position; raises InputError if it does not assemble."""
-    dynamics = system.dynamics().values().some([0])
+    dynamics = system.dynamics().values().select_lanes([0])
     T = dynamics.topology
     with torch.no_grad():
         q, _ = dynamics.initial.solve(dynamics)

@@ -33,7 +33,14 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import Data
 from torchmbd.multibody.system.least_norm import LeastNorm
-from torchmbd.multibody.system.rank import Rank, confirmed, jacobians, rank_of, sound, without_modes
+from torchmbd.multibody.system.rank import (
+    Rank,
+    confirm_left_out,
+    first_finite_lane,
+    full_rank_undeformed,
+    jacobians,
+    rank_of,
+)
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.saddle_factors import Diagonal, regularized
 from torchmbd.multibody.system.topology import Topology
@@ -74,7 +81,7 @@ class Dynamics:
         default=None, init=False, repr=False
     )  # the start of a motion, once made (integrate/prepared.py)
     statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
-    faults: dict[int, str] = field(default_factory=dict, init=False, repr=False)  # lanes without a start, and why
+    start_errors: dict[int, str] = field(default_factory=dict, init=False, repr=False)  # lanes without a start, and why
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"prepared": None}  # may have a graph of torch
@@ -91,9 +98,9 @@ class Dynamics:
         return max(tangents, default=0)
 
     @cached_property
-    def alike(self) -> Any:
+    def shared_start(self) -> Any:
         """What this and other designs share that start alike (initial.py); None if the start depends on the design."""
-        return self.initial.alike(self)
+        return self.initial.shared_start(self)
 
     @cached_property
     def start(self) -> tuple[Any, Any]:
@@ -103,18 +110,18 @@ class Dynamics:
     @cached_property
     def rank(self) -> Rank:
         """Rank of the constraints at the initial position, of the first lane that has not failed."""
-        ranks = {} if self.alike is None else self.alike.ranks
+        ranks = {} if self.shared_start is None else self.shared_start.ranks
         if self.topology in ranks:
             return ranks[self.topology]
-        lane = sound(self.data) if self.topology.rows else None
+        lane = first_finite_lane(self.data) if self.topology.rows else None
         if lane is None:
             return Rank(0, ())
-        q, one = value(self.start[0]).detach(), self.some([lane]) if lane else self
+        q, one = value(self.start[0]).detach(), self.select_lanes([lane]) if lane else self
         q = q[:, 0, min(lane, q.shape[-1] - 1)]
         with torch.no_grad():
             J = jacobians(one, q[None], q.new_zeros(1))[0].numpy()
-            found = confirmed(one, q, rank_of(self.topology, J))
-        if self.alike is not None and without_modes(self.topology, J):
+            found = confirm_left_out(one, q, rank_of(self.topology, J))
+        if self.shared_start is not None and full_rank_undeformed(self.topology, J):
             ranks[self.topology] = found
         if found.weak:
             warn(
@@ -128,7 +135,7 @@ class Dynamics:
         """Names of constraint rows that follow from the others at the initial position (rank.py)."""
         return self.rank.redundant
 
-    def judged(self) -> None:
+    def evaluate_rank(self) -> None:
         """Decide now what depends on values: inside a transform of torch.func no tensor shows its values."""
         if self.redundant:
             _ = self.least_norm
@@ -157,11 +164,11 @@ class Dynamics:
             row_mask[n + i], diagonal_shift[n + i] = 0.0, LEFT_OUT
         return row_mask, diagonal_shift
 
-    def determined(self, K: Tensor) -> Tensor:
+    def regularize(self, K: Tensor) -> Tensor:
         """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without rows left out."""
         return regularized(K, self.diagonal())
 
-    def carried(self, lam: Any) -> Any:
+    def zero_left_out(self, lam: Any) -> Any:
         """Multipliers [rows, ...] with zeros in rows that are left out."""
         if not self.rank.left_out:
             return lam
@@ -185,7 +192,7 @@ class Dynamics:
             c.topology, c.saddle, c.data(self.data), CondensedStart(self, c), self.stabilization, self.backend
         )
 
-    def some(self, lanes: Sequence[int]) -> Dynamics:
+    def select_lanes(self, lanes: Sequence[int]) -> Dynamics:
         """The dynamics of some designs of the batch, with what is known of their start; of all designs: itself."""
         if list(lanes) == list(range(self.lanes)):
             return self
@@ -228,13 +235,13 @@ class Dynamics:
         def residual(data: Data, at: equations.Placement, q: Any, v: Any, x: Tensor) -> Any:
             return self._residual(data, at, v, x[: T.n_v], x[T.n_v :], T.law_jets(t, data) if T.rows else [])
 
-        x = self.solved(residual, t, q, v)
+        x = self.solve_linear(residual, t, q, v)
         return x[: T.n_v], x[T.n_v :]
 
     def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
         return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
-    def solved(self, residual: Callable[..., Any], t: Tensor, q: Any, *given: Any) -> Any:
+    def solve_linear(self, residual: Callable[..., Any], t: Tensor, q: Any, *given: Any) -> Any:
         """x [n_v + rows, ...] with residual(data, placement, q, *given, x) = 0, of coordinates q [n_q, ...] and what is given.
 
         The residual is linear in x with the saddle-point matrix. Differentiable in every mode: x is held fixed in the
@@ -263,11 +270,11 @@ class CondensedStart:
     condensation: Condensation
     condensed: None = None  # nothing more
 
-    def alike(self, dynamics: Dynamics) -> Any:
+    def shared_start(self, dynamics: Dynamics) -> Any:
         """As of the whole system."""
-        return self.whole.alike
+        return self.whole.shared_start
 
     def solve(self, dynamics: Dynamics):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
         q, v = self.whole.start
-        return self.condensation.left(*((q, v) if dynamics.tangents else (value(q), value(v))))
+        return self.condensation.retained(*((q, v) if dynamics.tangents else (value(q), value(v))))

@@ -32,7 +32,7 @@ class Elimination:
     def __init__(self, T: Topology):
         self.n_v = T.n_v
         by_size: dict[int, list[list[int]]] = {}
-        for rows in own_rates(T):
+        for rows in rates_of_bodies(T):
             if rows:
                 by_size.setdefault(len(rows), []).append(rows)
         self.groups = [torch.tensor(rows, dtype=torch.long) for rows in by_size.values()]  # [bodies, rates of each]
@@ -113,7 +113,7 @@ def _factored_there(K: Tensor) -> Factored:
     return Factored(torch.where((sound & (info == 0))[:, None, None], LU, torch.nan), pivots)
 
 
-def own_rates(T: Topology) -> list[list[int]]:
+def rates_of_bodies(T: Topology) -> list[list[int]]:
     """Rows of v (independent ones, where a condensation left them) of each body."""
     whole = [[k * T.bodies + b for k in range(6)] for b in range(T.bodies)]
     for f in range(T.flexible):

@@ -30,7 +30,7 @@ from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, dot, linear, value
 from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import NEGATIVE_MASS, AtRest, Vibrations
+from torchmbd.multibody.system.linearized import NEGATIVE_MASS, Linearization, Vibrations
 from torchmbd.multibody.system.load_steps import LoadSteps
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
@@ -62,12 +62,12 @@ class Balance:
 
     q: Tensor
     lam: Tensor
-    answer: Tensor
-    missing: str
-    doubt: str
+    inverse: Tensor
+    failure: str
+    instability: str
 
 
-def search(
+def find_equilibria(
     dynamics: Any,
     q: Any,
     t: Tensor,
@@ -84,15 +84,17 @@ def search(
         values = dynamics.values()
         for lane in range(dynamics.lanes):
             near = found[-1].q if follow and found else start[:, 0, min(lane, start.shape[-1] - 1)]
-            found.append(_balanced(values.some([lane]), near, t, rotation, unstable))
+            found.append(_balanced(values.select_lanes([lane]), near, t, rotation, unstable))
     return found
 
 
-def rest(dynamics: Any, found: list[Balance], t: Tensor, rotation: SteadyRotation | None = None) -> Any:
+def equilibrium_coordinates(
+    dynamics: Any, found: list[Balance], t: Tensor, rotation: SteadyRotation | None = None
+) -> Any:
     """Coordinates of rest [n_q, 1, lanes], with derivatives where the data have any and where there is an equilibrium."""
     T, data = dynamics.topology, dynamics.data
     at, lam = (torch.stack([getattr(x, name) for x in found], -1)[:, None] for name in ("q", "lam"))
-    answer = torch.stack([x.answer for x in found])
+    inverse = torch.stack([x.inverse for x in found])
     place = equations.placement(T, data, at, T.prescribed(t, data))
     still = at.new_zeros(T.n_v, 1, at.shape[-1])
     rates = (still, still) if rotation is None else rotation.rates(T, at)
@@ -101,7 +103,7 @@ def rest(dynamics: Any, found: list[Balance], t: Tensor, rotation: SteadyRotatio
         left = cat([left, equations.constraints(T, place)])
 
     def step(x: Tensor) -> Tensor:
-        return -(answer @ x.permute(2, 0, 1)).permute(1, 2, 0)
+        return -(inverse @ x.permute(2, 0, 1)).permute(1, 2, 0)
 
     return equations.advance(T, at, linear(step, left))
 
@@ -119,7 +121,7 @@ def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None 
             v, _ = rotation.rates(T, q)
         return equations.stabilized_residual(T, data, at, v, x[: T.n_v], x[T.n_v :], drives, 0.0)
 
-    return dynamics.carried(dynamics.solved(residual, t, q)[T.n_v :])
+    return dynamics.zero_left_out(dynamics.solve_linear(residual, t, q)[T.n_v :])
 
 
 def _held(jet: Jet) -> Jet:
@@ -131,7 +133,7 @@ def vibrations(dynamics: Any) -> Vibrations:
     """Vibrations of one design about its initial position, as if it rested there."""
     with torch.no_grad():
         q, _ = dynamics.values().initial.solve(dynamics.values())
-        return Vibrations.of(AtRest.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
+        return Vibrations.of(Linearization.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
 
 
 def _balanced(
@@ -142,10 +144,10 @@ def _balanced(
     steps = LoadSteps(dynamics, start, t, rotation) if T.beams is not None and not unstable else None
     if steps is not None and steps.stable:
         path = steps.run()
-        if path.missing:
-            return _none(T, start, f"no static equilibrium: {path.missing}; {_SMALLER}")
+        if path.failure:
+            return _none(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
         q = path.q
-    rest, largest = AtRest.of(dynamics, q, t, rotation=rotation), 0.0
+    rest, largest = Linearization.of(dynamics, q, t, rotation=rotation), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
         if _settled(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
@@ -161,9 +163,9 @@ def _balanced(
         if not bool(torch.isfinite(rest.forces).all()):
             break
         q = equations.advance(T, q[:, None, None], _step(rest, unstable)[:, None, None])[:, 0, 0]
-        rest = AtRest.of(dynamics, q, t, rotation=rotation)
-    left = rest.remaining.abs().nan_to_num(torch.inf)
-    worst = int(rest.own[int(left.argmax())])
+        rest = Linearization.of(dynamics, q, t, rotation=rotation)
+    left = rest.unbalanced.abs().nan_to_num(torch.inf)
+    worst = int(rest.active[int(left.argmax())])
     missing = (
         f"no static equilibrium in {_STEPS} steps: {float(left.max()):.3g} N or N m remain on {_force(T, worst)}; "
         "allowed: a mechanism whose forces can balance, and initial positions near that"
@@ -183,14 +185,14 @@ def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
     return False
 
 
-def _steady(dynamics: Any, rest: AtRest, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
+def _steady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
     """Whether joints and forces are the same after a turn by one radian.
 
     All forces, not only those that could move the mechanism: others load joints unsteadily, and change the stiffness.
     """
     T = dynamics.topology
     turned = rotation.turned(T, q[:, None, None])[:, 0, 0]
-    after = AtRest.of(dynamics, turned, t + rotation.period, rotation=rotation)
+    after = Linearization.of(dynamics, turned, t + rotation.period, rotation=rotation)
     small = _SAME * largest + _ROUNDING * _elastic(T, rest, q)
     change = after.forces - rotation.turned_forces(T, rest.forces)
     return _settled(after, small, _SAME) and float(change.abs().max()) <= small
@@ -201,29 +203,29 @@ def _none(T: Any, start: Tensor, missing: str) -> Balance:
     return Balance(start, start.new_zeros(T.rows), nothing, missing, "")
 
 
-def _settled(rest: AtRest, small: float, gap: float = _CLOSED) -> bool:
+def _settled(rest: Linearization, small: float, gap: float = _CLOSED) -> bool:
     """Whether joints are closed and what remains is a small force."""
     closed = not rest.phi.numel() or float(rest.phi.abs().max()) < gap
     return closed and _largest(rest) <= small
 
 
-def _elastic(T: Any, rest: AtRest, q: Tensor) -> float:
+def _elastic(T: Any, rest: Linearization, q: Tensor) -> float:
     """Size of the terms that cancel in elastic forces: stiffness times coordinates."""
     n = 3 * T.bodies
     size = torch.cat([q[:n], torch.ones_like(q[:n]), q[7 * T.bodies :]]).abs()
     return float((rest.K.abs() @ size).max())
 
 
-def _largest(rest: AtRest) -> float:
-    free = rest.N.T @ rest.remaining
+def _largest(rest: Linearization) -> float:
+    free = rest.N.T @ rest.unbalanced
     return float(free.abs().max()) if free.numel() else 0.0
 
 
-def _step(rest: AtRest, unstable: bool) -> Tensor:
+def _step(rest: Linearization, unstable: bool) -> Tensor:
     """Increment [n_v] of Newton's method: downhill, or to the nearest equilibrium of any kind."""
-    own, J = rest.own, rest.Phi_q[:, rest.own]
+    own, J = rest.active, rest.Phi_q[:, rest.active]
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
-    forces = rest.N.T @ (rest.remaining + rest.K[own][:, own] @ close)
+    forces = rest.N.T @ (rest.unbalanced + rest.K[own][:, own] @ close)
     if unstable:
         slide = -torch.linalg.pinv(rest.reduced(rest.K), rtol=_NO_STIFFNESS) @ forces
     else:
@@ -236,16 +238,16 @@ def _step(rest: AtRest, unstable: bool) -> Tensor:
     return step
 
 
-def _stiffness(rest: AtRest) -> tuple[Tensor, Tensor]:
+def _stiffness(rest: Linearization) -> tuple[Tensor, Tensor]:
     """Eigenvalues and vectors of the symmetric part of N' K N."""
     K = rest.reduced(rest.K)
     values, vectors = torch.linalg.eigh(0.5 * (K + K.T))
     return values, vectors
 
 
-def _answer(rest: AtRest) -> Tensor:
+def _answer(rest: Linearization) -> Tensor:
     """Of `Balance`; freedoms without stiffness stay where they are."""
-    own, n = rest.own, len(rest.forces)
+    own, n = rest.active, len(rest.forces)
     close = torch.linalg.pinv(rest.Phi_q[:, own], rtol=1e-9)
     K = rest.reduced(rest.K)
     inverse = K
@@ -254,18 +256,18 @@ def _answer(rest: AtRest) -> Tensor:
         free = bool(values.abs().min() <= _NO_STIFFNESS * values.abs().max())
         inverse = torch.linalg.pinv(K, rtol=_NO_STIFFNESS) if free else torch.linalg.inv(K)
     slide = rest.N @ inverse @ rest.N.T
-    answer = rest.forces.new_zeros(n, n + len(rest.phi))
-    answer[own[:, None], own] = slide
-    answer[own, n:] = close - slide @ rest.K[own][:, own] @ close
-    return answer
+    inverse = rest.forces.new_zeros(n, n + len(rest.phi))
+    inverse[own[:, None], own] = slide
+    inverse[own, n:] = close - slide @ rest.K[own][:, own] @ close
+    return inverse
 
 
-def _doubt(T: Any, rest: AtRest) -> str:
+def _doubt(T: Any, rest: Linearization) -> str:
     """Of `Balance`."""
     values, vectors = _stiffness(rest)
     if not len(values) or float(values[0]) > _NO_STIFFNESS * float(values.abs().max()):
         return ""
-    row = int(rest.own[int((rest.N @ vectors[:, 0]).abs().argmax())])
+    row = int(rest.active[int((rest.N @ vectors[:, 0]).abs().argmax())])
     if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
         return (
             f"the static equilibrium is unstable: {_freedom(T, row)} falls away from it; "

@@ -74,11 +74,11 @@ class Expansion:
 def _picked(spread, x: Tensor, rows: list[int]) -> Tensor:
     """Rows of x [times, k, pair, lanes], or of what a map makes of it."""
     if spread is not None:
-        y = spread.some(rows)(x.transpose(0, 1).flatten(1, 2))
+        y = spread.select_rows(rows)(x.transpose(0, 1).flatten(1, 2))
         return y.unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
-    return chosen(x, rows)
+    return select_rows(x, rows)
 
 
-def chosen(x: Tensor, rows: Sequence[int]) -> Tensor:
+def select_rows(x: Tensor, rows: Sequence[int]) -> Tensor:
     """Rows of x [times, k, pair, lanes]."""
     return x.index_select(1, torch.tensor(rows, dtype=torch.long))

@@ -54,7 +54,7 @@ class SparseMap:
         self.factors = None if bool((factors == 1.0).all()) else factors[:, None, None]
         self.matrix = matrix
 
-    def some(self, rows: list[int]) -> SparseMap:
+    def select_rows(self, rows: list[int]) -> SparseMap:
         """The map of some rows."""
         return SparseMap(self.matrix[rows])
 

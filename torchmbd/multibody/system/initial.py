@@ -51,10 +51,13 @@ _KEPT = 1e-6  # share of the largest given velocity by which one may change with
 _SHOWN = 4  # velocities that are not kept, the worst first
 
 
-START = ("q0", "v0")  # where approximate initial coordinates and rates are among the data of a design, if these vary
+START_DATA = (
+    "q0",
+    "v0",
+)  # where approximate initial coordinates and rates are among the data of a design, if these vary
 
 
-def given_start(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
+def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
     """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] as bodies were given them, in the order of the topology."""
 
     def rows(*kinds: list[Tensor]) -> Tensor:
@@ -72,7 +75,7 @@ def given_start(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
 
 
 @dataclass(frozen=True, eq=False)
-class Alike:
+class SharedStart:
     """What designs that start alike share.
 
     seen   attached points, and laws with their slopes at the start
@@ -94,7 +97,7 @@ class InitialConditions:
     q: Tensor
     v: Tensor
     given: Tensor
-    _last: list[Alike] = field(default_factory=list, init=False, repr=False)
+    _last: list[SharedStart] = field(default_factory=list, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_last": []}  # what was found for some designs is no part of the model
@@ -102,7 +105,7 @@ class InitialConditions:
     @classmethod
     def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
         """Collect what the bodies were given; `bodies` in the order of the topology."""
-        start = {name: x[:, 0, 0].detach().clone() for name, x in given_start(topology, bodies).items()}
+        start = {name: x[:, 0, 0].detach().clone() for name, x in start_of_bodies(topology, bodies).items()}
         given = torch.tensor([moves(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
         modal = torch.zeros(topology.n_v - len(given), dtype=torch.bool)
         return cls(topology, start["q0"], start["v0"], torch.cat([given, modal]))
@@ -112,14 +115,14 @@ class InitialConditions:
         """What is left when the joints to the ground are solved for good; None if that is everything."""
         return condense(self.topology, self.q) if self.topology.rows else None
 
-    def alike(self, dynamics: Any) -> Alike | None:
+    def shared_start(self, dynamics: Any) -> SharedStart | None:
         """What all designs of these data share; None if their starts depend on the design. Raises InputError as `solve`."""
         T, x = self.topology, dynamics.data["x"]
         if (
             not T.rows
             or T.varied
             or T.placed
-            or START[0] in dynamics.data
+            or START_DATA[0] in dynamics.data
             or isinstance(x, Pair)
             or x.requires_grad
             or x.shape[-1] > 1
@@ -130,7 +133,7 @@ class InitialConditions:
         if not self._last or not all(map(torch.equal, seen, self._last[0].seen)):
             data = {name: value(y).detach()[..., :1] for name, y in dynamics.data.items()}
             data |= {name: torch.zeros_like(data[name]) for name in ("Y", "E") if name in data}
-            self._last[:] = [Alike(seen, *self._closed(replace(dynamics, data=data)), {})]
+            self._last[:] = [SharedStart(seen, *self._closed(replace(dynamics, data=data)), {})]
         return self._last[0]
 
     def solve(self, dynamics: Any):
@@ -138,9 +141,11 @@ class InitialConditions:
 
         Raises InputError naming the joints that do not close.
         """
-        if dynamics.alike is None:
+        if dynamics.shared_start is None:
             return self._closed(dynamics)
-        return tuple(x.expand(-1, 1, dynamics.lanes).contiguous() for x in (dynamics.alike.q, dynamics.alike.v))
+        return tuple(
+            x.expand(-1, 1, dynamics.lanes).contiguous() for x in (dynamics.shared_start.q, dynamics.shared_start.v)
+        )
 
     def _closed(self, dynamics: Any):
         q, v = self.assembled(dynamics)
@@ -154,7 +159,7 @@ class InitialConditions:
         t = torch.zeros((), dtype=torch.float64, device=device)
         q, v = (
             linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), data.get(name, own.to(device)[:, None, None]))
-            for name, own in zip(START, (self.q, self.v), strict=True)
+            for name, own in zip(START_DATA, (self.q, self.v), strict=True)
         )
         if not T.rows:
             return q, v

@@ -23,7 +23,7 @@ from torchmbd.math.pair import Pair, cat, slope_of, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
-from torchmbd.multibody.system.reactions import in_parts, number, repeated, unit_forces
+from torchmbd.multibody.system.reactions import in_chunks, number, repeat_over_times, unit_constraint_forces
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
@@ -54,11 +54,11 @@ class LeastNorm:
 
     def at_times(self, data: Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
         """Multipliers [times, rows, pair, lanes] that act as `lam` does along the motion q [times, n_q, pair, lanes]."""
-        return in_parts(lambda *x: self._chunk(data, *x), times, q, lam)
+        return in_chunks(lambda *x: self._chunk(data, *x), times, q, lam)
 
     def _chunk(self, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
         n, lanes = len(times), motion[0].shape[-1]
-        wide = {name: repeated(data[name], n, lanes) for name in equations.ATTACHED if name in data}
+        wide = {name: repeat_over_times(data[name], n, lanes) for name in equations.ATTACHED if name in data}
         found = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(number(x) for x in motion))
         full = found.full if isinstance(found, Pair) else found
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
@@ -86,7 +86,7 @@ class LeastNorm:
 
     def _inverses(self, data: Data, at: Placement) -> tuple[Tensor, Tensor]:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
-        parts = [x.detach() for x in unit_forces(self.T, data, at, torch.arange(self.T.rows))]
+        parts = [x.detach() for x in unit_constraint_forces(self.T, data, at, torch.arange(self.T.rows))]
         J = torch.cat([x.flatten(0, 1) for x in parts]).permute(2, 1, 0) * self.acting[:, None]
         failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes: what they get is nan
         U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)

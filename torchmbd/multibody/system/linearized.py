@@ -37,7 +37,7 @@ _UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetric stiffness by forces that re
 
 
 @dataclass(frozen=True)
-class AtRest:
+class Linearization:
     """One design at rest at q [n_q]: residual forces, constraints, and their derivatives by an increment of q.
 
     forces [n_v] without constraints   phi [rows]   K, C [n_v, n_v] with the multipliers   Phi_q [rows, n_v]   lam [rows]
@@ -53,9 +53,9 @@ class AtRest:
     M: Tensor
     Phi_q: Tensor
     lam: Tensor
-    own: Tensor
+    active: Tensor
     N: Tensor
-    turns: bool = False
+    rotates: bool = False
 
     @classmethod
     def of(
@@ -66,7 +66,7 @@ class AtRest:
         less: tuple[Tensor, Tensor] | None = None,
         rotation: SteadyRotation | None = None,
         unstrained: Tensor | None = None,
-    ) -> AtRest:
+    ) -> Linearization:
         """Linearize `dynamics` of one design at q.
 
         less         forces and torques, both in ground axes [n_v], and violations [rows] that are taken away
@@ -91,27 +91,27 @@ class AtRest:
             violation = equations.constraints(T, moved)
             phi, Phi_q = violation.value[:, 0, 0], violation.tangent[..., 0]
             phi = phi if less is None else phi - less[1]
-        own = own_rows(T)
+        active = unpadded_rates(T)
         balanced = forces
         if unstrained is not None:
             data = data | {"beam_rest": unstrained}
             balanced = equations.dynamic_residual(T, data, at, *rates, none)[:, 0, 0]
             balanced = balanced if away is None else balanced - away.value[:, 0, 0]
-        lam = -torch.linalg.pinv(Phi_q[:, own].T, rtol=RELATIVE) @ balanced[own]
+        lam = -torch.linalg.pinv(Phi_q[:, active].T, rtol=RELATIVE) @ balanced[active]
         K = equations.dynamic_residual(T, data, moved, *by_place, lam[:, None, None]).tangent[..., 0]
         K = K if away is None else K - away.tangent[..., 0]
         C = _tangent(equations.dynamic_residual(T, data, at, *by_rate, lam[:, None, None]), T)
         M = dynamics.saddle.matrix(data, at)[0, : T.n_v, : T.n_v]
-        return cls(forces, phi, K, C, M, Phi_q, lam, own, null_space(Phi_q[:, own]), rotation is not None)
+        return cls(forces, phi, K, C, M, Phi_q, lam, active, null_space(Phi_q[:, active]), rotation is not None)
 
     @property
-    def remaining(self) -> Tensor:
+    def unbalanced(self) -> Tensor:
         """Generalized forces that no constraint balances [own]."""
-        return self.forces[self.own] + self.Phi_q[:, self.own].T @ self.lam
+        return self.forces[self.active] + self.Phi_q[:, self.active].T @ self.lam
 
     def reduced(self, X: Tensor) -> Tensor:
         """N' X N of a matrix [n_v, n_v]."""
-        return self.N.T @ X[self.own][:, self.own] @ self.N
+        return self.N.T @ X[self.active][:, self.active] @ self.N
 
     @property
     def inertia(self) -> Tensor:
@@ -126,7 +126,7 @@ class AtRest:
         return bool(len(found)) and float(found[0]) < -_ZERO_MASS * float(found[-1])
 
     @property
-    def follows(self) -> bool:
+    def nonconservative(self) -> bool:
         """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
 
         Torques that nothing balances do so too, by half their size: where the state is none of rest that says nothing.
@@ -134,7 +134,7 @@ class AtRest:
         K = self.reduced(self.K)
         if not len(K):
             return False
-        noise = _UNBALANCED * self.remaining.abs().max() + _ROUNDING * K.abs().max()
+        noise = _UNBALANCED * self.unbalanced.abs().max() + _ROUNDING * K.abs().max()
         return bool((K - K.T).abs().max() > noise)
 
 
@@ -153,7 +153,7 @@ class Vibrations:
     shapes: Tensor
 
     @classmethod
-    def of(cls, rest: AtRest) -> Vibrations:
+    def of(cls, rest: Linearization) -> Vibrations:
         """The eigenvalue problem in the null space. InputError where displacements are too large for one."""
         if rest.negative_mass:
             raise InputError(
@@ -162,16 +162,16 @@ class Vibrations:
         M, C, whole = rest.inertia, rest.reduced(rest.C), rest.reduced(rest.K)
         K = 0.5 * (whole + whole.T)
         inverse = torch.linalg.inv(torch.linalg.cholesky(M))
-        follows = rest.follows and not rest.turns
+        follows = rest.nonconservative and not rest.rotates
         squares, Y = _flutter(inverse @ whole @ inverse.T) if follows else torch.linalg.eigh(inverse @ K @ inverse.T)
         n = len(squares)
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
-        shapes[rest.own] = rest.N @ (inverse.T @ Y)
+        shapes[rest.active] = rest.N @ (inverse.T @ Y)
         squares = torch.where(squares.abs() <= _rounding(rest, shapes, squares), 0.0, squares)
         # A damper that does not turn pushes a turning observer's body across its displacement: no symmetric stiffness.
-        poles = _poles(M, C, whole if rest.turns or follows else K)
+        poles = _poles(M, C, whole if rest.rotates or follows else K)
         w = squares.sqrt()
-        if rest.turns and n:
+        if rest.rotates and n:
             w = _poles(M, 0.5 * (C - C.T), K).imag.abs().sort().values[::2]
             w = torch.where(w > _AT_REST * w[-1], w, 0.0)
             w = torch.cat([w.new_full((1,), torch.nan), w[1:]]) if _grow(poles, w[-1]) else w
@@ -196,7 +196,7 @@ def _grow(poles: Tensor, largest: Tensor) -> bool:
     return bool(((poles.real > _GROWS * size) & (size > _AT_REST * largest)).any())
 
 
-def _rounding(rest: AtRest, shapes: Tensor, squares: Tensor) -> Tensor:
+def _rounding(rest: Linearization, shapes: Tensor, squares: Tensor) -> Tensor:
     """Squares of frequencies [freedoms] below which there is no stiffness: energies that cancel, errors of the eigenvalues.
 
     A share of the largest square alone would take a heavy part on a light stiff shaft for one that is free.
@@ -223,7 +223,7 @@ def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:
     return cat([forces[: 3 * n, None, None], torques, forces[6 * n :, None, None]])
 
 
-def own_rows(T: Topology) -> Tensor:
+def unpadded_rates(T: Topology) -> Tensor:
     """Rows of v without the padding of bodies with fewer modes."""
     modal = [row - T.bodies for body in range(T.flexible) for row in T.w_slice(body)]
     return torch.tensor([*range(6 * T.bodies), *sorted(modal)], dtype=torch.long)

@@ -22,7 +22,7 @@ from torchmbd.fem.exact_beam.continuation import ITERATIONS, MEAN, SETTLED, SHOR
 from torchmbd.math.pair import Pair, matvec, matvec_t
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.system import beams, equations
-from torchmbd.multibody.system.linearized import AtRest
+from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 _ROUNDING = 1e-12  # of the largest eigenvalue: a freedom without stiffness
@@ -36,14 +36,14 @@ class LoadPath:
 
     q: Tensor
     factor: float
-    missing: str
+    failure: str
 
 
 @dataclass(frozen=True)
 class _Point:
     factor: float
     q: Tensor
-    rest: AtRest
+    rest: Linearization
 
 
 class LoadSteps:
@@ -79,11 +79,11 @@ class LoadSteps:
                     break
                 step = 0.5 * step
             if found is None:
-                return LoadPath(point.q, point.factor, self._missing(point, why, rate, moved))
+                return LoadPath(point.q, point.factor, self._failure(point, why, rate, moved))
             point, moved, largest = found, moved + total, 2.0 * step
         return LoadPath(point.q, 1.0, "")
 
-    def _missing(self, point: _Point, why: str, rate: Tensor, moved: Tensor) -> str:
+    def _failure(self, point: _Point, why: str, rate: Tensor, moved: Tensor) -> str:
         steep = self._size(rate) * point.factor > STEEP * self._size(moved)
         where = f"at {point.factor:.4g} of the loads"
         if why == _UNSTABLE:
@@ -117,7 +117,7 @@ class LoadSteps:
             return (None, _UNSTABLE, total) if _unstable(rest) else (new, "", total)
         return None, _FAILED, total
 
-    def _rest(self, q: Tensor, factor: float, stretched: Tensor | None = None, given: bool = False) -> AtRest:
+    def _rest(self, q: Tensor, factor: float, stretched: Tensor | None = None, given: bool = False) -> Linearization:
         """At q; given: with all that is out of balance at the start.
 
         stretched   forces of the elements [6, n, 1, 1] in the stiffness, where they are not those at q
@@ -129,7 +129,7 @@ class LoadSteps:
             strain = torch.linalg.solve(K, stretched.permute(1, 2, 3, 0)[..., None])[..., 0]
             unstrained = self._elements(q).screw - strain.permute(3, 0, 1, 2)
         dynamics, rotation = self._loaded(factor)
-        return AtRest.of(dynamics, q, self.t, less, rotation, unstrained)
+        return Linearization.of(dynamics, q, self.t, less, rotation, unstrained)
 
     def _loaded(self, factor: float) -> tuple[Any, SteadyRotation | None]:
         """The design with a part of its weight, and the rotation with that of its centrifugal forces."""
@@ -164,7 +164,7 @@ class LoadSteps:
         )
         return beams.elements(T, data, at)
 
-    def _rate(self, q: Tensor, rest: AtRest) -> Tensor:
+    def _rate(self, q: Tensor, rest: Linearization) -> Tensor:
         """Increment by the factor."""
         own, turning = self.forces.clone(), self.rotations
         own[turning] = matvec_t(_axes(q, turning), own[turning].reshape(3, -1)).flatten()
@@ -180,9 +180,9 @@ def _axes(q: Tensor, rotations: slice) -> Tensor:
     return rotation_matrix(q[first : 7 * first // 3].reshape(4, -1))
 
 
-def _solved(rest: AtRest, forces: Tensor, phi: Tensor) -> Tensor:
+def _solved(rest: Linearization, forces: Tensor, phi: Tensor) -> Tensor:
     """Increment [n_v] that takes forces away and closes joints."""
-    own = rest.own
+    own = rest.active
     close = -torch.linalg.pinv(rest.Phi_q[:, own], rtol=1e-9) @ phi
     slide = torch.linalg.solve(rest.reduced(rest.K), rest.N.T @ (forces[own] + rest.K[own][:, own] @ close))
     result = torch.zeros_like(forces)
@@ -190,13 +190,13 @@ def _solved(rest: AtRest, forces: Tensor, phi: Tensor) -> Tensor:
     return result
 
 
-def _scaled(rest: AtRest) -> Tensor:
+def _scaled(rest: Linearization) -> Tensor:
     K = rest.reduced(rest.K)
     d = K.diagonal().abs().clamp_min(1e-300).sqrt()
     return K / d / d[:, None]
 
 
-def _stiff(rest: AtRest) -> bool:
+def _stiff(rest: Linearization) -> bool:
     """Whether no freedom is without stiffness."""
     if not rest.N.shape[1]:
         return False
@@ -204,7 +204,7 @@ def _stiff(rest: AtRest) -> bool:
     return float(size[-1]) > _ROUNDING * float(size[0])
 
 
-def _unstable(rest: AtRest) -> bool:
+def _unstable(rest: Linearization) -> bool:
     """Whether an eigenvalue of the stiffness is negative; where loads have no potential, an odd number of them."""
     K = _scaled(rest)
     if float((K - K.T).abs().max()) > _SYMMETRIC:

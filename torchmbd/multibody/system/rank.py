@@ -111,9 +111,9 @@ def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ..
     return tuple(i for k, i in enumerate(dependent) if elastic[i] or elastic[free[share[:, k]]].any())
 
 
-def confirmed(dynamics: Any, q: Tensor, found: Rank) -> Rank:
+def confirm_left_out(dynamics: Any, q: Tensor, found: Rank) -> Rank:
     """The rank at the start q [n_q], with rows left out only that depend on others elsewhere as well."""
-    away = elsewhere(dynamics, q) if found.left_out else None
+    away = displaced_position(dynamics, q) if found.left_out else None
     if away is None:
         return found
     T = dynamics.topology
@@ -124,7 +124,7 @@ def confirmed(dynamics: Any, q: Tensor, found: Rank) -> Rank:
     return replace(found, left_out=tuple(i for i, x in zip(found.left_out, apart, strict=True) if x < RELATIVE))
 
 
-def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
+def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
     """An assembled position [n_q] some way from q along a freedom that the rows without a law leave undeformed bodies.
 
     None if there is no such freedom, or Newton's method does not close the joints.
@@ -152,7 +152,7 @@ def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
     return None
 
 
-def without_modes(T: Topology, J: np.ndarray) -> bool:
+def full_rank_undeformed(T: Topology, J: np.ndarray) -> bool:
     """Whether all rows of a Jacobian [rows, n_v] are independent even of undeformed bodies: so they are for all designs."""
     return _dependent(_unit(J[:, _rigid(T)]))[0] == T.rows
 
@@ -209,7 +209,7 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
 
 
-def sound(data: equations.Data) -> int | None:
+def first_finite_lane(data: equations.Data) -> int | None:
     """The first lane whose data are numbers: locks of a phase that it does not reach have no marks. None: there is none."""
     good = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
     for x in data.values():
@@ -218,7 +218,7 @@ def sound(data: equations.Data) -> int | None:
     return int(found[0, 0]) if len(found) else None
 
 
-def lost_rows(T: Topology, left: Tensor) -> tuple[str, ...]:
+def dominant_rows(T: Topology, left: Tensor) -> tuple[str, ...]:
     """Names of the rows with a large part in a left singular vector [rows], largest first."""
     size = left.abs()
     order = torch.argsort(size, descending=True).tolist()

@@ -33,10 +33,10 @@ def multipliers(c: Condensation, data: Data, times: Tensor, q: Tensor, v: Tensor
     times, q, v, a  its motion [times, component, pair, lanes]
     left            multipliers of the rows that were left
     """
-    return in_parts(lambda *x: _chunk(c, data, *x), times, q, v, a, left)
+    return in_chunks(lambda *x: _chunk(c, data, *x), times, q, v, a, left)
 
 
-def in_parts(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tensor:
+def in_chunks(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tensor:
     """f(times, *motion) [times, ...] of many times and lanes [times, component, pair, lanes], some at once."""
     some = max(1, _TOGETHER // motion[0].shape[-1])
     parts = [slice(i, i + some) for i in range(0, len(times), some)]
@@ -48,13 +48,13 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     q, v, a, left = (number(x) for x in motion)
     T = c.whole
     names = (*equations.ATTACHED, "gravity", *INERTIA)
-    wide = {name: repeated(data[name], n, lanes) for name in names if name in data}
+    wide = {name: repeat_over_times(data[name], n, lanes) for name in names if name in data}
     given = as_lanes([T.prescribed(t, data) for t in times], lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
     lam = _placed(left, c.rows, T.rows)
     with torch.no_grad():
-        pulls = [x.detach() for x in unit_forces(T, wide, at, gone)[:2]]
+        pulls = [x.detach() for x in unit_constraint_forces(T, wide, at, gone)[:2]]
         B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in pulls]).permute(2, 0, 1)
         finite = torch.where(torch.isfinite(B), B, 0.0)  # of a lane that failed: R is nan
         inverse = torch.linalg.pinv(finite, rtol=1e-9)
@@ -73,7 +73,7 @@ def number(x: Tensor) -> Any:
     return Pair(flat) if x.shape[2] > 1 else flat
 
 
-def repeated(x: Any, times: int, lanes: int) -> Any:
+def repeat_over_times(x: Any, times: int, lanes: int) -> Any:
     """A number of all lanes, or of one for all, at all times."""
 
     def wide(y: Tensor) -> Tensor:
@@ -84,7 +84,7 @@ def repeated(x: Any, times: int, lanes: int) -> Any:
     return x if x.shape[-1] == 1 else wide(x)
 
 
-def unit_forces(T: Topology, data: Data, at: Placement, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def unit_constraint_forces(T: Topology, data: Data, at: Placement, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Values of the generalized forces [component, bodies, rows, lanes] of unit multipliers."""
     lanes = value(at.g).shape[-1]
     unit = torch.eye(T.rows, dtype=torch.float64)[:, rows, None].expand(-1, -1, lanes)

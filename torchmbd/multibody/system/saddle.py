@@ -23,33 +23,33 @@ from torch.nn.functional import pad
 from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.equations import Data, Placement, action_states
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
-from torchmbd.multibody.system.saddle_factors import LARGE, Columns, Diagonal, Factors
+from torchmbd.multibody.system.saddle_factors import LARGE, ColumnPattern, Diagonal, Factors
 from torchmbd.multibody.system.topology import Topology
-from torchmbd.multibody.system.unit_forces import Block, of_actions, of_rows
+from torchmbd.multibody.system.unit_forces import Block, unit_multipliers, unit_strengths
 
 
 class Saddle:
     """Gathers the blocks of one topology; index tensors made once."""
 
     def __init__(self, T: Topology):
-        self.blocks = SaddleBlocks(T, of_rows(T), of_actions(T))
+        self.blocks = SaddleBlocks(T, unit_multipliers(T), unit_strengths(T))
         self.T = T
         shapes = self.blocks.shapes()
         self.names = [name for name, _ in shapes]
         row, column, place = saddle_entries(T, self.blocks)
-        zero = size_of(shapes)
+        zero = entry_count(shapes)
         # With independent rates the matrix is P' K P: sums over the few entries of K that each of its entries has.
         index = np.full((T.n_rates + T.rows,) * 2, zero)
         index[row, column] = place
         self._project = None if T.rates is None else Projection(index, zero, T.rates)
         self._index = torch.from_numpy(index.reshape(-1))
         sparse = T.rates is None and len(index) >= LARGE
-        self.columns = Columns.of(row, column, place, len(index), zero) if sparse else None
+        self.columns = ColumnPattern.of(row, column, place, len(index), zero) if sparse else None
         self._beams = None if T.beams is None else _BeamEntries(T, self.blocks)
         acting = self.blocks.action_shapes()
         self.action_names = [name for name, _ in acting]
-        rate, action, place = self.blocks.actions.places(T, places(acting), "action")
-        direction = np.full((T.n_rates, sum(len(a.laws) for a in T.actions)), size_of(acting))
+        rate, action, place = self.blocks.actions.matrix_entries(T, entry_numbers(acting), "action")
+        direction = np.full((T.n_rates, sum(len(a.laws) for a in T.actions)), entry_count(acting))
         direction[rate, action] = place
         self._directions, self._direction = torch.from_numpy(direction.reshape(-1)), direction.shape
 
@@ -107,7 +107,7 @@ class _BeamEntries:
     """What beam elements add to the matrix of the rates [lanes, n_v, n_v], from the flat entries of all blocks."""
 
     def __init__(self, T: Topology, blocks: SaddleBlocks):
-        row, column, place = beams.places(T, places(blocks.shapes())["beam"])
+        row, column, place = beams.matrix_entries(T, entry_numbers(blocks.shapes())["beam"])
         self.size, self.rates = T.n_rates, T.rates
         self.to, self.place = torch.from_numpy(row * T.n_rates + column), torch.from_numpy(place)
 
@@ -123,12 +123,12 @@ def _flat(blocks: dict[str, Tensor], names: list[str], lanes: int) -> Tensor:
     return torch.cat([*parts, torch.zeros(1, lanes, dtype=torch.float64, device=parts[0].device)])
 
 
-def size_of(shapes: list[Block]) -> int:
+def entry_count(shapes: list[Block]) -> int:
     """Entries of blocks."""
     return sum(int(np.prod(shape)) for _, shape in shapes)
 
 
-def places(shapes: list[Block]) -> dict[str, np.ndarray]:
+def entry_numbers(shapes: list[Block]) -> dict[str, np.ndarray]:
     """Place of every entry of blocks among all of them."""
     found, start = {}, 0
     for name, shape in shapes:
@@ -141,7 +141,7 @@ def places(shapes: list[Block]) -> dict[str, np.ndarray]:
 def saddle_entries(T: Topology, blocks: SaddleBlocks) -> np.ndarray:
     """Row, column (in rates of all bodies and rows) and place among the blocks of every entry of the matrix [3, n]."""
     n, f, m, nv = T.bodies, T.flexible, T.modes, T.n_rates
-    at = places(blocks.shapes())
+    at = entry_numbers(blocks.shapes())
     r = np.arange(3 * n).reshape(3, n)
     om = r + 3 * n
     w = 6 * n + np.arange(m * f).reshape(m, f)
@@ -160,18 +160,18 @@ def saddle_entries(T: Topology, blocks: SaddleBlocks) -> np.ndarray:
         for b in range(m):
             found.append((w[a], w[b], at["modal"][a, b]))
     if T.rows:
-        rate, row, place = blocks.rows.places(T, at, "row")
+        rate, row, place = blocks.rows.matrix_entries(T, at, "row")
         found.append((rate, nv + row, place))
         turning = (rate >= 3 * n) & (rate < 6 * n)
-        back = place + np.where(turning, size_before(blocks, "row_turn") - size_before(blocks, "row_torque"), 0)
+        back = place + np.where(turning, entries_before(blocks, "row_turn") - entries_before(blocks, "row_torque"), 0)
         found.append((nv + row, rate, back))
     return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in found], 1)
 
 
-def size_before(blocks: SaddleBlocks, name: str) -> int:
+def entries_before(blocks: SaddleBlocks, name: str) -> int:
     """Entries of the blocks before one."""
     shapes = blocks.shapes()
-    return size_of(shapes[: [n for n, _ in shapes].index(name)])
+    return entry_count(shapes[: [n for n, _ in shapes].index(name)])
 
 
 class Projection:

@@ -30,7 +30,7 @@ Diagonal = tuple[Tensor, Tensor]  # see Dynamics.diagonal
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class ColumnPattern:
     """Where the entries of a sparse matrix are, column after column; every diagonal entry is one of them.
 
     place   of each entry among those of the blocks of a saddle (saddle.py), the last of which is zero
@@ -42,7 +42,7 @@ class Columns:
     place: Tensor
 
     @classmethod
-    def of(cls, row: np.ndarray, column: np.ndarray, place: np.ndarray, size: int, zero: int) -> Columns:
+    def of(cls, row: np.ndarray, column: np.ndarray, place: np.ndarray, size: int, zero: int) -> ColumnPattern:
         """Of entries at (row, column), each once."""
         missing = np.setdiff1d(np.arange(size), row[row == column])
         row, column = np.concatenate([row, missing]), np.concatenate([column, missing])
@@ -75,7 +75,7 @@ class DenseFactors:
 class SparseFactors:
     """Of matrices with entries [lanes, entry]."""
 
-    def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: Columns):
+    def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern):
         entries = np.ascontiguousarray(K.numpy())  # SuperLU takes no strides
         self.exact = None if diagonal is None else [columns.matrix(x) for x in entries]
         if diagonal is not None:
@@ -121,7 +121,7 @@ class Factors:
     by        what K depends on: second derivatives by these are refused
     """
 
-    def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: Columns | None, by: Sequence[Tensor] = ()):
+    def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern | None, by: Sequence[Tensor] = ()):
         self.K, self.diagonal, self.columns, self.by = K.detach(), diagonal, columns, by
         self._made: list[tuple[Tensor, Any]] = []
 

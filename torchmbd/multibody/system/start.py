@@ -22,34 +22,36 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.math.owned import all_true, plain, refuse_derivatives, watched
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
-from torchmbd.multibody.system.equilibrium import rest, search
-from torchmbd.multibody.system.initial import START, InitialConditions
+from torchmbd.multibody.system.equilibrium import equilibrium_coordinates, find_equilibria
+from torchmbd.multibody.system.initial import START_DATA, InitialConditions
 from torchmbd.multibody.system.topology import Topology
 
 STARTS = ("assembled", "equilibrium")
-PLACES = ("position", "axes")
+POSE = ("position", "axes")
 _TURNED = 1e-9  # |A'A - 1| of a rotation
 
 
 @dataclass(frozen=True, eq=False)
-class RestingConditions(InitialConditions):
+class EquilibriumConditions(InitialConditions):
     """At rest where all forces balance; a lane that has no such place is noted in `Dynamics.faults`."""
 
-    def alike(self, dynamics: Any) -> None:
+    def shared_start(self, dynamics: Any) -> None:
         """Nothing: bodies sag as their designs make them."""
 
     def solve(self, dynamics: Any):
         """As of InitialConditions."""
         q, v = self.assembled(dynamics)
-        q = self.resting(dynamics, q)
+        q = self.equilibrium_near(dynamics, q)
         return q, self.compatible(dynamics, q, v)
 
-    def resting(self, dynamics: Any, q: Any):
+    def equilibrium_near(self, dynamics: Any, q: Any):
         """Rest near closed positions q [n_q, 1, lanes]."""
         t = torch.zeros((), dtype=torch.float64)
-        found = search(dynamics, q, t)
-        dynamics.faults.update({i: x.missing or x.doubt for i, x in enumerate(found) if x.missing or x.doubt})
-        return rest(dynamics, found, t)
+        found = find_equilibria(dynamics, q, t)
+        dynamics.start_errors.update(
+            {i: x.failure or x.instability for i, x in enumerate(found) if x.failure or x.instability}
+        )
+        return equilibrium_coordinates(dynamics, found, t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class Start:
     state   q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
     """
 
-    rests: bool = False
+    in_equilibrium: bool = False
     given: Mapping[str, Tensor] = field(default_factory=dict)
     state: tuple[Tensor, Tensor] | None = None
 
@@ -69,7 +71,7 @@ class Start:
     def of(cls, system: Any, start: Any) -> Start:
         """Of what `simulate` takes but a motion; InputError says what is allowed."""
         if isinstance(start, str) and start in STARTS:
-            return cls(rests=start == "equilibrium")
+            return cls(in_equilibrium=start == "equilibrium")
         if not isinstance(start, Mapping):
             raise InputError(
                 f"start is {start!r}; allowed: {', '.join(map(repr, STARTS))}, a motion, whose last state it is, or "
@@ -110,7 +112,7 @@ class Start:
 
     def conditions(self, T: Topology, bodies: list[Any]) -> InitialConditions:
         """For a system with these bodies, in the order of its topology."""
-        made = (RestingConditions if self.rests else InitialConditions).of(T, bodies)
+        made = (EquilibriumConditions if self.in_equilibrium else InitialConditions).of(T, bodies)
         given = torch.zeros_like(made.given) if self.state is not None else made.given.clone()
         for i, body in enumerate(bodies):
             for k, name in enumerate(VELOCITIES):
@@ -121,19 +123,19 @@ class Start:
     def data(self, T: Topology, bodies: list[Any], own: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Initial coordinates and rates as data of a design; own: those of the bodies (initial.given_start)."""
         if self.state is not None:
-            return {name: x.T[:, None] for name, x in zip(START, self.state, strict=True)}
+            return {name: x.T[:, None] for name, x in zip(START_DATA, self.state, strict=True)}
         if not self.given:
             return {}
-        q, v = (own[name] for name in START)
+        q, v = (own[name] for name in START_DATA)
         for i, body in enumerate(bodies):
-            for name in (*PLACES, *VELOCITIES, *MODAL):
+            for name in (*POSE, *VELOCITIES, *MODAL):
                 x = self.given.get(f"{body.name}.{name}")
                 if x is None:
                     continue
                 x = _parameters_of(x) if name == "axes" else x
                 rows, late = _rows(T, i, name), name in (*VELOCITIES, MODAL[1])
                 q, v = (q, _put(v, rows, x)) if late else (_put(q, rows, x), v)
-        return dict(zip(START, (q, v), strict=True))
+        return dict(zip(START_DATA, (q, v), strict=True))
 
 
 def _rank(name: str) -> int:
@@ -141,7 +143,7 @@ def _rank(name: str) -> int:
 
 
 def _rows(T: Topology, body: int, name: str) -> list[int]:
-    if name in PLACES:
+    if name in POSE:
         return T.r_slice(body) if name == "position" else T.p_slice(body)
     if name in VELOCITIES:
         first = 3 * T.bodies * VELOCITIES.index(name)
@@ -166,7 +168,7 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     """Numbers of one quantity of a body [...] or [lanes, ...]; InputError says what is wrong."""
     quantities = {}
     for body in system.bodies:
-        own = [*PLACES, *VELOCITIES, *(MODAL if hasattr(body, "mesh") else ())]
+        own = [*POSE, *VELOCITIES, *(MODAL if hasattr(body, "mesh") else ())]
         for quantity in own:
             sizes = (3, 3) if quantity == "axes" else (body.modes,) if quantity in MODAL else (3,)
             quantities[f"{body.name}.{quantity}"] = sizes

@@ -42,7 +42,7 @@ from torchmbd.multibody.system.design_tangents import tangents_of
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
-from torchmbd.multibody.system.initial import START, given_start
+from torchmbd.multibody.system.initial import START_DATA, start_of_bodies
 from torchmbd.multibody.system.modal_data import carriers, modal_data, second_order, together, vector_modes
 from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
@@ -352,8 +352,8 @@ class System(nn.Module):
             or any(name in body._parameters for body in self.bodies for name in _OF_START)
             or self._start.tensors
         ):
-            data |= given_start(T, [*flexible, *rigid])
-            data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START})
+            data |= start_of_bodies(T, [*flexible, *rigid])
+            data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START_DATA})
         if T.beams is not None:
             own = [force for force in self.forces if force.beams(AttachmentTable())]
             data |= beam_data([spans[f.name].data if isinstance(f, BeamChain) else f.beam_data() for f in own])

@@ -31,7 +31,7 @@ from torchmbd.math.module_call import outside
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.joints.joint import Attached
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.multibody.system.linearized import Linearization, Vibrations
 
 _NEAR = 2.0  # times the first elastic frequency: vibrations that are looked at
 LARGEST = 300  # rates of a system whose vibrations are looked at: dense methods
@@ -87,7 +87,7 @@ def static_truncation(system: Any) -> StaticTruncation | None:
     if not T.attached_flexible:
         return None
     dynamics, stages = system.stages({})
-    dynamics = dynamics.values().some([0])
+    dynamics = dynamics.values().select_lanes([0])
     with torch.no_grad():
         residuals = [x for x in (_residual(system, dynamics, stages, k) for k in range(T.flexible)) if x is not None]
         q, v = dynamics.start
@@ -96,11 +96,11 @@ def static_truncation(system: Any) -> StaticTruncation | None:
         found = [_of_forces(residual, T, _action_loads(dynamics, at, v)) for residual in residuals if T.actions]
         if T.rows and T.n_v <= LARGEST and residuals:
             loads = equations.force_on_vectors(T, at, torch.eye(T.rows, dtype=q.dtype)[:, None])
-            found.append(_of_joints(residuals, T, AtRest.of(dynamics, q[:, 0, 0], t), _local(T, at, loads)))
+            found.append(_of_joints(residuals, T, Linearization.of(dynamics, q[:, 0, 0], t), _local(T, at, loads)))
     return max((x for x in found if x is not None), key=lambda x: x.share, default=None)
 
 
-def look(system: Any) -> None:
+def warn_static_truncation(system: Any) -> None:
     """Warn where the share exceeds the system's limit; each body is looked at once."""
     bodies = [system.body(name) for name in system.topology.names[: system.topology.flexible]]
     if system.truncation is None or all(body in _LOOKED_AT for body in bodies):
@@ -199,7 +199,7 @@ def _of_forces(residual: _Residual, T: Any, loads: Tensor) -> StaticTruncation |
     return StaticTruncation(share, None, *_said(residual, k))
 
 
-def _of_joints(residuals: list[_Residual], T: Any, rest: AtRest, loads: Tensor) -> StaticTruncation | None:
+def _of_joints(residuals: list[_Residual], T: Any, rest: Linearization, loads: Tensor) -> StaticTruncation | None:
     """Of the lowest elastic vibrations of the system."""
     W = [_wrenches(residual, T, loads) for residual in residuals]
     C = torch.stack([w @ x.R @ w.T for w, x in zip(W, residuals, strict=True)]).sum(0)
@@ -219,7 +219,7 @@ def _of_joints(residuals: list[_Residual], T: Any, rest: AtRest, loads: Tensor) 
     return StaticTruncation(float(shares[worst]), (float(before[worst]), float(after[worst])), *said)
 
 
-def _elastic(T: Any, rest: AtRest) -> list[int]:
+def _elastic(T: Any, rest: Linearization) -> list[int]:
     """The first vibration whose energy is in modal coordinates, for a good part, and those near it."""
     found = Vibrations.of(rest)
     w = found.shapes[6 * T.bodies :]
@@ -230,12 +230,12 @@ def _elastic(T: Any, rest: AtRest) -> list[int]:
     return (elastic & (found.frequencies <= _NEAR * found.frequencies[first].sum())).nonzero()[:, 0].tolist()
 
 
-def _softer(rest: AtRest, C: Tensor, rigid: float) -> tuple[Tensor, Tensor]:
+def _softer(rest: Linearization, C: Tensor, rigid: float) -> tuple[Tensor, Tensor]:
     """Squares of angular frequencies, rising, and multipliers [rows, n] of vibrations with flexibility C in the joints.
 
     rigid: square of an angular frequency below those that count, which makes the stiffness regular
     """
-    own, J = rest.own, rest.Phi_q[:, rest.own]
+    own, J = rest.active, rest.Phi_q[:, rest.active]
     K, M = (0.5 * (x + x.T) for x in (rest.K[own][:, own], rest.M[own][:, own]))
     shift = rigid + 2.0 * max(0.0, -float(_squares(rest.reduced(rest.K), rest.reduced(rest.M))[0]))
     small = _REGULAR * C.diagonal().max() * torch.eye(len(C), dtype=C.dtype)

@@ -74,7 +74,7 @@ class UnitForces:
             (f"{name}_modal", (modes, len(self.flexible_pairs))),
         ]
 
-    def places(self, T: Topology, blocks: dict[str, np.ndarray], name: str) -> np.ndarray:
+    def matrix_entries(self, T: Topology, blocks: dict[str, np.ndarray], name: str) -> np.ndarray:
         """Rate, column and place [3, n] of each entry, out of the places of blocks."""
         n, found = T.bodies, []
         column, body = np.array(self.pairs, dtype=int).reshape(-1, 2).T
@@ -87,14 +87,14 @@ class UnitForces:
         return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in found], 1)
 
 
-def of_rows(T: Topology) -> UnitForces:
+def unit_multipliers(T: Topology) -> UnitForces:
     """Of unit multipliers."""
     return UnitForces(
         T, [(p.members, np.arange(rows.start, rows.stop).reshape(p.rows, -1)) for p, rows in T.row_slices()]
     )
 
 
-def of_actions(T: Topology) -> UnitForces:
+def unit_strengths(T: Topology) -> UnitForces:
     """Of unit strengths of the actions, counted kind by kind."""
     members, start = [], 0
     for action in T.actions:
