@@ -16,6 +16,7 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
+from tests.optimization.analytic import Analytic
 from tests.study.rod_model import build
 from torchmbd.optimization import Evaluation
 from torchmbd.study.compare import print_best
@@ -88,6 +89,20 @@ def test_it_is_tracked_and_reported(own, small):
     assert not (own / "empty.html").exists()
     copied = write_report("small", own / "copied.html", f"sqlite:///{own / 'copy' / 'mlflow.db'}")
     assert copied.read_text() == page
+
+
+def test_designs_are_feasible_by_the_tolerance_of_the_study(own):
+    """On the terminal, among the results and in the tracking store."""
+    corner = Analytic("corner", [2.0, 2.0], lambda x: x[0] + x[1], lambda x: [1 - x[0] * x[1]], lower=0.1, upper=5.0)
+    starts = [[2.0, 2.0], [0.1, 0.1]]
+    study = mbd.Study(corner, starts, "lbfgs", "corner", feasibility=1e-2, max_iterations=20).run(console=QUIET)
+    assert study.status == "FINISHED"
+    assert study.best is min(study.result.results, key=lambda result: result.value)
+    uri = f"sqlite:///{own / 'mlflow.db'}"
+    entry = find(uri, "corner")
+    found = children(uri, entry)
+    assert [child.metrics["objective"] for child in found] == sorted(result.value for result in study.result.results)
+    assert all(1e-6 < child.metrics["violation"] <= 1e-2 for child in found)
 
 
 SCRIPT = """

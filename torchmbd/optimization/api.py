@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -130,12 +131,11 @@ def run_start(
         ending = function(search, max_iterations, **options)
         if ending.status == "infeasible":
             ending = restored(search, ending, function, max_iterations, options)
+        return result_of(search, ending, method, problem)
     except (Interrupted, KeyboardInterrupt):
         status, message = "interrupted", "stopped by the user"
     except OutOfAnalyses:
         status, message = "max_iterations", f"the limit of {search.max_analyses} analyses was reached"
-    else:
-        return result_of(search, ending, method, problem)
     if not search.history and search.evaluate_known(search.start).ok:
         search.begin()  # the start is known, though it came with neighbors that are not
     best = search.start if search.best is None else search.best
@@ -160,7 +160,8 @@ def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluat
     y, status, message = best_of(search, ending)
     evaluation = known = search.evaluate_known(y)
     if evaluate:
-        evaluation = search.evaluate(y, gradients=True)
+        with contextlib.suppress(OutOfAnalyses):  # values are known, multipliers are not
+            evaluation = search.evaluate(y, gradients=True)
     if known.ok and not evaluation.ok:
         evaluation, message = known, f"{message}; its gradient could not be evaluated: {evaluation.status}"
     violation = search.violation(evaluation) if evaluation.ok else float("nan")

@@ -122,7 +122,7 @@ class Journal:
             self.first[iterate.start] = iterate.objective
         if iterate.status != "ok":
             self.tracker.tags(run, {"last_failure": iterate.status})
-        elif iterate.violation <= 1e-6 and iterate.objective < self._best:
+        elif iterate.violation <= self.study.feasibility and iterate.objective < self._best:
             self._best = iterate.objective
             self.tracker.metrics(PARENT, {"best_objective": self.study.sign * self._best}, self.iterates)
 

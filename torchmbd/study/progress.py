@@ -20,19 +20,29 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
+from torchmbd.tracking.catalog import FEASIBLE
+
 if TYPE_CHECKING:
     from torchmbd.optimization.optimizer import Iterate, OptimizationResult
     from torchmbd.study.columns import Columns
 
-FEASIBLE = 1e-6  # largest violation of a design that counts as feasible
 _HEADING = 12  # characters of a line of a heading
 
 
 class Progress:
     """Shows every iterate of every start; a context manager."""
 
-    def __init__(self, columns: Columns, starts: int, title: str, console: Console, sign: float = 1.0) -> None:
-        self.columns, self.title, self.console, self.sign = columns, title, console, sign
+    def __init__(
+        self,
+        columns: Columns,
+        starts: int,
+        title: str,
+        console: Console,
+        sign: float = 1.0,
+        feasibility: float = FEASIBLE,
+    ) -> None:
+        self.columns, self.title, self.console = columns, title, console
+        self.sign, self.feasibility = sign, feasibility
         self.latest: list[Iterate | None] = [None] * starts
         self.first = math.nan  # objective of the first design: what every start is compared with
         self.notes: list[str] = []
@@ -53,10 +63,17 @@ class Progress:
         if iterate.iteration == 0 and iterate.start == 0:
             self.first = iterate.objective
         self.latest[iterate.start] = iterate
-        if self._best is None or _rank(iterate) < _rank(self._best):
+        if self._best is None or self._rank(iterate) < self._rank(self._best):
             self._best = iterate
         if iterate.start == self._best.start and not self.console.is_terminal:
             self.console.out(self._line(iterate), highlight=False)
+
+    def _rank(self, iterate: Iterate) -> tuple[float, float]:
+        """Feasible iterates by their objectives, before all others by their violations; a failed one is the last."""
+        if iterate.status != "ok":
+            return math.inf, math.inf
+        violation = iterate.violation if iterate.violation > self.feasibility else 0.0
+        return violation, iterate.objective
 
     def _line(self, iterate: Iterate) -> str:
         """An iterate in a line, with its design where it fits."""
@@ -117,13 +134,6 @@ class Searches:
             f"search {count:<3d} iterations {result.iterations:<3d} simulations {result.analyses:<4d} {result.status}"
         )
         self.console.out(f"{time.monotonic() - self._began:7.1f} s  {line.replace('_', ' ')}", highlight=False)
-
-
-def _rank(iterate: Iterate) -> tuple[float, float]:
-    """Feasible iterates by their objectives, before all others by their violations; a failed one is the last."""
-    if iterate.status != "ok":
-        return math.inf, math.inf
-    return (0.0, iterate.objective) if iterate.violation <= FEASIBLE else (iterate.violation, iterate.objective)
 
 
 def table_of(title: str, headings: Sequence[str]) -> Table:

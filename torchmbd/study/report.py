@@ -17,7 +17,7 @@ from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
-from torchmbd.study.progress import FEASIBLE, better, give_way, outcome, print_table, table_of
+from torchmbd.study.progress import better, give_way, outcome, print_table, table_of
 from torchmbd.study.settings import StudySettings
 from torchmbd.viz import (
     animate,
@@ -43,7 +43,7 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
     best = found.best
     moved = [result for result in found.results if result.start == 0 and result.history]
     first = moved[0].history[0].objective if moved else float("nan")
-    for result in sorted(found.results, key=lambda r: (not r.violation <= FEASIBLE, r.value)):
+    for result in sorted(found.results, key=lambda r: (not r.violation <= study.feasibility, r.value)):
         angles = [f"{value:z.2f}" for value in study.columns.shown(result.x).values()]
         cells = [str(result.start), *outcome(first, result.value, result.violation, study.sign), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
@@ -158,7 +158,7 @@ def _ends(study: StudySettings, found: MultistartResult, objective: str) -> dict
         "objectives": [study.sign * result.value for result in ended],
         "largest": study.sign < 0.0,
         "headings": study.columns.headings,
-        "feasible": [result.violation <= FEASIBLE for result in ended],
+        "feasible": [result.violation <= study.feasibility for result in ended],
         "bounds": (np.asarray(study.problem.lower) / factors, np.asarray(study.problem.upper) / factors),
         "objective": objective,
     }

@@ -165,7 +165,7 @@ def _search(
     words = {"expected": "mean", "worst": "worst case"}.get(getattr(study.problem, "kind", ""))
     if words:
         console.print(f"the objective is its {words} over the tolerances", style="dim")
-    with Progress(study.columns, len(points), title, console, study.sign) as progress:
+    with Progress(study.columns, len(points), title, console, study.sign, study.feasibility) as progress:
 
         def callback(iterate: Iterate) -> None:
             journal.iterate(iterate)

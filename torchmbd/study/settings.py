@@ -18,7 +18,7 @@ from torchmbd.design import Tradeoff
 from torchmbd.errors import InputError, unknown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts
-from torchmbd.optimization.api import checked_box, require_limits
+from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.sampling import given, recipe
 from torchmbd.optimization.optimizer import find_method, require_count, require_problem, require_range
@@ -167,6 +167,11 @@ class StudySettings(Summary):
     def sign(self) -> float:
         """What is asked for is this times the objective of optimizers: -1 where it is to be large."""
         return float(getattr(self.simulated, "sign", 1.0))
+
+    @property
+    def feasibility(self) -> float:
+        """The violation of a constraint that counts as none."""
+        return float(self.options.get("feasibility", FEASIBILITY))
 
     @property
     def system(self) -> System | None:

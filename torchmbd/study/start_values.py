@@ -19,7 +19,7 @@ from rich.console import Console
 
 from torchmbd.design import Problem
 from torchmbd.design.words import unit, words
-from torchmbd.study.progress import FEASIBLE
+from torchmbd.optimization.api import FEASIBILITY
 
 _FAR = 1e3  # times its limit, or its part: such a value has hardly the unit of the limit
 _PLAIN: Any = {"markup": False, "highlight": False, "soft_wrap": True}
@@ -53,7 +53,7 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
         worst = int(np.argmax(np.abs(c) if constraint.kind == "equal" else c))
         limit, value = float(limits[worst]), float(limits[worst] + c[worst] * scales[worst])
         violation = abs(c[worst]) if constraint.kind == "equal" else c[worst]
-        note = "violated" if violation > FEASIBLE else ""
+        note = "violated" if violation > FEASIBILITY else ""
         if limit and constraint.limit != "initial":
             note = _doubt(value, limit, constraint.kind) or note
         factor, name = _shown(unit(constraint.measure))

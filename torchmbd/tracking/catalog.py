@@ -82,9 +82,9 @@ def children(uri: str, entry: Entry) -> list[Entry]:
     order = [f"metrics.objective {'DESC' if entry.tags.get(GOAL) == MAXIMIZE else 'ASC'}"]
     runs = open_store(uri).search_runs([entry.experiment_id], parent, max_results=_PAGE, order_by=order)
     found = [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
-    return sorted(
-        found, key=lambda child: violation if (violation := child.metrics.get("violation", 0.0)) > FEASIBLE else 0.0
-    )
+    feasible = float(entry.params.get("optimizer.feasibility", FEASIBLE))
+    violations = {child.run_id: child.metrics.get("violation", 0.0) for child in found}
+    return sorted(found, key=lambda child: max(violations[child.run_id] - feasible, 0.0))
 
 
 def history(uri: str, entry: Entry, metric: str) -> list[float]:

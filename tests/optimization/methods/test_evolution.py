@@ -93,6 +93,29 @@ def test_limit_of_analyses_and_interruption():
     assert optimize(problem, METHOD).status == "interrupted"
 
 
+def test_limit_of_analyses_and_interruption_at_the_last_gradient():
+    """The gradient at the end, for the multipliers alone, is one analysis more."""
+    whole = optimize(rastrigin(), METHOD, max_iterations=1)
+    limited = optimize(rastrigin(), METHOD, max_iterations=1, max_analyses=whole.analyses - 1)
+    assert limited.analyses == whole.analyses - 1
+    assert (limited.value, limited.status, limited.message) == (whole.value, whole.status, whole.message)
+    assert np.isfinite(whole.kkt_residual)
+    assert np.isnan(limited.kkt_residual)
+    problem, inner = rastrigin(), rastrigin().evaluate
+
+    def evaluate(X, gradients):
+        if gradients:
+            raise KeyboardInterrupt
+        return inner(X, gradients)
+
+    problem.evaluate = evaluate
+    alone = optimize(problem, METHOD, max_iterations=1)
+    assert (alone.status, alone.value) == ("interrupted", whole.value)
+    study = multistart(problem, METHOD, max_iterations=1)
+    assert study.interrupted
+    assert [result.status for result in study.results] == ["interrupted"]
+
+
 def test_what_it_refuses():
     with pytest.raises(InputError, match="bounds are infinite"):
         optimize(rastrigin(upper=[np.inf, 5]), METHOD)

@@ -316,6 +316,14 @@ def test_every_start_has_its_own_limit_of_analyses():
     assert study.best is not None
 
 
+def test_the_best_is_feasible_by_the_tolerance_that_was_given():
+    problem = Analytic("corner", [2.0, 2.0], lambda x: x[0] + x[1], lambda x: [1 - x[0] * x[1]], lower=0.1, upper=5.0)
+    study = multistart(problem, "lbfgs", feasibility=1e-2)
+    assert 1e-5 < study.results[0].violation <= 1e-2
+    assert study.results[0].status == "converged"
+    assert study.best is study.results[0]
+
+
 def test_given_starts_are_checked():
     with pytest.raises(InputError, match="start of x1 = 9"):
         multistart(waves(), "mmfd", [[0.0, 0.0], [9.0, 0.0]])

@@ -42,6 +42,7 @@ class MultistartResult(Summary):
     interrupted: bool = False
     stopped_early: bool = False  # by `minima_left`
     starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [count, n], also those not reached
+    feasibility: float = FEASIBILITY  # violation of a constraint that counts as none
 
     def _summary(self) -> list[tuple[str, Any]]:
         best = self.best
@@ -73,8 +74,8 @@ class MultistartResult(Summary):
     @property
     def best(self) -> OptimizationResult | None:
         """The feasible result of lowest value, converged or not; None if no start ended feasible."""
-        feasible = [r for r in self.results if r.status not in ("infeasible", "failed") and r.violation <= FEASIBILITY]
-        return min(feasible, key=lambda r: r.value, default=None)
+        ended = [r for r in self.results if r.status not in ("infeasible", "failed")]
+        return min((r for r in ended if r.violation <= self.feasibility), key=lambda r: r.value, default=None)
 
     @property
     def converged(self) -> int:
@@ -188,4 +189,4 @@ def multistart(
 
         batched = BatchedSearches(problem, runners, max_lanes, callback, go_on, both(count, ended), groups)
         results = batched.run()
-    return MultistartResult(results, find(results), batched.interrupted, batched.stopped_early, points)
+    return MultistartResult(results, find(results), batched.interrupted, batched.stopped_early, points, feasibility)
