@@ -13,7 +13,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 from torchmbd.viz import animate, film
 from torchmbd.viz.animation import scene_of
-from torchmbd.viz.film import positions
+from torchmbd.viz.film import _Drawing, positions
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def beam_motion() -> mbd.Trajectory:
 
 def test_positions_are_those_of_the_motion(beam_motion, slider_crank_motion):
     for motion, name in ((beam_motion, "arm"), (slider_crank_motion, "rod")):
-        scene = scene_of(motion, 0, 1000)
+        scene = scene_of(motion, 0, np.arange(len(motion.t)))
         body = next(body for body in scene["bodies"] if body["name"] == name)
         nodes = motion.body(name).nodes[0].detach().numpy()
         size = np.abs(motion.body(name).displacements[0].detach().numpy()).max()
@@ -38,7 +38,7 @@ def test_positions_are_those_of_the_motion(beam_motion, slider_crank_motion):
 
 
 def test_beams_are_lines_of_the_animation(beam_motion, tmp_path):
-    (body,) = scene_of(beam_motion, 0, 100)["bodies"]
+    (body,) = scene_of(beam_motion, 0, np.arange(41))["bodies"]
     assert body["triangles"] == []
     assert body["lines"] == [k for e in range(6) for k in (e, e + 1)]
     page = animate(beam_motion, tmp_path / "arm.html").read_text()
@@ -53,6 +53,18 @@ def test_a_film_has_its_frames(beam_motion, slider_crank_motion, tmp_path):
         first = np.asarray(picture.convert("L"), dtype=float)
         picture.seek(picture.n_frames - 1)
         assert np.abs(np.asarray(picture.convert("L"), dtype=float) - first).max() > 100  # it moves
+
+
+@pytest.mark.parametrize("options", [{"steps": 10}, {"steps": 200}, {"method": "dopri5"}])
+def test_a_film_lasts_as_long_as_asked_and_its_time_runs_evenly(tmp_path, monkeypatch, options):
+    """Also of a motion with fewer or more times than frames, or with times that are not equally spaced."""
+    shown = []
+    monkeypatch.setattr(_Drawing, "frame", lambda self, k: shown.append(float(self.t[k])) or [])
+    motion = mbd.simulate(mbd.examples.pendulum(), 0.5, **options)
+    film(motion, tmp_path / "m.gif", seconds=2.5, frames_per_second=12)
+    times = np.linspace(0.0, 0.5, 30)
+    distance = np.abs(times[:, None] - motion.t.numpy()).min(1)
+    assert_allclose(np.abs(np.array(shown[-30:]) - times), distance, atol=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -64,16 +64,12 @@ def animate(
     if path.suffix not in (".html", ".htm"):
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
     require_motion(motion)
-    if not 0 <= lane < len(motion.status):
-        raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
-    if max_frames < 2:
-        raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
-    if motion.status[lane].startswith("failed"):
-        raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
+    require_lane(motion, lane)
+    frames = spread_frames(motion, max_frames)
     if problem is not None and not isinstance(problem, Problem):
         raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
-    scene = scene_of(motion, lane, max_frames)
-    scene["strips"] = _strips(problem, motion, lane, _frames(motion, max_frames)) or _energies(scene)
+    scene = scene_of(motion, lane, frames)
+    scene["strips"] = _strips(problem, motion, lane, frames) or _energies(scene)
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
     if scale is not None:
         scene["scale"] = float(scale)
@@ -88,9 +84,25 @@ def require_motion(motion: Any) -> None:
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
 
 
-def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
-    """Return what the viewer reads: see viewer.html, and film.py, which reads it as well."""
-    t, frames = _array(motion.t), _frames(motion, max_frames)
+def require_lane(motion: Any, lane: int) -> None:
+    """InputError unless a motion has this lane, and the lane has not failed."""
+    if not 0 <= lane < len(motion.status):
+        raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
+    if motion.status[lane].startswith("failed"):
+        raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
+
+
+def spread_frames(motion: Any, max_frames: int) -> np.ndarray:
+    """Return the indices of every n-th time, the first and the last among them, `max_frames` at most."""
+    if max_frames < 2:
+        raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
+    last = len(motion.t) - 1
+    return np.unique([*range(0, last + 1, max(1, -(-last // (max_frames - 1)))), last])
+
+
+def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
+    """Return the data that viewer.html and film.py draw: bodies, joints and view at the times of these indices."""
+    t = _array(motion.t)
     drawn = [body for body in motion.system.bodies if not isinstance(body, BeamNode)] + motion.system.beams
     index = {body.name: k for k, body in enumerate(drawn)}
     index |= {node.name: index[beam.name] for beam in motion.system.beams for node in beam.node_bodies}
@@ -127,12 +139,6 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
         "largest": largest,
         "scale": _round(0.05 * extent / largest) if largest else 1.0,
     }
-
-
-def _frames(motion: Any, most: int) -> np.ndarray:
-    """The time points that are drawn, the first and the last among them."""
-    last = len(motion.t) - 1
-    return np.unique([*range(0, last + 1, max(1, -(-last // (most - 1)))), last])
 
 
 def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray) -> list[dict[str, Any]]:

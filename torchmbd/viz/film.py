@@ -34,6 +34,8 @@ def film(
     view     axis along which one looks, "x", "y" or "z"; None: the shortest side of the visited space
     seconds  how long the film lasts, however long the motion [s]
 
+    Frames are equally spaced in time; each shows the nearest time of the motion.
+
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
     >>> mbd.viz.film(motion, "arm.gif", seconds=0.2, frames_per_second=10).name
     'arm.gif'
@@ -52,13 +54,15 @@ def film(
     count = round(seconds * frames_per_second)
     if count < 2 or frames_per_second < 1:
         raise InputError(f"seconds = {seconds}, frames_per_second = {frames_per_second}: allowed: two frames or more")
-    scene = scene_of(motion, lane, count)
+    t = motion.t.detach().numpy()
+    frames = np.interp(np.linspace(t[0], t[-1], count), t, np.arange(len(t))).round().astype(int)  # nearest times
+    scene = scene_of(motion, lane, frames)
     axis = view or scene["view"]
     if axis not in _ACROSS:
         raise InputError(f"view = {view!r}; allowed: {', '.join(_ACROSS)}")
     shown = scene["scale"] if scale is None else float(scale)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    draw = _Stage(figure, scene, shown, list(_ACROSS[axis]))
+    draw = _Drawing(figure, scene, shown, list(_ACROSS[axis]))
     movie = FuncAnimation(figure, draw.frame, frames=len(draw.t), interval=1000.0 / frames_per_second, blit=False)
     movie.save(path, writer=writers[_WRITERS[path.suffix]](fps=frames_per_second), dpi=100)
     return path
@@ -78,8 +82,8 @@ def positions(body: dict[str, Any], frames: int, scale: float) -> np.ndarray:
     return r + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (frames, *local.shape[1:])))
 
 
-class _Stage:
-    """The drawing: one collection for each body, moved from frame to frame."""
+class _Drawing:
+    """One matplotlib collection for each body of a scene, moved from frame to frame."""
 
     def __init__(self, figure: Any, scene: dict[str, Any], scale: float, across: list[int]) -> None:
         from matplotlib.collections import LineCollection, PolyCollection

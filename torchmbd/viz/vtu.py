@@ -29,7 +29,7 @@ from torchmbd.fem.elements import BeamLine
 from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
 from torchmbd.results.ply_history import PlyHistory
-from torchmbd.viz.animation import require_motion
+from torchmbd.viz.animation import require_lane, require_motion, spread_frames
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
@@ -101,16 +101,10 @@ def save_motion(
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .pvd")
     require_motion(motion)
     motion = motion.detach()
-    if not 0 <= lane < len(motion.status):
-        raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
-    if motion.status[lane].startswith("failed"):
-        raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
-    if max_frames < 2:
-        raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
+    require_lane(motion, lane)
+    frames = spread_frames(motion, max_frames)
     folder = path.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
-    stride = max(1, -(-(len(motion.t) - 1) // (max_frames - 1)))
-    frames = np.unique([*range(0, len(motion.t), stride), len(motion.t) - 1])
     entries = []
     for part, body in enumerate((*motion.system.bodies, *motion.system.beams)):
         if isinstance(body, BeamNode):
