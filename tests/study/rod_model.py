@@ -58,3 +58,7 @@ def too_long() -> list[Phase]:
 
 def no_phases() -> list[int]:
     return [1]
+
+
+def broken_phases() -> list[Phase]:
+    return [Phase(until=1 / 0)]

@@ -103,6 +103,7 @@ def test_phases_come_from_a_function(write):
     for name, said in (
         ("too_long", "allowed: increasing times before duration"),
         ("no_phases", "allowed: a list of mbd.Phase"),
+        ("broken_phases", "ZeroDivisionError in"),
         ("build", "allowed: a function annotated with -> list"),
         ("in_too", "did you mean 'in_two'"),
     ):

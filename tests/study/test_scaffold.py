@@ -47,6 +47,32 @@ def test_a_model_of_the_users_names_its_own_parts(folder):
     assert plan.origin.data.design["rod.laminate.angles"].start == [45.0, -45.0]
 
 
+MODEL = """
+import torch
+import torchmbd as mbd
+
+def build() -> mbd.System:
+    laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([135.0, -100.0]), thickness=1e-3)
+    arm = mbd.FlexibleBody.plate("arm", mbd.mesh.rectangle(0.5, 0.05, (4, 2)), laminate, modes=2)
+    center = torch.nn.Parameter(torch.tensor([0.0, -0.1, 0.2], dtype=torch.float64))
+    tool = mbd.RigidBody("tool", mbd.variable(0.2), (1e-3, 1e-3, 1e-3), center=center, position=(0.25, 0, 0))
+    hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), arm.at("left"), axis="z")
+    return mbd.System([arm, tool], [hinge, mbd.Fixed(arm.at("right"), tool.at(0, 0, 0))])
+"""
+
+
+def test_bounds_enclose_values_of_any_sign_and_angles_of_any_size(tmp_path):
+    (tmp_path / "mine.py").write_text(MODEL)
+    (file,) = begin(tmp_path / "study.yaml", "mine.py:build")
+    design = load_study(file).origin.data.design
+    bounds = {name: (variable.lower, variable.upper) for name, variable in design.items()}
+    assert bounds == {
+        "arm.laminate.angles": ([45.0, -190.0], [225.0, -10.0]),
+        "tool.mass": ([0.1], [0.4]),
+        "tool.center": ([-0.2, -0.2, 0.1], [0.2, -0.05, 0.4]),
+    }
+
+
 def test_nothing_is_overwritten(folder):
     begin(folder / "mine.yaml", "rod_model.py:build")
     with pytest.raises(InputError, match="exists already"):

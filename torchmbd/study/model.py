@@ -40,13 +40,14 @@ def find_model(spec: str, folder: Path) -> Builder:
 
 
 def find_phases(spec: str, folder: Path) -> list[Phase]:
-    """Return what the function that `spec` names says of the phases; InputError for anything else."""
+    """Return the phases that the function named by `spec` returns; InputError, whatever the function raises."""
     function = find_function(spec, folder)
     require_returns(spec, function, ("list",))
-    found = function()
-    if not isinstance(found, list) or not all(isinstance(phase, Phase) for phase in found):
-        raise InputError(f"= {shown(spec)}: returns {found!r}; allowed: a list of mbd.Phase")
-    return found
+    with _user_code():
+        phases = function()
+    if not isinstance(phases, list) or not all(isinstance(phase, Phase) for phase in phases):
+        raise InputError(f"= {shown(spec)}: returns {phases!r}; allowed: a list of mbd.Phase")
+    return phases
 
 
 def find_response(spec: str, folder: Path) -> Any:
@@ -123,16 +124,23 @@ def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:
 
 def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
     """Build the system; InputError, whatever the function raises."""
-    try:
+    with _user_code():
         system = builder(**options)
-    except InputError:
-        raise
-    except Exception as error:  # the user's own code: reported with the place in it, not as a crash of ours
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        raise InputError(f"{type(error).__name__} in {last.filename}:{last.lineno}: {error}") from error
     if not isinstance(system, System):
         raise InputError(f"the model returned {type(system).__name__}; allowed: a torchmbd.System")
     return system
+
+
+@contextmanager
+def _user_code() -> Iterator[None]:
+    """Turn any exception of the user's code into an InputError that names its file and line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(f"{type(error).__name__} in {last.filename}:{last.lineno}: {error}") from error
 
 
 def scenario_systems(

@@ -7,7 +7,6 @@ is written here, for building it takes torch, and that takes seconds. Checked in
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,16 +148,28 @@ def text(file: Path, model: str, parts: Parts) -> str:
 
 
 def _variable(name: str, x: np.ndarray) -> str:
-    """Write one parameter: angles in degrees between -90 and 90, others between half and twice their value."""
+    """Return the line of one parameter with its bounds.
+
+    Bounds of angles are -90 and 90 degrees, or 90 degrees about each angle where one lies outside; of other values half and
+    twice the value, of zeros plus and minus the largest value of the parameter (or 1).
+    """
+    x = x.ravel()
     if name.endswith("angles"):
-        values, lower, upper, unit = x * 180.0 / math.pi, "-90", "90", "deg"
+        unit, x = "deg", np.degrees(x)
+        within = np.abs(x).max() <= 90.0
+        lower, upper = ("-90", "90") if within else (_listed(x - 90.0), _listed(x + 90.0))
     else:
         from torchmbd.math.units import NONE, QUANTITIES  # with torch, which the model has imported
 
-        values, unit = x, QUANTITIES.get(name.rpartition(".")[2], NONE)
-        lower, upper = (str([float(f"{f * v:.4g}") for v in x.ravel()]) for f in (0.5, 2.0))
-    start = [float(f"{v:.6g}") for v in values.ravel()]
-    return f"  {name}: {{start: {start}, lower: {lower}, upper: {upper}, unit: {unit}}}\n"
+        unit = QUANTITIES.get(name.rpartition(".")[2], NONE)
+        largest = np.abs(x).max() or 1.0
+        ends = np.where(x == 0.0, -largest, 0.5 * x), np.where(x == 0.0, largest, 2.0 * x)
+        lower, upper = _listed(np.minimum(*ends)), _listed(np.maximum(*ends))
+    return f"  {name}: {{start: {_listed(x, 6)}, lower: {lower}, upper: {upper}, unit: {unit}}}\n"
+
+
+def _listed(x: np.ndarray, digits: int = 4) -> str:
+    return str([float(f"{v:.{digits}g}") for v in x])
 
 
 def _options(function: Callable[..., Any]) -> dict[str, int | float]:
