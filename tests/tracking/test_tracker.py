@@ -15,6 +15,7 @@ import pytest
 
 from torchmbd.math.codegen.build_cache import entries
 from torchmbd.tracking import MlflowTracker, TrackingError
+from torchmbd.tracking.catalog import children, find, studies
 from torchmbd.tracking.store import open_store, store_uri
 
 
@@ -224,6 +225,23 @@ def test_a_study_that_was_killed_goes_on_in_its_runs(uri):
 
 
 @pytest.mark.slow
+def test_runs_beyond_one_page_are_found(uri, monkeypatch):
+    """Studies, starts, and those of an earlier process of the same study."""
+    monkeypatch.setattr("torchmbd.tracking.store._PAGE", 2)
+    records = []
+    for study in ("a", "b", "c", "c"):
+        tracker = MlflowTracker("pages", uri, study)
+        tracker.begin("study", study, tags={"kind": "study"})
+        for k in range(5):
+            tracker.begin(f"start_{k}", f"start {k}", parent="study", tags={"kind": "start"})
+            tracker.metrics(f"start_{k}", {"objective": float(k)})
+        records.append(tracker.close())
+    assert {entry.name for entry in studies(uri)} == {"a", "b", "c"}
+    assert find(uri, "a").run_id == records[0].runs["study"]
+    assert [child.name for child in children(uri, find(uri, "a"))] == [f"start {k}" for k in range(5)]
+    assert records[2].runs == records[3].runs
+
+
 def test_two_studies_open_a_fresh_store_at_once(tmp_path):
     """Without the lock MLflow's migration crashes one of them, or the experiment is made twice."""
     uri = f"sqlite:///{tmp_path / 'runs.db'}"

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import InputError, nearest
-from torchmbd.tracking.store import open_store, own_files, sqlite_file
+from torchmbd.tracking.store import all_runs, open_store, own_files, sqlite_file
 
 KINDS = ("study", "front", "sweep", "figures")
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is to be large
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
-_PAGE = 1000  # runs that are listed at most
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ def studies(uri: str) -> list[Entry]:
     names = {e.experiment_id: e.name for e in client.search_experiments()}
     found = []
     for kind in KINDS:
-        runs = client.search_runs(list(names), f"tags.kind = '{kind}'", max_results=_PAGE) if names else []
+        runs = all_runs(client, list(names), f"tags.kind = '{kind}'") if names else []
         found += [_entry(run, kind, names[run.info.experiment_id]) for run in runs]
     return sorted(found, key=lambda entry: entry.began, reverse=True)
 
@@ -80,7 +79,7 @@ def children(uri: str, entry: Entry) -> list[Entry]:
     """Return a study's children: the best feasible one first, then the others, the smallest violation first."""
     parent = f"tags.mlflow.parentRunId = '{entry.run_id}'"
     order = [f"metrics.objective {'DESC' if entry.tags.get(GOAL) == MAXIMIZE else 'ASC'}"]
-    runs = open_store(uri).search_runs([entry.experiment_id], parent, max_results=_PAGE, order_by=order)
+    runs = all_runs(open_store(uri), [entry.experiment_id], parent, order)
     found = [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
     feasible = float(entry.params.get("optimizer.feasibility", FEASIBLE))
     violations = {child.run_id: child.metrics.get("violation", 0.0) for child in found}

@@ -17,7 +17,7 @@ import logging
 import os
 import sqlite3
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +28,9 @@ from torchmbd.tracking.tracker import TrackingError
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run
 
+_PAGE = 1000  # runs of one query
 ARTIFACTS = "mlflow-artifacts:/"  # MLflow's name for what its server has
 _MISREAD = ("?", "%")  # the one ends a path, the other is decoded
 SCHEMES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")
@@ -130,6 +132,18 @@ def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
     if found.lifecycle_stage != "active":
         raise TrackingError(f"experiment {name!r} is deleted in {uri}; restore it there or choose another name")
     return found.experiment_id
+
+
+def all_runs(client: MlflowClient, experiments: Sequence[str], condition: str, order: Sequence[str] = ()) -> list[Run]:
+    """Return every run of some experiments (ids) that a filter of MLflow finds, page by page."""
+    runs: list[Run] = []
+    token = None
+    while True:
+        page = client.search_runs(experiments, condition, max_results=_PAGE, order_by=order, page_token=token)
+        runs += page
+        token = page.token
+        if not token:
+            return runs
 
 
 @contextmanager

@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from torchmbd.tracking.links import VIEW_TAG
-from torchmbd.tracking.store import experiment_id, first_line, open_store, own_files
+from torchmbd.tracking.store import all_runs, experiment_id, first_line, open_store, own_files
 from torchmbd.tracking.tracker import Status
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 _METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
-_MAX_RUNS = 50_000  # of one study
 _REFUSALS = ("INVALID_PARAMETER_VALUE", "RESOURCE_DOES_NOT_EXIST", "BAD_REQUEST")  # else the store is away
 
 
@@ -96,9 +95,8 @@ class StudyStore:
     def _begun(self, client: MlflowClient, run: str, draft: Draft) -> str:
         """Return the id of a run: of an earlier life, or a new one."""
         if self._earlier is None:
-            mine = f"tags.study_key = '{self.study}'"
-            found = client.search_runs([self.experiment_id], mine, max_results=_MAX_RUNS)
-            self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in found}
+            runs = all_runs(client, [self.experiment_id], f"tags.study_key = '{self.study}'")
+            self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in runs}
         if run in self._earlier:
             client.update_run(self._earlier[run], status="RUNNING")
             return self._earlier[run]
