@@ -17,7 +17,7 @@ import logging
 import os
 import sqlite3
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -134,7 +134,7 @@ def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
     return found.experiment_id
 
 
-def all_runs(client: MlflowClient, experiments: Sequence[str], condition: str, order: Sequence[str] = ()) -> list[Run]:
+def all_runs(client: MlflowClient, experiments: list[str], condition: str, order: list[str] | None = None) -> list[Run]:
     """Return every run of some experiments (ids) that a filter of MLflow finds, page by page."""
     runs: list[Run] = []
     token = None
