@@ -13,7 +13,7 @@ from hypothesis import settings
 import torchmbd as mbd
 from experiments.slider_crank import build
 from torchmbd.integrate import Trajectory
-from torchmbd.math import panels
+from torchmbd.math import compiled_products
 from torchmbd.math.codegen.compiler import compiler
 from torchmbd.tracking.store import open_store
 
@@ -86,7 +86,7 @@ def native() -> None:
 def compiled(native: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps and products are compiled code wherever production uses it."""
     monkeypatch.setenv("TORCHMBD_COMPILE", "1")
-    assert panels._native() is not None
+    assert compiled_products._native() is not None
 
 
 @pytest.fixture(params=["torch", "compiled"])

@@ -17,7 +17,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, plate, random_state, tensor, turned
-from torchmbd.math.elementwise import slopes
+from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces import FORCES, Gap, Pieces, Spring, Table
 from torchmbd.multibody.forces.action import KINDS, Action
@@ -247,7 +247,7 @@ def test_slopes_of_laws(law):
     s, rate = (2.0 * torch.rand(2, 40, generator=make, dtype=torch.float64) - 1.0)[..., None, None]
     t, h = tensor(0.0)[0], 1e-7
     found = law.slopes(s, rate, t)
-    for slope, own in zip(found, slopes(law, s, rate, t)[:2], strict=True):
+    for slope, own in zip(found, partial_derivatives(law, s, rate, t)[:2], strict=True):
         assert_close(slope, own, rtol=1e-12, atol=1e-12)
     differences = (
         (law(s + h, rate, t) - law(s - h, rate, t)) / (2 * h),

@@ -45,7 +45,7 @@ from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.fem.materials import SNCurve, Strength
 from torchmbd.integrate import Trajectory
-from torchmbd.math.variable import Several
+from torchmbd.math.variable import LayerNumbers
 
 DURATION, STEPS = 0.04, 30
 WEIGHTS = {-3: -1.0, -2: 9.0, -1: -45.0, 1: 45.0, 2: -9.0, 3: 1.0}
@@ -150,7 +150,7 @@ def strong_pendulum() -> mbd.System:
     strength = Strength(Xt=1.5e6, Xc=1.2e6, Yt=4e4, Yc=2.5e5, S12=7e4, S13=6e4, S23=5e4)
     system = pendulum()
     made = system.body("rod").laminate
-    made._plies = Several(made, "ply", (mbd.Ply(**SOFT, strength=strength),) * 2)
+    made._plies = LayerNumbers(made, "ply", (mbd.Ply(**SOFT, strength=strength),) * 2)
     return system
 
 

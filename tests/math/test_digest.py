@@ -18,7 +18,7 @@ import scipy.sparse
 import torch
 
 import torchmbd as mbd
-from torchmbd.math.digest import digest, sources
+from torchmbd.math.digest import digest, source_digest
 
 PACKAGE = Path(mbd.__file__).parent
 
@@ -155,9 +155,9 @@ def test_sources_count(tmp_path, file):
     (tmp_path / "sub").mkdir()
     for name in ("a.py", "sub/a.cpp", "sub/a.cu", "sub/notes.txt"):
         (tmp_path / name).write_text("x = 1;\n")
-    before = sources(tmp_path, ["a.py", "sub"])
+    before = source_digest(tmp_path, ["a.py", "sub"])
     (tmp_path / file).write_text("x = 2;\n")
-    assert (sources(tmp_path, ["a.py", "sub"]) == before) is file.endswith(".txt")
+    assert (source_digest(tmp_path, ["a.py", "sub"]) == before) is file.endswith(".txt")
 
 
 @pytest.mark.thorough
@@ -180,7 +180,7 @@ def test_two_processes_have_one_digest(tmp_path):
 
 def test_the_digest_of_all_sources_is_cheap():
     began = time.process_time()
-    sources(PACKAGE, sorted(path.name for path in PACKAGE.iterdir()))
+    source_digest(PACKAGE, sorted(path.name for path in PACKAGE.iterdir()))
     assert time.process_time() - began < 0.2
 
 
@@ -188,4 +188,4 @@ def test_a_copy_of_the_package_has_its_digest(tmp_path):
     parts = ("design", "integrate")
     for part in parts:
         shutil.copytree(PACKAGE / part, tmp_path / part)
-    assert sources(tmp_path, parts) == sources(PACKAGE, parts)
+    assert source_digest(tmp_path, parts) == source_digest(PACKAGE, parts)

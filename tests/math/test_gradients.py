@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import constants, differentiated, refuse_gradients, refuse_lost
+from torchmbd.math.gradients import carries_gradient, constant_arguments, refuse_gradients, refuse_lost_gradients
 
 K = nn.Parameter(torch.ones((), dtype=torch.float64))
 
@@ -17,12 +17,12 @@ K = nn.Parameter(torch.ones((), dtype=torch.float64))
 def test_the_walk_ends_where_things_hold_each_other():
     held: list[Any] = [K.detach()]
     held.append(held)
-    refuse_lost("law of 'x'", held, "none")
+    refuse_lost_gradients("law of 'x'", held, "none")
     held.append({"k": K})
     with pytest.raises(InputError, match=r"law of 'x' has design variables \(\[2\] \['k'\]\)"):
-        refuse_lost("law of 'x'", held, "none")
+        refuse_lost_gradients("law of 'x'", held, "none")
 
-    @constants
+    @constant_arguments
     def f(x: Any, y: Any = None) -> Any:
         return y
 
@@ -34,7 +34,7 @@ def test_the_walk_ends_where_things_hold_each_other():
 def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_not():
     def f(x: torch.Tensor) -> torch.Tensor:
         one = torch.ones(2, dtype=torch.float64)
-        assert (differentiated(x), differentiated(2.0 * x), differentiated(one)) == (True, True, False)
+        assert (carries_gradient(x), carries_gradient(2.0 * x), carries_gradient(one)) == (True, True, False)
         refuse_gradients("one", [one])
         with pytest.raises(InputError, match="x carries a gradient"):
             refuse_gradients("x", {"a": (x,)})

@@ -5,7 +5,7 @@ from torch.autograd import gradcheck, gradgradcheck
 from torch.func import jacfwd, jacrev, jvp, vmap
 from torch.testing import assert_close
 
-from torchmbd.math.linear_map import mapped
+from torchmbd.math.linear_map import apply_linear
 
 GENERATOR = torch.Generator().manual_seed(3)
 P, Q, X, Y = (
@@ -24,7 +24,7 @@ class Sum:
 
 
 def cubes(x, y):
-    return mapped(Sum(), x**3, (x.sum() * y) ** 2)
+    return apply_linear(Sum(), x**3, (x.sum() * y) ** 2)
 
 
 def plain(x, y):

@@ -51,7 +51,7 @@ def test_reverse_mode_of_a_function_of_numbers_takes_its_slopes_from_forward_mod
         return torch.where(s > 0.0, s.sqrt() * rate, t * s)
 
     s, rate, t = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in ([4.0, -2.0], [0.3, 0.5], 0.7))
-    found = elementwise.lifted(f, s, rate, t)
+    found = elementwise.apply_elementwise(f, s, rate, t)
     assert_close(found, torch.tensor([0.6, -1.4], dtype=torch.float64))
     slopes = torch.autograd.grad(found.sum(), (s, rate, t))
     wanted = ([0.075, 0.7], [2.0, 0.0], -2.0)
@@ -101,7 +101,7 @@ def test_operation_on_pairs_kept_apart(name, carries, lanes):
     make = torch.Generator().manual_seed(5)
     numbers = [number(shape, n, make) for shape, n in zip(shapes, lanes, strict=True)]
     expected = f(*(x if c else x.value for x, c in zip(numbers, carries, strict=True)))
-    with pair.separate():
+    with pair.separate_tangents():
         apart = [Pair.of(x.value, x.tangent) for x in numbers]
         result = f(*(x if c else x.value for x, c in zip(apart, carries, strict=True)))
         assert result.shape == expected.shape

@@ -27,7 +27,7 @@ def test_values_and_derivatives(sizes, compiled, monkeypatch, request):
     if compiled:
         request.getfixturevalue("compiled")
     else:
-        monkeypatch.setattr(module, "panels", lambda x: None)
+        monkeypatch.setattr(module, "compiled_products", lambda x: None)
     law, d = numbers(*sizes)
     assert_close(quadratic_forms(law, d), defined(law, d), rtol=1e-12, atol=1e-11)
     other = numbers(*sizes)[1].flip(0) + 1.0

@@ -17,7 +17,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import ply_basis
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
 from torchmbd.integrate import Trajectory
-from torchmbd.math.variable import Several
+from torchmbd.math.variable import LayerNumbers
 from torchmbd.results.ply_history import PlyHistory
 
 STRENGTH = Strength(Xt=1.5e6, Xc=1.2e6, Yt=4e4, Yc=2.5e5, S12=7e4, S13=6e4, S23=5e4)
@@ -29,7 +29,7 @@ def system() -> mbd.System:
     made = pendulum()
     laminate: Any = made.body("rod").laminate
     weaker = dataclasses.replace(STRENGTH, Yt=3e4)
-    laminate._plies = Several(laminate, "ply", (Ply(**SOFT, strength=STRENGTH), Ply(**SOFT, strength=weaker)))
+    laminate._plies = LayerNumbers(laminate, "ply", (Ply(**SOFT, strength=STRENGTH), Ply(**SOFT, strength=weaker)))
     return made
 
 

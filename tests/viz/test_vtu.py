@@ -16,7 +16,7 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
-from torchmbd.math.variable import Several
+from torchmbd.math.variable import LayerNumbers
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
 
@@ -40,7 +40,7 @@ def motion() -> mbd.Trajectory:
     system = pendulum()
     strength = Strength(1.5e6, 1.2e6, 4e4, 2.5e5, 7e4)
     made = system.body("rod").laminate
-    made._plies = Several(made, "ply", (Ply(**SOFT, strength=strength),) * 2)
+    made._plies = LayerNumbers(made, "ply", (Ply(**SOFT, strength=strength),) * 2)
     return mbd.simulate(system, 0.02, steps=20).require_ok()
 
 

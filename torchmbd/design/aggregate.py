@@ -21,7 +21,7 @@ from torch import Tensor
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Trajectory
-from torchmbd.math.owned import scalar, several
+from torchmbd.math.checked_numbers import list_of, scalar
 
 KINDS = ("ks", "p_norm")
 
@@ -53,7 +53,7 @@ class Aggregate(Measure):
     def __post_init__(self) -> None:
         if isinstance(self.measures, Measure):
             object.__setattr__(self, "measures", [self.measures])
-        if not several("measures", self.measures, Measure, "a measure, or a list of them"):
+        if not list_of("measures", self.measures, Measure, "a measure, or a list of them"):
             raise InputError("measures is []; allowed: a measure, or at least one in a list")
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise unknown("kind", self.kind, KINDS)

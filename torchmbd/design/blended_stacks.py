@@ -38,8 +38,8 @@ from torchmbd.design.stack_recovery import (
 )
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import LaminationParameters
-from torchmbd.math.owned import real
-from torchmbd.math.variable import plain
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.variable import without_variables
 
 STARTS = 30
 
@@ -177,10 +177,11 @@ def _check(
             raise InputError(f"{argument} is {by_name!r}; allowed: a value for each of {', '.join(laminates)}")
     for name, laminate in laminates.items():
         check_wanted(f"laminate of {name!r}", laminate, plies[name])
-        if not real(given[name]) or not 0.0 < given[name] < math.inf:
+        if not is_real(given[name]) or not 0.0 < given[name] < math.inf:
             raise InputError(f"area of {name!r} is {given[name]!r}; allowed: a number > 0")
     check_search(rules, weights, seed)
-    if any(plain(laminate.ply) != plain(next(iter(laminates.values())).ply) for laminate in laminates.values()):
+    first, *others = (without_variables(laminate.ply) for laminate in laminates.values())
+    if any(ply != first for ply in others):
         raise InputError("laminates has zones of different plies; allowed: one material, as zones share their plies")
     symmetric = {laminate.coupling is None for laminate in laminates.values()}
     if len(symmetric) > 1:

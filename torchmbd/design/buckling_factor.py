@@ -21,8 +21,8 @@ from torchmbd.design.measures import Max
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
-from torchmbd.math.module_call import call_module, outside
-from torchmbd.math.owned import whole
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.module_call import call_module, outside_transforms
 from torchmbd.multibody.statics import BucklingCase
 from torchmbd.multibody.statics.buckling import reciprocal
 from torchmbd.multibody.system import System
@@ -57,7 +57,7 @@ class BucklingFactor(Measure):
     number: int = 1
 
     def check(self, system: System) -> None:
-        if not whole(self.number) or self.number < 1:
+        if not is_whole(self.number) or self.number < 1:
             raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
         if self.loads is None:
             self._peak.check(system)
@@ -83,7 +83,7 @@ class BucklingFactor(Measure):
         for key, case in known:
             if key == asked:
                 return case
-        known.append((asked, outside(lambda: BucklingCase(body, loads, self.supports))))
+        known.append((asked, outside_transforms(lambda: BucklingCase(body, loads, self.supports))))
         return known[-1][1]
 
 

@@ -23,8 +23,8 @@ from torchmbd.design.histories import flexible
 from torchmbd.design.response import History
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
-from torchmbd.math.module_call import call_module, outside
-from torchmbd.math.owned import whole
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.module_call import call_module, outside_transforms
 from torchmbd.multibody.bodies import FlexibleBeam
 from torchmbd.multibody.statics import BucklingSeries, UnitLoads
 from torchmbd.multibody.system import System
@@ -56,7 +56,7 @@ class BucklingIndex(History):
     number: int = 1
 
     def check(self, system: System) -> None:
-        if not whole(self.number) or self.number < 1:
+        if not is_whole(self.number) or self.number < 1:
             raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
         self._series(system)
 
@@ -64,7 +64,7 @@ class BucklingIndex(History):
         system, view = motion.system, motion.body(self.body)
         series, body = self._series(system), flexible(system, self.body)
         loads = body_loads(motion, body)
-        unit = outside(lambda: UnitLoads(body, carriers(system, body)))
+        unit = outside_transforms(lambda: UnitLoads(body, carriers(system, body)))
         present = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
         designs = {f"system.{name}": x for name, x in present.items()}
         c = torch.cat([view.w, loads.inertia, loads.carried.flatten(2)], -1)
@@ -79,7 +79,7 @@ class BucklingIndex(History):
         body = flexible(system, self.body)
         known, asked = _SERIES.setdefault(body, {}), repr(self.supports)
         if asked not in known:
-            known[asked] = outside(lambda: BucklingSeries(body, self.supports))
+            known[asked] = outside_transforms(lambda: BucklingSeries(body, self.supports))
         return known[asked]
 
 

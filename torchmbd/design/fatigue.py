@@ -28,7 +28,7 @@ from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials import PLY_COMPONENTS, SNCurve, power_law_damage
 from torchmbd.integrate import Trajectory
-from torchmbd.math.owned import scalar
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated, plies_of

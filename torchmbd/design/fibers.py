@@ -23,8 +23,8 @@ from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import FiberPaths, SteeredLaminate
 from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.module_call import call_module
-from torchmbd.math.owned import scalar
 from torchmbd.multibody.system import System
 
 

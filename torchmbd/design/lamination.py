@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from torchmbd.errors import InputError, true_or_false
-from torchmbd.math.owned import real
+from torchmbd.math.checked_numbers import is_real
 
 DIRECTIONS = (0.0, 90.0, 45.0, -45.0)
 
@@ -50,11 +50,11 @@ class LaminationRules:
     def __post_init__(self) -> None:
         true_or_false("symmetric of LaminationRules", self.symmetric)
         true_or_false("balanced of LaminationRules", self.balanced)
-        if self.max_step is not None and not (real(self.max_step) and 0.0 <= self.max_step <= 90.0):
+        if self.max_step is not None and not (is_real(self.max_step) and 0.0 <= self.max_step <= 90.0):
             raise InputError(f"max_step is {self.max_step!r}; allowed: 0 to 90 degrees, or None")
-        if not (real(self.min_share) and 0.0 <= self.min_share <= 0.25):
+        if not (is_real(self.min_share) and 0.0 <= self.min_share <= 0.25):
             raise InputError(f"min_share is {self.min_share!r}; allowed: 0 to 0.25, for four directions")
-        if not (real(self.tolerance) and 0.0 <= self.tolerance < 45.0):
+        if not (is_real(self.tolerance) and 0.0 <= self.tolerance < 45.0):
             raise InputError(f"tolerance is {self.tolerance!r}; allowed: 0 to 45 degrees")
 
     def broken(self, angles: Sequence[float], thickness: Sequence[float] | float = 1.0) -> list[str]:

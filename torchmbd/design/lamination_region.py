@@ -22,8 +22,8 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import LaminationParameters
 from torchmbd.fem.materials.lamination_region import CONDITIONS, conditions
 from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.module_call import call_module
-from torchmbd.math.owned import scalar
 from torchmbd.multibody.system import System
 
 

@@ -31,7 +31,7 @@ from torchmbd.design.spline import Jump, Spline, Window, checked
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import eigenvalues
 from torchmbd.integrate import Moment, Switch, Trajectory
-from torchmbd.math.owned import scalar
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 
 

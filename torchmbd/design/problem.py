@@ -39,7 +39,7 @@ from torchmbd.integrate.memory import lanes_at_once, require_room
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.step_count import FEWEST
-from torchmbd.math.owned import real
+from torchmbd.math.checked_numbers import is_real
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.extra_variable import with_least
@@ -122,7 +122,7 @@ class Problem(Summary):
                 raise InputError(
                     f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
                 )
-        two = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(real, bound))
+        two = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(is_real, bound))
         if not two or not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, float(duration), minimize

@@ -12,7 +12,7 @@ import numpy as np
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
-from torchmbd.math.owned import several
+from torchmbd.math.checked_numbers import list_of
 
 
 class Reference(NamedTuple):
@@ -33,7 +33,7 @@ class Reference(NamedTuple):
 def constraints_of(subject_to: Any) -> list[Constraint]:
     """A constraint, or a list of them, as a list; InputError names what is none."""
     given = [subject_to] if isinstance(subject_to, Constraint) else subject_to
-    return several("subject_to", given, Constraint, "constraints, such as Max(...) <= 'initial'")
+    return list_of("subject_to", given, Constraint, "constraints, such as Max(...) <= 'initial'")
 
 
 def asked_of(minimize: Any, maximize: Any) -> tuple[Measure, float]:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 
 
 class Cycles(NamedTuple):

@@ -32,7 +32,7 @@ from torch import Tensor
 from torchmbd.design.differentiate import Valued, differentiate
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
-from torchmbd.math.gradients import refuse_lost
+from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.multibody.system import System
 
 
@@ -42,7 +42,7 @@ class _Constant:
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         names = [f.name for f in fields(cls)] if is_dataclass(cls) else []
         for name, x in (*zip(names, args, strict=False), *kwargs.items()):
-            refuse_lost(f"{name} of {cls.__name__}", x, "constants")
+            refuse_lost_gradients(f"{name} of {cls.__name__}", x, "constants")
         return super().__new__(cls)
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import real
+from torchmbd.math.checked_numbers import is_real
 
 
 def by_name(given: Any) -> Any:
@@ -30,7 +30,7 @@ def weights_of(given: Any, count: int) -> np.ndarray:
     if (
         not isinstance(given, (Sequence, np.ndarray))
         or len(given) != count
-        or not all(map(real, given))
+        or not all(map(is_real, given))
         or min(given) < 0
     ):
         raise InputError(f"weights is {given!r}; allowed: {count} numbers that are not negative, one for each scenario")

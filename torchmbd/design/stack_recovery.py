@@ -25,7 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import LaminationParameters
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.materials.lamination_region import directions
-from torchmbd.math.owned import real, reals, whole
+from torchmbd.math.checked_numbers import is_real, is_whole, reals
 
 STARTS = 100
 Score = tuple[int, float]  # rules broken, distance
@@ -68,7 +68,7 @@ def recover_stacks(
     """
     check_wanted("laminate", laminate, plies)
     check_search(rules, weights, seed)
-    if not whole(number) or number < 1:
+    if not is_whole(number) or number < 1:
         raise InputError(f"number is {number!r}; allowed: a whole number >= 1")
     allowed = checked_angles(angles)
     mirror = mirrored(plies, laminate.coupling is None)
@@ -208,7 +208,7 @@ def check_wanted(name: str, laminate: object, plies: Any) -> None:
         raise InputError(f"{name} is {laminate!r}; allowed: LaminationParameters(...)")
     if laminate.field is not None:
         raise InputError(f"{name} has a field; allowed: LaminationParameters of one control, without a field")
-    if not whole(plies) or plies < 1:
+    if not is_whole(plies) or plies < 1:
         raise InputError(f"plies is {plies!r}; allowed: a whole number >= 1")
 
 
@@ -217,7 +217,7 @@ def check_search(rules: object, weights: Any, seed: Any) -> None:
     if not (rules is None or isinstance(rules, LaminationRules)):
         raise InputError(f"rules is {rules!r}; allowed: a LaminationRules, or None")
     three = isinstance(weights, (Sequence, np.ndarray)) and np.shape(weights) == (3,)
-    if not three or not all(real(w) and 0.0 <= w < math.inf for w in weights) or not sum(weights) > 0.0:
+    if not three or not all(is_real(w) and 0.0 <= w < math.inf for w in weights) or not sum(weights) > 0.0:
         raise InputError(f"weights is {weights!r}; allowed: three numbers >= 0, not all zero")
-    if not whole(seed) or seed < 0:
+    if not is_whole(seed) or seed < 0:
         raise InputError(f"seed is {seed!r}; allowed: a whole number >= 0")

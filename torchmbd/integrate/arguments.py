@@ -18,7 +18,8 @@ from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.native.library import BACKENDS
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
-from torchmbd.math.owned import all_true, plain, transformed, watched, whole
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import Start, System
 from torchmbd.results.motion_data import MotionData
@@ -33,13 +34,13 @@ def check(
 
     own  the names of all arguments but the options, of the function that takes these
     """
-    if isinstance(duration, Tensor) and plain(duration).dim():
+    if isinstance(duration, Tensor) and untransformed(duration).dim():
         what = f"a tensor of shape {tuple(duration.shape)}" if duration.dim() else "a batch of torch.vmap"
         raise InputError(f"duration is {what}; allowed: one positive number [s], for all designs")
     duration = seconds_of(duration)
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
-    if steps is not None and not (whole(steps) and steps >= 1):
+    if steps is not None and not (is_whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
     integrator = integrator_of(method, options, phases, own)
     if steps is not None:
@@ -61,12 +62,12 @@ def check_gradients(gradients: Any, integrator: Integrator) -> None:
 
 def seconds_of(duration: Any) -> Any:
     """A duration as a number of Python."""
-    return plain(duration).item() if isinstance(duration, Tensor) else duration
+    return untransformed(duration).item() if isinstance(duration, Tensor) else duration
 
 
 def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
     """Whether the motion is differentiated by its duration; InputError where it cannot be, or where that would be lost."""
-    if not isinstance(duration, Tensor) or not watched(duration):
+    if not isinstance(duration, Tensor) or not is_differentiated(duration):
         return False
     found = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
     found = "phases are given" if phases else found
@@ -84,7 +85,7 @@ def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: b
 def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
     """InputError where a dual level of torch.autograd.forward_ad is open: tangents would be a second one inside."""
     for name, x in batch.items():
-        if not transformed(x) and forward_ad.unpack_dual(x).tangent is not None:
+        if not in_transform(x) and forward_ad.unpack_dual(x).tangent is not None:
             raise InputError(
                 f"{name!r} is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated; allowed: "
                 "torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'"
@@ -124,7 +125,7 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
             continue
         if not all_true(torch.isfinite(x)):
             raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
-        check_parameter("parameter", name, plain(x))
+        check_parameter("parameter", name, untransformed(x))
     found = {}
     for name, given in (designs or {}).items():
         if name not in own:
@@ -135,7 +136,7 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
             shape = ", ".join(["lanes", *map(str, own[name].shape)])
             raise InputError(f"design {name!r} {seen}; allowed: a float64 tensor [{shape}]")
         _check_lanes(name, x, torch.isfinite(x), "finite numbers")
-        numbers_of = plain(x).reshape(-1, *own[name].shape)
+        numbers_of = untransformed(x).reshape(-1, *own[name].shape)
         lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())
         check_parameter(f"design of lane {lane}:", name, numbers_of[lane])
         owner, _, own_name = name.rpartition(".")

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import value
-from torchmbd.math.variable import key
+from torchmbd.math.variable import law_key
 from torchmbd.multibody.forces.contact_law import ContactControl
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -117,7 +117,7 @@ class ContactWatch:
         both = torch.cat([value(x[k]) for k in range(2) for x in states])[:, 0]
         found = []
         for gap in self.gaps:
-            p = data[key(gap.control.name)][:, 0] if gap.control.variables is not None else both[:0]
+            p = data[law_key(gap.control.name)][:, 0] if gap.control.variables is not None else both[:0]
             found.append(gap.control.gaps(gap.control.numbers(p), both[gap.read]))
         return tuple(torch.cat(x).unflatten(-1, (count, lanes)) for x in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
 

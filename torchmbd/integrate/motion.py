@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import transformed
+from torchmbd.math.gradients import in_transform
 
 Tensors = Sequence[Tensor | None]
 
@@ -99,7 +99,7 @@ def _refuse_batched(cotangents: Tensors) -> None:
 
 def _batched_by_grad(x: Tensor) -> bool:
     """Whether `is_grads_batched` made x: without storage, and by no transform of torch.func."""
-    if transformed(x):
+    if in_transform(x):
         return False
     try:
         x.untyped_storage()

@@ -43,7 +43,7 @@ from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
 from torchmbd.integrate.stepper import TURN, EagerStepper, IterationErrors, first, resume
 from torchmbd.integrate.variable_step import sized
-from torchmbd.math.owned import whole
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.expansion import Expansion
@@ -77,14 +77,14 @@ class OneStep(Integrator):
     def __post_init__(self) -> None:
         given = self.iterations if self.iterations is not None else _ITERATIONS
         counts = given if isinstance(given, (tuple, list)) else ()
-        if len(counts) != 2 or not all(whole(k) and k >= 1 for k in counts):
+        if len(counts) != 2 or not all(is_whole(k) and k >= 1 for k in counts):
             allowed = "two positive integers, for values and for tangents"
             raise InputError(f"iterations is {self.iterations!r}; allowed: {allowed}")
-        if not whole(self.refresh) or self.refresh < 0:
+        if not is_whole(self.refresh) or self.refresh < 0:
             raise InputError(f"refresh is {self.refresh!r}; allowed: a number of steps, or 0 for every correction")
-        if not whole(self.halvings) or self.halvings < 0:
+        if not is_whole(self.halvings) or self.halvings < 0:
             raise InputError(f"halvings is {self.halvings!r}; allowed: a whole number, 0 or more")
-        if not whole(self.checkpoint) or self.checkpoint < 1:
+        if not is_whole(self.checkpoint) or self.checkpoint < 1:
             raise InputError(f"checkpoint is {self.checkpoint!r}; allowed: a number of steps, 1 or more")
 
     def kept(self, steps: int) -> int:

@@ -41,8 +41,8 @@ from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
 from torchmbd.integrate.step_count import FEWEST
-from torchmbd.math.module_call import exclusive, outside
-from torchmbd.math.owned import watched
+from torchmbd.math.gradients import is_differentiated
+from torchmbd.math.module_call import exclusive, outside_transforms
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.truncation import warn_static_truncation
@@ -137,7 +137,7 @@ def simulate(
         own = dict(system.named_parameters())
         batch = same_lanes({name: own[name][None] for name in names if name not in given} | given, begins.lanes)
         if gradients in ("forward", "reverse"):
-            batch = {k: _leaf(x) if k in names and not watched(x) else x for k, x in batch.items()}
+            batch = {k: _leaf(x) if k in names and not is_differentiated(x) else x for k, x in batch.items()}
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
         lanes = max((len(x) for x in batch.values()), default=begins.lanes)
         require_room(system, lanes, integrator.kept(steps) if steps else FEWEST, count, gradients != "forward")
@@ -188,8 +188,8 @@ def variables_of(
     if variables is not None:
         return check_variables(system, variables)
     if gradients == "auto":
-        return [name for name, x in own.items() if watched(given.get(name, x))]
-    names = [name for name, x in own.items() if x.requires_grad or watched(given.get(name, x))]
+        return [name for name, x in own.items() if is_differentiated(given.get(name, x))]
+    names = [name for name, x in own.items() if x.requires_grad or is_differentiated(given.get(name, x))]
     if not names and not timed:
         raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
     return names
@@ -198,7 +198,7 @@ def variables_of(
 def _require_wanted(names: Sequence[str], given: Mapping[str, Tensor]) -> None:
     """InputError where a design is being differentiated, but is none of the variables of this name."""
     for name, x in given.items():
-        if name not in names and watched(x):
+        if name not in names and is_differentiated(x):
             raise InputError(
                 f"design {name!r} is being differentiated, but variables is {list(names)}; allowed: variables with it, "
                 "or its x.detach()"
@@ -260,7 +260,7 @@ def _reverse_phases(
     phases: Sequence[Phase],
 ) -> Trajectory:
     """The same through phases."""
-    whole, stages = outside(lambda: plan(system, phases, duration))
+    whole, stages = outside_transforms(lambda: plan(system, phases, duration))
     dynamics = whole.reduced(batch)
     data, model = dynamics.data, replace(dynamics, data={})
     integration = ReversePhaseIntegration(

@@ -23,8 +23,8 @@ from torchmbd.integrate.arguments import GRADIENTS, check_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import labels_of, presented, same_lanes, variables_of
+from torchmbd.math.checked_numbers import reals
 from torchmbd.math.module_call import exclusive
-from torchmbd.math.owned import reals
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import Balance, equilibrium_coordinates, find_equilibria, reactions

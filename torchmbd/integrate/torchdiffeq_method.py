@@ -21,7 +21,7 @@ from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import initial
-from torchmbd.math.owned import whole
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 from torchmbd.results.state import State
@@ -120,7 +120,7 @@ Allowed = tuple[Callable[[Any], bool], str]  # whether a value is, and what is
 def options_of(method: str) -> Mapping[str, Allowed]:
     """Options of a method of torchdiffeq, which itself passes over what it does not know."""
     positive: Allowed = (lambda x: _number(x) and x > 0.0, "a positive number")
-    count: Allowed = (lambda x: whole(x) and x >= 1, "a positive integer")
+    count: Allowed = (lambda x: is_whole(x) and x >= 1, "a positive integer")
     times: Allowed = (lambda x: isinstance(x, torch.Tensor) and x.dim() == 1, "a tensor of times [s]")
     if method not in FIXED:
         names = ("first_step", "max_step", "safety", "ifactor", "dfactor")
@@ -133,7 +133,7 @@ def options_of(method: str) -> Mapping[str, Allowed]:
         "interp": (lambda x: isinstance(x, str) and x in ("linear", "cubic"), "linear, cubic"),
         "perturb": (lambda x: isinstance(x, bool), "true or false"),
     }
-    order: Allowed = (lambda x: whole(x) and 1 <= x <= 12, "1 to 12")
+    order: Allowed = (lambda x: is_whole(x) and 1 <= x <= 12, "1 to 12")
     return found | ({"max_order": order, "max_iters": count} if method.endswith("adams") else {})
 
 

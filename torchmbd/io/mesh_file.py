@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh.mesh import Mesh
-from torchmbd.math.gradients import constants
+from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.units import meters
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
@@ -37,7 +37,7 @@ class MeshFile(NamedTuple):
     zones: dict[str, Int[Tensor, " part"]]
 
 
-@constants
+@constant_arguments
 def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     """Read a mesh; scale: meters per unit of the file, or its name, "mm". InputError tells what cannot be read."""
     try:
@@ -56,7 +56,7 @@ def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     return mesh_of(found, scale)
 
 
-@constants
+@constant_arguments
 def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(found.points, dtype=np.float64)) * scale

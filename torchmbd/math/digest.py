@@ -5,7 +5,7 @@
     functions    of a user: the bytecode, defaults, what they close over, and the globals that they name, modules of the
                  user's among them; classes of a user: their methods as well
 
-Of torchmbd's own functions and classes the name counts (`sources` has their text), of installed packages name and file.
+Of torchmbd's own functions and classes the name counts (`source_digest` has their text), of installed packages name and file.
 Comments, line numbers and the order of a dictionary or a set do not count. `aside` are objects whose numbers do not count.
 Checked in tests/math/test_digest.py.
 """
@@ -53,7 +53,7 @@ def digest(*objects: Any, aside: Iterable[Any] = ()) -> str:
     return walk.hash.hexdigest()[:32]
 
 
-def sources(folder: Path, parts: Iterable[str]) -> str:
+def source_digest(folder: Path, parts: Iterable[str]) -> str:
     """Return the digest of source files (Python, C++, CUDA) of a folder, or of folders in it."""
     hash = hashlib.sha256()
     for part in parts:

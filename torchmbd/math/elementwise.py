@@ -35,7 +35,7 @@ def sqrt(x: Any) -> Any:
     return function(torch.sqrt, lambda y: 0.5 * torch.rsqrt(y), x)
 
 
-def slopes(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
+def partial_derivatives(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
     """Partial derivatives of an elementwise function by each of its arguments."""
     result = []
     for k, x in enumerate(xs):
@@ -44,7 +44,7 @@ def slopes(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
     return result
 
 
-def lifted(f: Callable[..., Tensor], *xs: Any) -> Any:
+def apply_elementwise(f: Callable[..., Tensor], *xs: Any) -> Any:
     """Apply an elementwise function of several numbers; its derivatives come from forward mode, in reverse mode as well."""
     paired = [k for k, x in enumerate(xs) if isinstance(x, Pair)]
     values = [value(x) for x in xs]
@@ -57,7 +57,7 @@ def lifted(f: Callable[..., Tensor], *xs: Any) -> Any:
             full[k] = x
         return f(*full)
 
-    found = slopes(moving, *(values[k] for k in paired))
+    found = partial_derivatives(moving, *(values[k] for k in paired))
     tangents = [slope * xs[k].tangent for k, slope in zip(paired, found, strict=True)]
     return Pair.of(f(*values), torch.stack(tangents).sum(0) if len(tangents) > 1 else tangents[0])
 
@@ -83,7 +83,7 @@ class _InReverse(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *bars: Tensor) -> tuple:
         xs = ctx.saved_tensors
-        found = zip(xs, slopes(ctx.f, *xs), ctx.needs_input_grad[1:], strict=True)
+        found = zip(xs, partial_derivatives(ctx.f, *xs), ctx.needs_input_grad[1:], strict=True)
         return None, *((bars[0] * slope).sum_to_size(x.shape) if needed else None for x, slope, needed in found)
 
 

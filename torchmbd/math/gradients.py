@@ -1,11 +1,12 @@
-"""Gradients that would be lost, found before they are: each is refused by the name of its argument.
+"""Derivatives of arguments: whether a tensor is being differentiated, and errors where its gradient would be lost.
 
-    refuse_gradients("mass of 'rod'", mass)      numbers that are read as constants
-    @constants                                   the same for all arguments of a function, of which floats are numbers
-    refuse_lost("law of 'spring'", law, allowed) tensors that a law of the user's own holds, by which nothing differentiates it
+    refuse_gradients("mass of 'rod'", mass)                InputError for numbers that are read as constants
+    @constant_arguments                                    the same for all arguments of a function that are floats
+    refuse_lost_gradients("law of 'spring'", law, allowed) InputError for tensors with a gradient that a user's function holds
+    is_differentiated(x), untransformed(x)                 tensors under autograd, dual numbers and torch.func
 
-`refuse_lost` looks at closures, default arguments, globals, bound objects, attributes, functools.partial and containers, and at
-the modules and functions that these lead to.
+`refuse_lost_gradients` searches closures, default arguments, globals, bound objects, attributes, functools.partial and
+containers of a function, and the modules and functions that these refer to.
 Checked in tests/math/test_gradients.py, tests/sensitivity/test_refused_gradients.py.
 """
 
@@ -21,6 +22,7 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor, nn
+from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError
 
@@ -47,9 +49,29 @@ def _is_parameter(x: Any) -> bool:
     return isinstance(x, nn.Parameter) and x.dtype == torch.float64
 
 
-def differentiated(x: Any) -> bool:
+def carries_gradient(x: Any) -> bool:
     """Whether x is a tensor that is being differentiated: by autograd, by dual numbers or by torch.func."""
     return isinstance(x, Tensor) and (x.requires_grad or forward_ad.unpack_dual(x).tangent is not None)
+
+
+def in_transform(x: Tensor) -> bool:
+    """Whether a transform of torch.func (vmap, grad, jvp) looks at x."""
+    return debug_unwrap(x, recurse=False) is not x
+
+
+def is_differentiated(x: Tensor) -> bool:
+    """Whether torch differentiates by x here: autograd in grad mode, dual numbers, or a transform of torch.func."""
+    return in_transform(x) or (carries_gradient(x) and (torch.is_grad_enabled() or not x.requires_grad))
+
+
+def untransformed(x: Tensor) -> Tensor:
+    """The numbers of x without transforms of torch.func; a batch of these has an axis more."""
+    return debug_unwrap(x).detach()
+
+
+def all_true(x: Tensor) -> bool:
+    """Whether all are true, also of a batch of torch.func.vmap."""
+    return bool(untransformed(x).all())
 
 
 def refuse_gradients(name: str, given: Any, allowed: str = "numbers") -> None:
@@ -59,14 +81,22 @@ def refuse_gradients(name: str, given: Any, allowed: str = "numbers") -> None:
     if isinstance(given, _CONTAINERS):
         for x in given:
             refuse_gradients(name, x, allowed)
-    elif differentiated(given):
+    elif carries_gradient(given):
         shown = " ".join(repr(given).split())
         raise InputError(
             f"{name} carries a gradient, which would be lost here: {shown}; allowed: {allowed}, or x.detach()"
         )
 
 
-def constants(f: Callable[P, R]) -> Callable[P, R]:
+def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
+    """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
+    if is_differentiated(x):
+        raise InputError(
+            f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
+        )
+
+
+def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
     """A function whose floats are numbers; InputError names an argument that is none, or that carries a gradient.
 
     A float whose annotation is `float | Tensor` may be a design variable (`is_variable`); what is annotated `Varying` or
@@ -109,7 +139,7 @@ def _may_vary(x: Any) -> bool:
     return isinstance(x, (Tensor, Mapping, *_CONTAINERS))
 
 
-def refuse_lost(name: str, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
+def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
     """InputError where a law of the user's own holds a tensor that requires a gradient, by which nothing differentiates it.
 
     registered   a module whose parameters are differentiated
@@ -120,7 +150,7 @@ def refuse_lost(name: str, law: Any, allowed: str, registered: nn.Module | None 
     while stack:
         path, x = stack.pop()
         if isinstance(x, Tensor):
-            if differentiated(x) and id(x) not in known:
+            if carries_gradient(x) and id(x) not in known:
                 raise InputError(
                     f"{name} has design variables ({path.strip() or 'itself'}), which would not be differentiated; "
                     f"allowed: {allowed}, such as x.detach() where x stays what it is"

@@ -28,7 +28,7 @@ class LinearMap(Protocol):
         ...
 
 
-def mapped(linear: LinearMap, *x: Tensor) -> Tensor:
+def apply_linear(linear: LinearMap, *x: Tensor) -> Tensor:
     """Return linear(*x)."""
     return _Mapped.apply(linear, *x)  # pyright: ignore[reportReturnType]
 
@@ -44,7 +44,7 @@ class _Mapped(torch.autograd.Function):
 
     @staticmethod
     def jvp(ctx: Any, _: None, *dx: Tensor) -> Tensor:
-        return mapped(ctx.linear, *dx)
+        return apply_linear(ctx.linear, *dx)
 
     @staticmethod
     def backward(ctx: Any, *dy: Tensor) -> tuple[Tensor | None, ...]:
@@ -53,7 +53,7 @@ class _Mapped(torch.autograd.Function):
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
         wide = [_wide(own, dim, info.batch_size) for own, dim in zip(x, in_dims[1:], strict=True)]
-        return mapped(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (info.batch_size, -1)), 0
+        return apply_linear(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (info.batch_size, -1)), 0
 
 
 class _Adjoint(torch.autograd.Function):
@@ -71,7 +71,7 @@ class _Adjoint(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *dx: Tensor) -> tuple[None, Tensor]:
-        return None, mapped(ctx.linear, *dx)
+        return None, apply_linear(ctx.linear, *dx)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:

@@ -8,7 +8,7 @@ The parameters are replaced in place, and torch.func keeps what it differentiate
 `exclusive`, one thread at a time.
 
 Under a transform of torch.func every tensor that is made is wrapped, also those that are not differentiated: what makes tensors
-that stay, or reads their memory, is run `outside`.
+that stay, or reads their memory, is run by `outside_transforms`.
 Checked in tests/math/test_module_call.py.
 """
 
@@ -64,7 +64,7 @@ class _Holder(nn.Module):
         return run()
 
 
-def holding(module: nn.Module, values: Mapping[str, Tensor], run: Callable[[], R]) -> R:
+def run_with_parameters(module: nn.Module, values: Mapping[str, Tensor], run: Callable[[], R]) -> R:
     """run(), in which the module has other values of its named parameters."""
     return call_module(_Holder(module), {f"module.{name}": x for name, x in values.items()}, run)
 
@@ -86,7 +86,7 @@ class _Outside(torch.autograd.Function):
         return _Outside.apply(run, x), None
 
 
-def outside(f: Callable[[], R]) -> R:
+def outside_transforms(f: Callable[[], R]) -> R:
     """f() outside of all transforms of torch.func, without gradients."""
     found: list[R] = []
     _Outside.apply(lambda: found.append(f()), torch.zeros(()))

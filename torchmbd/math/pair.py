@@ -10,8 +10,8 @@ A number of the motion stage is a plain tensor or a `Pair`. Both end with the ax
 Value and tangents share one tensor, so a linear map is one operator, and a product two. An eager operator costs about
 5 us whatever its size: this counts more than flops, and it is 3-6 times cheaper than functorch.
 
-Where functions are written out as scalar code (scalars.py) the two are kept apart (`separate`): values and tangents are
-functions of their own there.
+Where functions are translated to scalar code (codegen/scalars.py), value and tangents are two tensors (`separate_tangents`),
+because generated code has one function for values and another for tangents.
 
 The functions below take tensors and pairs alike. Component axes are counted from the front, so one index means the
 same for both. Plain tensors are differentiable in reverse mode as any torch code.
@@ -165,7 +165,7 @@ _separate = False
 
 
 @contextmanager
-def separate() -> Iterator[None]:
+def separate_tangents() -> Iterator[None]:
     """Keep values and tangents of the pairs made here apart."""
     global _separate
     _separate = True
@@ -186,7 +186,7 @@ def _zero_tangents(x: Tensor | float, like: Tensor) -> Tensor:
     return full
 
 
-def slope_of(x: Any) -> Tensor:
+def variation(x: Any) -> Tensor:
     """How x moves and not where it is: the tangents of a pair; of a tensor zero, with its derivatives in reverse mode."""
     return x.tangent if isinstance(x, Pair) else x - x.detach()
 

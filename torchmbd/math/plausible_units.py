@@ -58,7 +58,7 @@ def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
             raise InputError(f"{outer}{name}[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
 
 
-def doubt_turn(name: str, value: float) -> None:
+def warn_degrees(name: str, value: float) -> None:
     """Warn where a turn of a drive [rad], which may be many turns, is a number of degrees that people turn things by."""
     if abs(value) in _IN_DEGREES:
         warn(f"units of {name}? It is {value:g} rad; allowed: rad; degrees are mbd.deg({value:g})")
@@ -84,10 +84,10 @@ def check_parameter(what: str, name: str, values: Tensor) -> None:
         check_angles(name, finite.tolist(), f"{what} ")
     elif kind in _USUAL and bool(finite.any()):
         unit, usual = _USUAL[kind]
-        doubt(f"{what} {name}", float(finite.max()), unit, usual)
+        warn_unusual(f"{what} {name}", float(finite.max()), unit, usual)
 
 
-def doubt(name: str, value: float, unit: str, usual: tuple[float, float]) -> None:
+def warn_unusual(name: str, value: float, unit: str, usual: tuple[float, float]) -> None:
     """Warn, naming argument, value and what is allowed, where a number lies outside of what is usual."""
     if not usual[0] <= value <= usual[1]:
         warn(
@@ -96,16 +96,16 @@ def doubt(name: str, value: float, unit: str, usual: tuple[float, float]) -> Non
         )
 
 
-def doubt_material(kind: str, moduli: Mapping[str, float], density: float, strength: float | None) -> None:
+def warn_unusual_material(kind: str, moduli: Mapping[str, float], density: float, strength: float | None) -> None:
     """Warn where moduli [Pa], density [kg/m3] or strength along the fibre [Pa] of a material do not fit each other."""
     largest = max(moduli, key=lambda name: moduli[name])
     softest = min(moduli, key=lambda name: moduli[name])
     high, low = moduli[largest], moduli[softest]
     if not DENSITY[0] <= density <= DENSITY[1]:
-        doubt(f"{kind}: density", density, "kg/m3", DENSITY)
+        warn_unusual(f"{kind}: density", density, "kg/m3", DENSITY)
     elif not SOUND[0] <= math.sqrt(high / density) <= SOUND[1]:
         usual = (density * SOUND[0] ** 2, density * SOUND[1] ** 2)
-        doubt(f"{kind}: {largest}", high, "Pa", usual)
-    doubt(f"{kind}: {softest}", low, "Pa", (SOFTEST * high, high))
+        warn_unusual(f"{kind}: {largest}", high, "Pa", usual)
+    warn_unusual(f"{kind}: {softest}", low, "Pa", (SOFTEST * high, high))
     if strength is not None:
-        doubt(f"{kind}: strength along the fibre", strength, "Pa", (STRAIN * moduli["E1"], math.inf))
+        warn_unusual(f"{kind}: strength along the fibre", strength, "Pa", (STRAIN * moduli["E1"], math.inf))

@@ -2,8 +2,8 @@
 
     y_k = sum_points sum_ij L_k,ij d_i' d_j          d_i [s, a]: rows of a point for a motions;  L symmetric;  y [a, a]
 
-Compiled code takes one design after another (panels.py), else torch takes the points in groups: the products d_i' d_j of all
-points and designs together would leave the cache of the processor.
+Compiled code computes one design after another (compiled_products.py). Without it, torch computes groups of points: the
+products d_i' d_j of all points and designs would not fit into the cache of the processor.
 Differentiable once in L and d, forward and reverse. Checked in tests/math/test_quadratic_forms.py.
 """
 
@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.math.compiled_products import compiled_products
 from torchmbd.math.first_derivative import FirstDerivative
-from torchmbd.math.panels import panels
 
 GROUP = 64  # points
 
@@ -84,7 +84,7 @@ class _Slopes(FirstDerivative):
     @staticmethod
     def forward(law: Tensor, d: Tensor, G: Tensor) -> tuple[Tensor, Tensor]:
         G = _symmetric(G)
-        if (code := panels(d)) is not None:
+        if (code := compiled_products(d)) is not None:
             return code.quadratic_slopes(law, d, G)
         i, j = torch.triu_indices(d.shape[2], d.shape[2])
         by_law, by_d = torch.empty_like(law), torch.zeros_like(d)
@@ -101,7 +101,7 @@ class _Slopes(FirstDerivative):
 
 
 def _sums(law: Tensor, d: Tensor, e: Tensor) -> Tensor:
-    if (code := panels(d)) is not None:
+    if (code := compiled_products(d)) is not None:
         return code.quadratic_forms(law, d, e)
     i, j = torch.triu_indices(d.shape[2], d.shape[2])
     total = d.new_zeros(len(law), law.shape[1], d.shape[-1], d.shape[-1])

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.math.panels import panels
+from torchmbd.math.compiled_products import compiled_products
 
 
 class Sums:
@@ -40,12 +40,12 @@ class Sums:
 
     def __call__(self, x: Float[Tensor, "lanes x"]) -> Float[Tensor, "lanes y"]:
         """y of x."""
-        if (code := panels(x)) is not None:
+        if (code := compiled_products(x)) is not None:
             return code.sums(self.start, self.terms, x)
         return x.new_zeros(len(x), self.shape[0]).index_add(1, self.rows, x[:, self.terms])
 
     def adjoint(self, y: Float[Tensor, "lanes y"]) -> Float[Tensor, "lanes x"]:
         """Of every x the sum over the y that it is in."""
-        if (code := panels(y)) is not None:
+        if (code := compiled_products(y)) is not None:
             return code.shares(self.start, self.terms, y, self.shape[1])
         return y.new_zeros(len(y), self.shape[1]).index_add(1, self.terms, y[:, self.rows])

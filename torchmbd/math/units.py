@@ -81,7 +81,7 @@ def meters(name: str, given: float | str) -> float:
         if given not in lengths:
             raise unknown(name, given, lengths)
         return factor(given)
-    from torchmbd.math.owned import scalar  # with torch, which commands that read names spare
+    from torchmbd.math.checked_numbers import scalar  # with torch, which commands that read names spare
 
     x = scalar(name, given, f"meters per unit, > 0, or one of {', '.join(lengths)}")
     if not x > 0.0:

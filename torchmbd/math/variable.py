@@ -20,8 +20,8 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.math.checked_numbers import is_real, scalar
 from torchmbd.math.gradients import is_variable
-from torchmbd.math.owned import real, scalar
 from torchmbd.math.pair import linear
 
 
@@ -51,7 +51,7 @@ def varies(given: Any) -> bool:
     return any(is_variable(x) or varies(x) for x in own)
 
 
-def replaced(given: Any, values: dict[str, Any]) -> Any:
+def with_fields(given: Any, values: dict[str, Any]) -> Any:
     """A frozen dataclass with other fields, unchecked: a design has its lanes in them."""
     result = copy.copy(given)
     for name, x in values.items():
@@ -59,19 +59,19 @@ def replaced(given: Any, values: dict[str, Any]) -> Any:
     return result
 
 
-def plain(given: Any) -> Any:
+def without_variables(given: Any) -> Any:
     """A frozen dataclass of numbers whose variables are the numbers that they have now; anything else as it is."""
     if not varies(given):
         return given
     own = {f.name: getattr(given, f.name) for f in fields(given)}
-    return replaced(given, {name: number(x) if is_variable(x) else plain(x) for name, x in own.items()})
+    return with_fields(given, {name: number(x) if is_variable(x) else without_variables(x) for name, x in own.items()})
 
 
 def check_positive(given: Any, unit: str = "", infinite: bool = False) -> None:
     """InputError unless the fields that `given.positive` names are positive; finite, unless `infinite` is allowed."""
     for name in given.positive:
         value = number(getattr(given, name))
-        if not (real(value) and value > 0.0 and (infinite or math.isfinite(value))):
+        if not (is_real(value) and value > 0.0 and (infinite or math.isfinite(value))):
             allowed = "a number > 0" if infinite else "a finite number > 0"
             raise InputError(
                 f"{type(given).__name__}: {name} = {value!r}{unit}; allowed: {allowed}, or mbd.variable(...) of one"
@@ -105,12 +105,12 @@ class Numbers(nn.Module):
                 self.add_module(f.name, Numbers(x))
 
     def forward(self) -> Any:
-        return replaced(
+        return with_fields(
             self.given, self._parameters | {name: x() for name, x in self._modules.items() if x is not None}
         )
 
 
-class Several:
+class LayerNumbers:
     """Dataclasses of numbers, one for each layer; those that vary are modules of `owner`.
 
     Their names are the label, or label and first layer ("ply2") where the layers have several.
@@ -137,12 +137,12 @@ class Several:
         return tuple(x if name is None else made[name] for x, name in zip(self.given, self.names, strict=True))
 
 
-def key(name: str) -> str:
+def law_key(name: str) -> str:
     """Where the design variables of the law of a joint or force are among the data of a design."""
     return f"law {name}"
 
 
-class Variables:
+class ParameterVector:
     """The parameters of a module: one vector of numbers."""
 
     def __init__(self, module: nn.Module):
@@ -150,7 +150,7 @@ class Variables:
         self.shapes = {name: x.shape for name, x in module.named_parameters()}
 
     @classmethod
-    def of(cls, x: Any) -> Variables | None:
+    def of(cls, x: Any) -> ParameterVector | None:
         """Those of a module; None if there are none."""
         return cls(x) if isinstance(x, nn.Module) and any(True for _ in x.parameters()) else None
 

@@ -14,8 +14,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.gradients import all_true, is_differentiated
 from torchmbd.math.module_call import call_module
-from torchmbd.math.owned import all_true, watched
 
 
 class Shapes:
@@ -79,7 +79,7 @@ def without_failed(data: dict[str, Any], good: Tensor) -> dict[str, Any]:
     """Data [component..., 1, lanes] that have no derivative in lanes that are not good [lanes]: theirs would be nan."""
     if all_true(good):
         return data
-    moving = {name: x for name, x in data.items() if isinstance(x, Tensor) and watched(x)}
+    moving = {name: x for name, x in data.items() if isinstance(x, Tensor) and is_differentiated(x)}
     return data | {name: torch.where(good, x, x.detach()) for name, x in moving.items()}
 
 

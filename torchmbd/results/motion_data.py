@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure, one_of
-from torchmbd.math.owned import all_true
+from torchmbd.math.gradients import all_true
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import OneLane, Shapes

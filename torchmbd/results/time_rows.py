@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from torchmbd.math.owned import all_true
+from torchmbd.math.gradients import all_true
 from torchmbd.math.pair import Pair
 from torchmbd.results.history import History
 

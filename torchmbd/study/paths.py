@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from torchmbd.design import Problem
-from torchmbd.math.digest import digest, sources
+from torchmbd.math.digest import digest, source_digest
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking.store import sqlite_file
@@ -79,7 +79,7 @@ def figures_key(plan: FiguresPlan, uri: str) -> str:
 def _code(package: Path) -> str:
     """Return the digest of torchmbd's own source: a store must not answer for other code."""
     parts = sorted(path.name for path in package.iterdir() if path.is_dir() or path.suffix == ".py")
-    return sources(package, [part for part in parts if part not in _UNCONCERNED])
+    return source_digest(package, [part for part in parts if part not in _UNCONCERNED])
 
 
 def _hash(data: Any) -> str:

@@ -108,7 +108,7 @@ def test_what_another_user_owns_is_refused(folder: Path, monkeypatch: pytest.Mon
 def test_nothing_is_built_where_others_can_write(folder: Path) -> None:
     folder.chmod(0o777)
     assert "can be written by others" in str(compiler.unavailable())
-    library = compiler.Native("math/panels.cpp")
+    library = compiler.Native("math/compiled_products.cpp")
     with pytest.warns(UserWarning, match="can be written by others"):
         assert library() is None
     with warnings.catch_warnings():

@@ -9,7 +9,7 @@ import pytest
 
 from torchmbd.math.codegen.compiler import Native
 
-SOURCE = "math/panels.cpp"
+SOURCE = "math/compiled_products.cpp"
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 
 
@@ -51,7 +51,7 @@ def test_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_compiler_that_fails(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "false")
-    said_once(cache, "panels.cpp cannot be compiled.*false")
+    said_once(cache, "compiled_products.cpp cannot be compiled.*false")
 
 
 @pytest.mark.thorough

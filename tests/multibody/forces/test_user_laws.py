@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchmbd.math.codegen.scalars import Untraceable
-from torchmbd.math.elementwise import slopes
+from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.multibody.forces import Gap, OfTime, Pieces, Spring, Table
 from torchmbd.multibody.forces.user_laws import written
 
@@ -50,7 +50,7 @@ def test_what_users_write(name, points):
     law = written(LAWS[name])
     assert_close(law(*points), LAWS[name](*points), rtol=1e-14, atol=1e-14)
     s, rate, t = points
-    by_s, by_rate = slopes(lambda s, rate: LAWS[name](s, rate, t), s, rate)
+    by_s, by_rate = partial_derivatives(lambda s, rate: LAWS[name](s, rate, t), s, rate)
     found = law.slopes(*points)
     assert_close(found[0], by_s, rtol=1e-12, atol=1e-13)
     assert_close(found[1], by_rate, rtol=1e-12, atol=1e-13)

@@ -36,8 +36,9 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_curve import Curves
 from torchmbd.fem.elements.facet import STEEPNESS
+from torchmbd.math.checked_numbers import reals
+from torchmbd.math.gradients import all_true, untransformed
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.owned import all_true, plain, reals
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
@@ -220,8 +221,8 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
     polar = mass[..., 3, 3] / (mass[..., 4, 4] + mass[..., 5, 5]) - 1.0
     good = (polar.abs() <= 0.01) & (yy > 0.0) & (yy * zz > yz * yz)
     if not all_true(good):
-        wrong = plain(good).flatten().logical_not().nonzero()[0, 0]
-        own, middle = plain(mass).reshape(-1, 6, 6)[wrong], plain(center).reshape(-1, 2)[wrong]
+        wrong = untransformed(good).flatten().logical_not().nonzero()[0, 0]
+        own, middle = untransformed(mass).reshape(-1, 6, 6)[wrong], untransformed(center).reshape(-1, 2)[wrong]
         raise InputError(
             f"mass of section {int(wrong)}: inertias {own.diagonal()[3:].tolist()} kg m with its center at "
             f"{middle.tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
@@ -266,9 +267,9 @@ def _axes(
     size = e_y.norm(dim=-1, keepdim=True)
     good = size > STEEPNESS * d.norm(dim=-1, keepdim=True)
     if not all_true(good):
-        k = int(plain(good).flatten().logical_not().nonzero()[0, 0])
+        k = int(untransformed(good).flatten().logical_not().nonzero()[0, 0])
         element = int(members[k // e_x.shape[-2] % len(members)])
-        along, across = (plain(x).reshape(-1, 3)[k].tolist() for x in (e_x, d.contiguous()))
+        along, across = (untransformed(x).reshape(-1, 3)[k].tolist() for x in (e_x, d.contiguous()))
         raise InputError(
             f"orientation {across} lies along element {element}, direction {along}; "
             "allowed: a direction across the beam, to which the section's y-axis is turned"

@@ -26,10 +26,10 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam_nodes import Straight, made, shape_of
-from torchmbd.math.gradients import constants
-from torchmbd.math.owned import indices, reals
-from torchmbd.math.plausible_units import EXTENT, doubt
-from torchmbd.math.variable import Variables, is_variable, number
+from torchmbd.math.checked_numbers import indices, reals
+from torchmbd.math.gradients import constant_arguments
+from torchmbd.math.plausible_units import EXTENT, warn_unusual
+from torchmbd.math.variable import ParameterVector, is_variable, number
 
 
 class BeamLine:
@@ -62,7 +62,7 @@ class BeamLine:
         middles: ArrayLike | Tensor | None = None,
     ) -> None:
         self.shape = shape_of(nodes)
-        self.variables = Variables.of(self.shape)
+        self.variables = ParameterVector.of(self.shape)
         self.nodes = reals("nodes of a BeamLine", made(self.shape) if self.shape is not None else nodes)  # pyright: ignore[reportArgumentType]
         if self.shape is not None and middles is not None:
             raise InputError("nodes of a BeamLine vary and it has middles; allowed: numbers, or straight elements")
@@ -82,7 +82,7 @@ class BeamLine:
                     raise InputError(f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}")
 
     @classmethod
-    @constants
+    @constant_arguments
     def straight(
         cls, length: float | Tensor, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)
     ) -> BeamLine:
@@ -103,7 +103,7 @@ class BeamLine:
         return cls(nodes, node_sets=sets)
 
     @classmethod
-    @constants
+    @constant_arguments
     def arc(cls, radius: float, angle: float, elements: int = 16) -> BeamLine:
         """Arc of a circle in the x-y plane, from the origin along +x, bending to +y. Nodes "start", "end", "center".
 
@@ -141,7 +141,7 @@ def _check_nodes(nodes: Tensor) -> None:
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
-    doubt("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
+    warn_unusual("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
     twin = _repeated(nodes.numpy())
     if twin:
         raise InputError(

@@ -17,8 +17,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import parameter
-from torchmbd.math.variable import Variables
+from torchmbd.math.checked_numbers import parameter
+from torchmbd.math.variable import ParameterVector
 
 
 class Nodes(nn.Module):
@@ -76,5 +76,5 @@ def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:
     """Nodes of a mesh in the present design [m]."""
     if not varying_nodes(mesh):
         return mesh.nodes
-    variables: Variables = mesh.variables
+    variables: ParameterVector = mesh.variables
     return variables.evaluated()

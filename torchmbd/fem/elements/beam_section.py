@@ -23,11 +23,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import constants, refuse_gradients
-from torchmbd.math.owned import all_true
-from torchmbd.math.owned import plain as plain_numbers
-from torchmbd.math.plausible_units import DIMENSION, doubt, doubt_material
-from torchmbd.math.variable import Numbers, number, plain, stacked, varies
+from torchmbd.math.gradients import all_true, constant_arguments, refuse_gradients
+from torchmbd.math.gradients import untransformed as plain_numbers
+from torchmbd.math.plausible_units import DIMENSION, warn_unusual, warn_unusual_material
+from torchmbd.math.variable import Numbers, number, stacked, varies, without_variables
 
 
 @runtime_checkable
@@ -64,7 +63,7 @@ class GivenSection(nn.Module):
         self.register_buffer("inertia", checked("mass", mass), persistent=False)
 
     @classmethod
-    @constants
+    @constant_arguments
     def isotropic(
         cls,
         E: float | Tensor,
@@ -115,12 +114,12 @@ class Isotropic:
                 raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
         if not -1.0 < number(self.nu) <= 0.5:
             raise InputError(f"GivenSection: nu = {number(self.nu)!r}; allowed: -1 < nu <= 0.5")
-        own = plain(self)
-        doubt_material("GivenSection", {"E": own.E}, own.density, None)
+        own = without_variables(self)
+        warn_unusual_material("GivenSection", {"E": own.E}, own.density, None)
         for name in ("Iyy", "Izz", "J"):
             radius = math.sqrt(getattr(own, name) / own.area)
-            doubt(f"GivenSection: area and {name}: radius of gyration", radius, "m", DIMENSION)
-        doubt("GivenSection: area", own.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2))
+            warn_unusual(f"GivenSection: area and {name}: radius of gyration", radius, "m", DIMENSION)
+        warn_unusual("GivenSection: area", own.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2))
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix."""

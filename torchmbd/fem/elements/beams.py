@@ -20,7 +20,7 @@ from torchmbd.fem.elements.beam_section import BeamSection, line_transform
 from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints
 from torchmbd.fem.elements.plates import MASSES
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 
 #: Stations of an element that is twisted by itself or an arc: its flexibility is exact to 1e-10 up to a quarter turn.
 TURNING = 8

@@ -27,7 +27,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.shell_normals import corner_normals
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 
 #: A material direction nearer to the normal than this (sine of the angle) has no reliable projection.
 STEEPNESS = 1e-3

@@ -25,8 +25,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.gradients import constants
-from torchmbd.math.owned import indices, real, whole
+from torchmbd.math.checked_numbers import indices, is_real, is_whole
+from torchmbd.math.gradients import constant_arguments
 
 AXES = "xyz"
 
@@ -60,7 +60,7 @@ class FiberField:
     weights: Float[Tensor, "cells r"]
     slopes: Float[Tensor, "cells 3 r"]
 
-    @constants
+    @constant_arguments
     def __init__(
         self,
         mesh: Mesh,
@@ -135,7 +135,7 @@ def _counts(controls: object) -> tuple[int, int]:
     if (
         isinstance(controls, Sequence)
         and len(controls) == 2
-        and all(whole(x) and x >= 1 for x in controls)  # one control: constant along that axis
+        and all(is_whole(x) and x >= 1 for x in controls)  # one control: constant along that axis
     ):
         return int(controls[0]), int(controls[1])
     raise InputError(
@@ -144,7 +144,7 @@ def _counts(controls: object) -> tuple[int, int]:
 
 
 def _degree(degree: int, counts: tuple[int, int]) -> int:
-    if not (whole(degree) and 0 <= degree <= 5):
+    if not (is_whole(degree) and 0 <= degree <= 5):
         raise InputError(f"degree of a FiberField is {degree!r}; allowed: 0 to 5")
     if any(1 < n <= degree for n in counts):
         raise InputError(
@@ -154,7 +154,7 @@ def _degree(degree: int, counts: tuple[int, int]) -> int:
 
 
 def _radius(radius: float) -> float:
-    if not (real(radius) and 0.0 < radius < float("inf")):
+    if not (is_real(radius) and 0.0 < radius < float("inf")):
         raise InputError(f"radius of a FiberField is {radius!r} m; allowed: a finite number > 0")
     return float(radius)
 

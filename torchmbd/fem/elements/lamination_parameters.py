@@ -29,8 +29,8 @@ from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
 from torchmbd.fem.materials.lamination_region import outside
-from torchmbd.math.owned import parameter, real
-from torchmbd.math.plausible_units import THICKNESS, doubt
+from torchmbd.math.checked_numbers import is_real, parameter
+from torchmbd.math.plausible_units import THICKNESS, warn_unusual
 
 _UNKNOWN = (
     "is given by lamination parameters, its plies are not known; allowed: a Laminate, such as recover_stacks finds"
@@ -77,7 +77,7 @@ class LaminationParameters(Laminate):
             raise InputError(f"ply of LaminationParameters is {ply!r}; allowed: a Ply")
         if not (field is None or isinstance(field, FiberField)):
             raise InputError(f"field of LaminationParameters is {field!r}; allowed: a FiberField, or None")
-        if not (real(shear_correction) and 0.0 < shear_correction <= 1.0):
+        if not (is_real(shear_correction) and 0.0 < shear_correction <= 1.0):
             raise InputError(
                 f"LaminationParameters: shear_correction = {shear_correction!r}; allowed: 0 < shear_correction <= 1"
             )
@@ -217,7 +217,7 @@ def _thickness(given: float | Tensor, field: FiberField | None) -> nn.Parameter:
         )
     if not bool((h > 0.0).all() and h.isfinite().all()):
         raise InputError(f"LaminationParameters: thickness = {h.tolist()!r} m; allowed: finite numbers > 0")
-    doubt("LaminationParameters: thickness", float(h.detach().max()), "m", THICKNESS)
+    warn_unusual("LaminationParameters: thickness", float(h.detach().max()), "m", THICKNESS)
     return h
 
 

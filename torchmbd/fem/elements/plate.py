@@ -34,7 +34,7 @@ from torchmbd.fem.elements.shell_elements import ELEMENTS
 from torchmbd.fem.elements.strains import ShearRecovery, Strains
 from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness
 from torchmbd.fem.mesh import Mesh, directed_area
-from torchmbd.math.linear_map import mapped
+from torchmbd.math.linear_map import apply_linear
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.sums import Sums
 
@@ -169,7 +169,7 @@ class PlateMatrices:
         numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
         law = LaminateStiffness.of(numbers)
         laws = [x for own in picked.cells for x in own.law(law.A, law.B)]
-        return mapped(picked, numbers, *laws).reshape(*lanes, -1)
+        return apply_linear(picked, numbers, *laws).reshape(*lanes, -1)
 
     def _of(self, chosen: Tensor) -> _Numbers:
         """The map to chosen entries only."""

@@ -31,7 +31,7 @@ from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.shell_geometric import stressed_shells
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.gradients import constants
+from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -151,7 +151,7 @@ def _joined(group: dict[str, Any]) -> dict[str, Part]:
 class PointMasses:
     """Masses [kg] with isotropic rotary inertias [kg m2] at nodes, or on arms from them [m]; no stiffness."""
 
-    @constants
+    @constant_arguments
     def __init__(
         self,
         mesh: Mesh,

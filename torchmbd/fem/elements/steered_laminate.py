@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.materials import Laminate, Ply
-from torchmbd.math.owned import parameter
+from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.plausible_units import check_angles
 
 

@@ -15,7 +15,7 @@ from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.exact_beam.data import BeamData
 from torchmbd.fem.exact_beam.loads import along, nodal, vector
 from torchmbd.fem.exact_beam.sections import Elements, SpanSections, block
-from torchmbd.math.owned import plain
+from torchmbd.math.gradients import untransformed
 
 
 class NodalMass(NamedTuple):
@@ -54,7 +54,7 @@ def beam_data(
     n, where = len(line.nodes), line.elements.flatten()
     q, p = (along(key, line, given[key]) for key in ("line_load", "follower_line_load"))
     loads, turning = (nodal(key, line, given[key]) for key in ("loads", "follower_loads"))
-    symmetric = not any(bool(plain(x).any()) for x in (loads[:, 3:], q[:, 3:], p, turning))
+    symmetric = not any(bool(untransformed(x).any()) for x in (loads[:, 3:], q[:, 3:], p, turning))
     half = 0.5 * made.matrices.length[..., None]
     tangent = made.axes[..., 0]  # [*lanes, m, 2, 3]
     arm = tangent * (half / 3.0)[..., None, :] * torch.tensor([[1.0], [-1.0]], dtype=torch.float64)
@@ -67,7 +67,7 @@ def beam_data(
     axes = made.axes.flatten(-4, -3)[..., first, :, :]
     follower = (block(axes) @ turning[..., None])[..., 0] + gathered(push, where, n, 1)
     gravity, spin, center = (vector(key, given[key]) for key in ("gravity", "spin", "center"))
-    heavy = massive or bool(plain(gravity).any()) or bool(plain(spin).any())
+    heavy = massive or bool(untransformed(gravity).any()) or bool(untransformed(spin).any())
     own = nodal_mass(line, sections, made) if heavy else _massless(n)
     start, end = made.axes.unbind(-3)
     data = BeamData(

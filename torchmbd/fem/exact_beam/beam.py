@@ -26,8 +26,9 @@ from torchmbd.fem.exact_beam.loads import Loads, Supports, held
 from torchmbd.fem.exact_beam.sections import Elements, SpanSections, elements
 from torchmbd.fem.exact_beam.solution import solve
 from torchmbd.fem.exact_beam.vibrations import frequencies
-from torchmbd.math.module_call import outside
-from torchmbd.math.owned import parameter, plain, reals, whole
+from torchmbd.math.checked_numbers import is_whole, parameter, reals
+from torchmbd.math.gradients import untransformed
+from torchmbd.math.module_call import outside_transforms
 
 _STATIONS, _TURNING = 2, 8  # of prismatic elements; of those that are twisted, tapered or arcs
 _SIDES = torch.tensor([-1.0, 1.0], dtype=torch.float64)  # section forces act on the face whose normal is along the beam
@@ -202,7 +203,7 @@ class ExactBeam(nn.Module):
         >>> bool(spun[0] > 1.3 * rest[0]), state.status  # the flapping blade is stiffer
         (True, 'ok')
         """
-        if not whole(number) or not 1 <= number <= 6 * len(self.mesh.nodes) - 6:
+        if not is_whole(number) or not 1 <= number <= 6 * len(self.mesh.nodes) - 6:
             raise InputError(f"number of frequencies of {self.name!r} is {number!r}; allowed: an integer >= 1")
         given = {
             "loads": loads,
@@ -232,7 +233,7 @@ class ExactBeam(nn.Module):
         if not len(free):
             raise InputError(f"supports of {self.name!r} hold all freedoms; allowed: fewer")
         data, symmetric = beam_data(self.mesh, self.sections, made, present_nodes(self.mesh), imposed, given, massive)
-        search = outside(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
+        search = outside_transforms(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
         return search, data, made
 
     def _elements(self) -> Elements:
@@ -251,9 +252,9 @@ class ExactBeam(nn.Module):
         missing = residual(data, search.topology, x, R)
         held = torch.ones(missing.shape[-2] * 6, dtype=torch.bool).index_fill(0, search.topology.free, False)
         reactions = torch.where(held.reshape(-1, 6), -missing, 0.0)
-        codes = plain(code).flatten()
+        codes = untransformed(code).flatten()
         worst = next((k for k, c in enumerate(codes.tolist()) if c), len(codes) - 1)
-        status = _WHY[STATUS[int(codes[worst])]].format(factor=float(plain(factor).flatten()[worst]))
+        status = _WHY[STATUS[int(codes[worst])]].format(factor=float(untransformed(factor).flatten()[worst]))
         way = search.paths[worst]
         path = torch.tensor(way.factors, dtype=torch.float64), torch.stack(way.places)
         return BeamState(x, R, forces, reactions, factor, status, path)

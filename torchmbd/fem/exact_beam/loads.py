@@ -14,7 +14,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import FREEDOMS, BeamLine
-from torchmbd.math.owned import all_true, whole
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.gradients import all_true
 
 Loads = Mapping[Any, Sequence[float] | Tensor]
 Supports = Mapping[Any, str | Sequence[float | None]]
@@ -26,7 +27,7 @@ def nodes_of(line: BeamLine, given: Any) -> list[int]:
         return list(line.node_set(given))
     if isinstance(given, tuple | list):
         return [k for one in given for k in nodes_of(line, one)]
-    if not whole(given) or not 0 <= given < len(line.nodes):
+    if not is_whole(given) or not 0 <= given < len(line.nodes):
         raise InputError(f"node is {given!r}; allowed: a name, 0 to {len(line.nodes) - 1}, or a tuple of these")
     return [int(given)]
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamSection, GivenSection
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 
 #: Places of our axes (x along the beam, y, z) among those of BeamDyn (z along the blade, x, y): of forces and moments.
 _BEAMDYN = [2, 0, 1, 5, 3, 4]

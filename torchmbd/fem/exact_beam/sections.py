@@ -15,8 +15,8 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine, BeamMatrices, BeamSection
 from torchmbd.fem.elements.beam_section import line_transform
 from torchmbd.fem.exact_beam.section_table import SectionTable
+from torchmbd.math.gradients import all_true, untransformed
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.owned import all_true, plain
 from torchmbd.math.rigid_motion import LARGEST, logarithm
 
 
@@ -54,13 +54,13 @@ class SpanSections:
         """Of the sections at parts t of the elements; InputError where one is not positive definite."""
         at = positions(length, t)
         found = self._at("stiffness", at)
-        good = torch.linalg.cholesky_ex(plain(found))[1] == 0
+        good = torch.linalg.cholesky_ex(untransformed(found))[1] == 0
         if not all_true(good):
             m, g = at.shape[-2:]
             k = int(good.reshape(-1, m * good.shape[-1]).all(0).logical_not().nonzero()[0, 0])
             element, place = (
                 k // good.shape[-1],
-                float(plain(at).reshape(-1, m, g)[0].flatten()[k if good.shape[-1] == g else k * g]),
+                float(untransformed(at).reshape(-1, m, g)[0].flatten()[k if good.shape[-1] == g else k * g]),
             )
             raise InputError(
                 f"section of {self.name!r} at {place:.3g} of its length (element {element}) is not positive definite; "
@@ -122,7 +122,7 @@ def elements(sections: SpanSections, matrices: BeamMatrices, offset: Tensor, twi
     first, second = axes.unbind(-3)
     i, j = matrices.elements.unbind(1)
     relative = first.mT @ second
-    good = plain(relative).diagonal(dim1=-2, dim2=-1).sum(-1) > 1.0 + 2.0 * torch.cos(torch.tensor(LARGEST))
+    good = untransformed(relative).diagonal(dim1=-2, dim2=-1).sum(-1) > 1.0 + 2.0 * torch.cos(torch.tensor(LARGEST))
     if not all_true(good):
         k = int(good.reshape(-1, len(i)).all(0).logical_not().nonzero()[0, 0])
         raise InputError(f"element {k} of {sections.name!r} turns by more than {LARGEST} rad; allowed: more elements")

@@ -20,12 +20,12 @@ from torch import Tensor
 from torchmbd.fem.exact_beam.continuation import Continuation, Path
 from torchmbd.fem.exact_beam.data import RANKS, BeamData, widened
 from torchmbd.fem.exact_beam.forces import residual, turned
-from torchmbd.math.owned import watched
+from torchmbd.math.gradients import is_differentiated
 
 
 def solve(search: Continuation, data: BeamData) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Places x [*lanes, n, 3] and rotations R of the nodes, nan where there is none; factor and code of STATUS [*lanes]."""
-    derivatives = any(watched(x) for x in data)
+    derivatives = any(is_differentiated(x) for x in data)
     x, R, answer, factor, code = _Search.apply(search, derivatives, *data)
     if not derivatives:
         return x, R, factor, code

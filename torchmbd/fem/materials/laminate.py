@@ -44,8 +44,8 @@ from torchmbd.fem.materials.laminate_checks import (
 )
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
-from torchmbd.math.owned import real
-from torchmbd.math.variable import Several, is_variable, stacked
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.variable import LayerNumbers, is_variable, stacked
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -122,14 +122,14 @@ class Laminate(nn.Module):
         offset: float = 0.0,
     ) -> None:
         super().__init__()
-        if not real(offset):
+        if not is_real(offset):
             raise InputError(f"Laminate: offset = {offset!r}; allowed: a finite number [m]")
         self.offset = float(offset)
         self.angles = checked_angles(angles)
         layers = self.angles.numel()
         plies = checked_plies(ply, layers)
         self.symmetric = true_or_false("Laminate: symmetric", symmetric)
-        self._plies = Several(self, "ply", plies)
+        self._plies = LayerNumbers(self, "ply", plies)
         self.shear_correction = checked_correction(shear_correction)
         self.thickness = checked_thickness(thickness, layers)
         self.register_buffer("_constant", _constants_of(plies).detach(), persistent=False)

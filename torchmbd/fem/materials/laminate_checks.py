@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.ply import Ply
-from torchmbd.math.owned import parameter, real
-from torchmbd.math.plausible_units import THICKNESS, check_angles, doubt
+from torchmbd.math.checked_numbers import is_real, parameter
+from torchmbd.math.plausible_units import THICKNESS, check_angles, warn_unusual
 
 
 def checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
@@ -51,14 +51,14 @@ def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) 
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
             raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
-    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS)
+    warn_unusual("Laminate: thickness", float(t.detach().max()), "m", THICKNESS)
     return t
 
 
 def checked_correction(value: float | str) -> float | str:
     if value == "energy":
         return "energy"
-    if isinstance(value, str) or not real(value) or not 0.0 < value <= 1.0:
+    if isinstance(value, str) or not is_real(value) or not 0.0 < value <= 1.0:
         raise InputError(
             f"Laminate: shear_correction = {value!r}; allowed: 0 < shear_correction <= 1, or the word 'energy'"
         )

@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.math.gradients import constants
+from torchmbd.math.gradients import constant_arguments
 
 DIRECTIONS = 12
 #: Number of conditions: two of a, two of d, and five of every f.
@@ -84,7 +84,7 @@ def _hammer(V: Tensor) -> Tensor:
 
 
 @cache
-@constants
+@constant_arguments
 def _functions() -> tuple[Tensor, Tensor]:
     """f0 [n] and c [n, 4] of the functions f, 0 <= f <= 1."""
     phases = [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]

@@ -26,9 +26,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.strength import Strength
-from torchmbd.math.owned import real
-from torchmbd.math.plausible_units import doubt_material
-from torchmbd.math.variable import check_positive, number, plain, stacked
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.plausible_units import warn_unusual_material
+from torchmbd.math.variable import check_positive, number, stacked, without_variables
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Ply:
     def __post_init__(self) -> None:
         check_positive(self)
         nu12 = number(self.nu12)
-        if not (real(nu12) and math.isfinite(nu12)):
+        if not (is_real(nu12) and math.isfinite(nu12)):
             raise InputError(f"Ply: nu12 = {nu12!r}; allowed: a finite number, or mbd.variable(...) of one")
         limit = math.sqrt(number(self.E1) / number(self.E2))
         if abs(nu12) >= limit:
@@ -72,16 +72,16 @@ class Ply:
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
             raise InputError(f"Ply: strength = {self.strength!r}; allowed: a Strength, or None")
-        own = plain(self)
+        own = without_variables(self)
         moduli = {name: getattr(own, name) for name in ("E1", "E2", "G12", "G13", "G23")}
-        doubt_material("Ply", moduli, own.density, own.strength.Xt if own.strength else None)
+        warn_unusual_material("Ply", moduli, own.density, own.strength.Xt if own.strength else None)
 
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float | Tensor, strength: Strength | None = None) -> Ply:
         """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], which may vary."""
-        if not (real(nu) and -1.0 < nu <= 0.5):
+        if not (is_real(nu) and -1.0 < nu <= 0.5):
             raise InputError(f"Ply.isotropic: nu = {nu!r}; allowed: -1 < nu <= 0.5")
-        if not (real(E) and E > 0):
+        if not (is_real(E) and E > 0):
             raise InputError(f"Ply.isotropic: E = {E!r}; allowed: a finite number > 0; Ply(...) takes moduli that vary")
         G = E / (2.0 * (1.0 + nu))
         return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength)

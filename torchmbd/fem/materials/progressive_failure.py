@@ -24,8 +24,8 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials.failure_modes import FIBER, MODES, FailureModes
 from torchmbd.fem.materials.laminate import Laminate, turning
-from torchmbd.math.gradients import differentiated
-from torchmbd.math.owned import real, reals
+from torchmbd.math.checked_numbers import is_real, reals
+from torchmbd.math.gradients import carries_gradient
 
 HALVINGS, WIDEST = 64, 30.0  # of the search for a load, in decades to both sides of one
 COLLAPSED = 1e-2  # of 1 / kept: the compliance by that of the whole laminate where nothing else is left
@@ -169,10 +169,10 @@ def _checked(
         raise InputError(f"laminate is {laminate!r}; allowed: one Laminate, whose angles are one row")
     if criterion not in PLANE_CRITERIA:
         raise unknown("criterion", criterion, PLANE_CRITERIA)
-    if not real(kept) or not 0.0 < kept <= 1e-3:
+    if not is_real(kept) or not 0.0 < kept <= 1e-3:
         raise InputError(f"kept is {kept!r}; allowed: a number in (0, 1e-3]")
     both = [
-        x.double() if isinstance(x, Tensor) and differentiated(x) else reals(name, x)
+        x.double() if isinstance(x, Tensor) and carries_gradient(x) else reals(name, x)
         for name, x in (("force", force), ("moment", moment))
     ]
     for name, x in zip(("force", "moment"), both, strict=True):

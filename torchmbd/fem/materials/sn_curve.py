@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import scalar
+from torchmbd.math.checked_numbers import scalar
 
 _LEAST = 1e-3  # share of the room between the mean and the strengths that is always left
 

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.failure_modes import MODES
-from torchmbd.math.owned import real
+from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.variable import check_positive, number, stacked
 
 #: The stresses and strains of a ply, in this order; 1 = fibre, 3 = thickness. Shear strains are engineering strains.
@@ -64,7 +64,7 @@ class Strength:
     def __post_init__(self) -> None:
         check_positive(self, " Pa", infinite=True)
         ratio = number(self.interaction)
-        if not (real(ratio) and -1.0 < ratio < 1.0):
+        if not (is_real(ratio) and -1.0 < ratio < 1.0):
             raise InputError(
                 f"Strength: interaction = {ratio!r}; allowed: -1 < interaction < 1, or mbd.variable(...) of that"
             )

@@ -23,9 +23,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh_checks import check, directed_area
-from torchmbd.math.gradients import constants
-from torchmbd.math.owned import indices, reals, scalar
-from torchmbd.math.plausible_units import EXTENT, doubt
+from torchmbd.math.checked_numbers import indices, reals, scalar
+from torchmbd.math.gradients import constant_arguments
+from torchmbd.math.plausible_units import EXTENT, warn_unusual
 
 
 class Pieces(NamedTuple):
@@ -90,7 +90,7 @@ class Mesh:
 
     def _check(self) -> None:
         check(self)
-        doubt(
+        warn_unusual(
             "nodes of a Mesh: extent",
             float((self.nodes.amax(0) - self.nodes.amin(0)).norm()),
             "m",
@@ -120,7 +120,7 @@ class Mesh:
             raise error
         return tuple(self.node_sets[name])
 
-    @constants
+    @constant_arguments
     def within(self, radius: float, point: str | Sequence[float] = "center") -> tuple[int, ...]:
         """Return the nodes at most `radius` [m] from a named node or a place [m]: a patch of one size on every mesh."""
         place = self.nodes[self.node(point)] if isinstance(point, str) else self.nodes.new_tensor(point)
@@ -131,7 +131,7 @@ class Mesh:
             raise InputError(f"Mesh: no node within {radius!r} m of {point!r}; allowed: a larger radius")
         return tuple(near.tolist())
 
-    @constants
+    @constant_arguments
     def edge(self, x: float | None = None, y: float | None = None, z: float | None = None) -> tuple[int, ...]:
         """Return the nodes on the edge of the surface, the sides of one cell alone; those at given coordinates [m].
 

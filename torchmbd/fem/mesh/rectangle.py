@@ -18,7 +18,7 @@ import torch
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh import Mesh
-from torchmbd.math.owned import positive
+from torchmbd.math.checked_numbers import positive
 
 #: Kinds of cells that it can make.
 KINDS = ("quad", "triangle")

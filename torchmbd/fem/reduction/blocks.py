@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.fem.reduction.forms import Form
 from torchmbd.fem.reduction.partition import Partition, form_sums
-from torchmbd.math.panels import Factor, panels
+from torchmbd.math.compiled_products import Factor, compiled_products
 
 SMALL = 64  # rows of blocks that compiled code eliminates; larger ones are better off with LAPACK
 
@@ -47,7 +47,7 @@ class BlockFactor:
         self.bounds = layout.bounds
         self.S_inverse, self.E = views(layout, flat)
         self.compiled = Factor(layout.bounds, flat)
-        if max(layout.sizes) <= SMALL and (code := panels(flat)) is not None:
+        if max(layout.sizes) <= SMALL and (code := compiled_products(flat)) is not None:
             self.pivot = code.factorize(self.compiled)
         else:
             self.pivot = torch.stack([self._eliminate(i) for i in range(len(self.S_inverse))]).amin(0)
@@ -68,7 +68,7 @@ class BlockFactor:
 
     def solve(self, X: Tensor) -> Tensor:
         """A^-1 X for columns [lane, N, k]."""
-        if (code := panels(X)) is not None:
+        if (code := compiled_products(X)) is not None:
             return code.solve(self.compiled, X)
         parts = [X[:, start:end] for start, end in zip(self.bounds, self.bounds[1:], strict=False)]
         forward = [parts[0]]

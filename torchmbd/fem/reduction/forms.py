@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.panels import panels
+from torchmbd.math.compiled_products import compiled_products
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 SYMMETRY_TOLERANCE = 1e-9
@@ -93,7 +93,7 @@ class Sparse:
     def multiply(self, values: Tensor, X: Tensor) -> Tensor:
         if values.device.type != "cpu":
             return SparseMatrix(self.pattern, values) @ X
-        if values.dim() == 3 and X.shape[:2] == (len(values), 1) and (code := panels(X)) is not None:
+        if values.dim() == 3 and X.shape[:2] == (len(values), 1) and (code := compiled_products(X)) is not None:
             return code.multiply_sparse(self.pattern, values, X[:, 0])
         lanes = np.broadcast_shapes(values.shape[:-1], X.shape[:-2])
         flat_values = values.expand(*lanes, -1).reshape(-1, self.pattern.nnz).numpy()
@@ -108,7 +108,7 @@ class Sparse:
         return torch.from_numpy(result).reshape(*lanes, *X.shape[-2:])
 
     def pair(self, Y: Tensor, X: Tensor) -> Tensor:
-        if X.dim() == 4 and X.shape[:2] == (len(Y), 1) and (code := panels(X)) is not None:
+        if X.dim() == 4 and X.shape[:2] == (len(Y), 1) and (code := compiled_products(X)) is not None:
             return code.pair(self.pattern, Y, X[:, 0])
         lanes = np.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
         total = Y.new_zeros((*lanes, self.pattern.nnz))

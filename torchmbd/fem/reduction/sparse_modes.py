@@ -27,7 +27,7 @@ from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
 from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, too_near
-from torchmbd.math.panels import panels
+from torchmbd.math.compiled_products import compiled_products
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
@@ -68,7 +68,7 @@ class SparseModes:
 
     def _go_on(self, found: Recurrence, steps: int) -> None:
         """`Recurrence.go_on`, by compiled code where there is some."""
-        if isinstance(self.root, BlockRoot) or (code := panels(found.X)) is None:
+        if isinstance(self.root, BlockRoot) or (code := compiled_products(found.X)) is None:
             return found.go_on(self._apply, steps)
         code.lanczos(self.factor.compiled, self.root.G, found.steps, steps, found.Q, found.T, found.X, found.R)
         found.steps = steps
@@ -108,7 +108,7 @@ class SparseModes:
         c = self._discard(self._discard(c))  # once more, for columns of which nearly nothing is left
         target = DERIVATIVE_TOLERANCE * torch.linalg.vector_norm(c, dim=1, keepdim=True) + rounding
         y, r = self._known_solution(c, inverse_mu)
-        if isinstance(self.root, DiagonalRoot) and (code := panels(y)) is not None:
+        if isinstance(self.root, DiagonalRoot) and (code := compiled_products(y)) is not None:
             shape = (len(y), 1, y.shape[2])
             limits = inverse_mu.expand(shape), target.expand(shape)
             if not code.conjugate_gradients(self.factor.compiled, self.root.G, self.U, *limits, y, r, MOST_STEPS):

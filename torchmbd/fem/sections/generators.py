@@ -36,14 +36,14 @@ from torchmbd.fem.sections.section_checks import (
     checked_thicknesses,
     count_of_layers,
 )
-from torchmbd.math.gradients import constants
+from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.variable import number
 
 Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
-Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constants`)
+Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constant_arguments`)
 
 
-@constants
+@constant_arguments
 def strip(
     width: float | Tensor,
     ply: Plies,
@@ -70,7 +70,7 @@ def strip(
     return Section(shaped(build, {"width": width, "thickness": thickness}, order), ply, angles)
 
 
-@constants
+@constant_arguments
 def rectangle(
     width: float | Tensor,
     height: float | Tensor,
@@ -98,7 +98,7 @@ def rectangle(
     return Section(shaped(build, {"width": width, "height": height}, order), ply, angles)
 
 
-@constants
+@constant_arguments
 def box(
     width: float | Tensor,
     height: float | Tensor,
@@ -149,7 +149,7 @@ def box(
     return Section(shaped(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own)
 
 
-@constants
+@constant_arguments
 def tube(
     radius: float | Tensor,
     ply: Plies,
@@ -185,7 +185,7 @@ def tube(
     return Section(shaped(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
 
 
-@constants
+@constant_arguments
 def circle(
     radius: float | Tensor,
     ply: Ply | Orthotropic,
@@ -219,7 +219,7 @@ def circle(
     return Section(shaped(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
 
 
-@constants
+@constant_arguments
 def i_section(
     width: float | Tensor,
     height: float | Tensor,

@@ -29,7 +29,7 @@ from torch.nn.functional import pad
 from torchmbd.errors import InputError
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.shapes import rule, shape
-from torchmbd.math.owned import all_true
+from torchmbd.math.gradients import all_true
 
 AXIAL = [0, 5, 4]  # eps_xx, gamma_xs, gamma_xn: what acts on the face x = const
 

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.sections.shapes import rule, shape
-from torchmbd.math.owned import indices, reals
+from torchmbd.math.checked_numbers import indices, reals
 
 KINDS = (3, 4, 6, 8)
 

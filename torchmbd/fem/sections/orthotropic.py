@@ -27,9 +27,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import Ply, Strength
-from torchmbd.math.owned import real
-from torchmbd.math.plausible_units import doubt_material
-from torchmbd.math.variable import check_positive, number, plain, replaced, stacked, varies
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.plausible_units import warn_unusual_material
+from torchmbd.math.variable import check_positive, number, stacked, varies, with_fields, without_variables
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ class Orthotropic:
         check_positive(self)
         for name in ("nu12", "nu13", "nu23"):
             value = number(getattr(self, name))
-            if not (real(value) and math.isfinite(value)):
+            if not (is_real(value) and math.isfinite(value)):
                 raise InputError(
                     f"Orthotropic: {name} = {value!r}; allowed: a finite number, or mbd.variable(...) of one"
                 )
-        own = plain(self)
+        own = without_variables(self)
         normal = own._compliance()[:3, :3]
         scale = normal.diagonal().rsqrt()
         if not float(torch.linalg.eigvalsh(scale[:, None] * normal * scale).min()) > 1e-9:
@@ -70,14 +70,14 @@ class Orthotropic:
                 "and the determinant of the three normal strains positive"
             )
         moduli = {name: getattr(own, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
-        doubt_material("Orthotropic", moduli, own.density, own.strength.Xt if own.strength else None)
+        warn_unusual_material("Orthotropic", moduli, own.density, own.strength.Xt if own.strength else None)
 
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float | Tensor) -> Orthotropic:
         """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3], which may vary."""
-        if not (real(nu) and -1.0 < nu < 0.5):
+        if not (is_real(nu) and -1.0 < nu < 0.5):
             raise InputError(f"Orthotropic.isotropic: nu = {nu!r}; allowed: -1 < nu < 0.5")
-        if not (real(E) and E > 0):
+        if not (is_real(E) and E > 0):
             raise InputError(
                 f"Orthotropic.isotropic: E = {E!r}; allowed: a finite number > 0; Orthotropic(...) takes moduli that vary"
             )
@@ -108,7 +108,7 @@ class Orthotropic:
         if isinstance(ply, Orthotropic):
             return ply
         own = {name: getattr(ply, name) for name in ("E1", "E2", "G12", "G13", "G23", "nu12", "density", "strength")}
-        return replaced(self, own | {"E3": ply.E2, "nu13": ply.nu12, "nu23": ply.E2 / (2.0 * ply.G23) - 1.0})
+        return with_fields(self, own | {"E3": ply.E2, "nu13": ply.nu12, "nu23": ply.E2 / (2.0 * ply.G23) - 1.0})
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """C [Pa] for strains (11, 22, 33, 23, 13, 12), shear strains gamma."""

@@ -38,10 +38,10 @@ from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.orthotropic import Orthotropic, strain_rotation, turned
 from torchmbd.fem.sections.saint_venant import UnitFields, compliance, unit_fields
 from torchmbd.fem.sections.warping import WarpingProblem
+from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.owned import parameter
 from torchmbd.math.plausible_units import check_angles
-from torchmbd.math.variable import Several, plain, stacked
+from torchmbd.math.variable import LayerNumbers, stacked, without_variables
 
 #: The order of forces, moments and generalized strains.
 FORCES = ("N", "V_y", "V_z", "T", "M_y", "M_z")
@@ -90,8 +90,8 @@ class Section(nn.Module):
                 f"Section: the mesh has layers 0 to {mesh.layers - 1}, angles has {len(theta)}; "
                 "allowed: one angle for each layer"
             )
-        self._plies = Several(self, "ply", plies)
-        self._solids = [Orthotropic.of(plain(p)) for p in plies]
+        self._plies = LayerNumbers(self, "ply", plies)
+        self._solids = [Orthotropic.of(without_variables(p)) for p in plies]
         self.mesh = mesh
         self.problem = WarpingProblem(SectionGeometry(mesh), mesh.nodes)
         for name, (x, _) in mesh.dimensions.items():

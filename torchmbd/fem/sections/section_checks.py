@@ -12,8 +12,8 @@ import numpy as np
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.math.owned import positive
-from torchmbd.math.plausible_units import DIMENSION, THICKNESS, doubt
+from torchmbd.math.checked_numbers import positive
+from torchmbd.math.plausible_units import DIMENSION, THICKNESS, warn_unusual
 from torchmbd.math.variable import number
 
 Angles = Sequence[float] | Tensor
@@ -52,13 +52,13 @@ def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int
         raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
     if not (np.isfinite(t) & (t > 0)).all():
         raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
-    doubt("thickness", float(t.max()), "m", THICKNESS)
+    warn_unusual("thickness", float(t.max()), "m", THICKNESS)
     return t
 
 
 def check_lengths(**lengths: float | Tensor) -> None:
     for name, value in lengths.items():
-        doubt(name, positive(name, number(value), "m"), "m", DIMENSION)
+        warn_unusual(name, positive(name, number(value), "m"), "m", DIMENSION)
 
 
 def check_cells(cells: Sequence[int], count: int, order: int) -> None:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.integrate.native.simd_layout import LANES, addresses
 from torchmbd.math.pair import Pair, value
-from torchmbd.math.variable import key
+from torchmbd.math.variable import law_key
 from torchmbd.multibody.forces.feedback import Links, Port, derivative
 
 R = TypeVar("R")
@@ -51,7 +51,7 @@ class CalledLaws:
 
     def parameters(self, data: Mapping[str, Any]) -> list[Tensor]:
         """Weights of each controller [k, lanes or 1]; none of a law."""
-        names = [key(link.control.name) for link in self.links]
+        names = [law_key(link.control.name) for link in self.links]
         none = torch.zeros(0, 1, dtype=torch.float64)
         return [
             value(data[name])[:, 0] if link.control.variables else none
@@ -95,7 +95,7 @@ class Feedback:
     def __init__(self, laws: CalledLaws, data: Mapping[str, Any], lanes: int, n_b: int):
         self.laws, self.lanes, self.times = laws, lanes, torch.zeros(1, dtype=torch.float64)
         self.parameters = [p.clone() for p in laws.parameters(data)]
-        names = [key(link.control.name) for link in laws.links]
+        names = [law_key(link.control.name) for link in laws.links]
         self.moves = [data[name].tangent if isinstance(data.get(name), Pair) else None for name in names]
         n, pairs = len(laws.places), len(laws.pairs)
         shapes = [(2 * n,), (n,), (2, pairs), (n_b, n), (n,)]
@@ -159,7 +159,7 @@ class FeedbackSweep:
     """
 
     def __init__(self, laws: CalledLaws, data: Mapping[str, Any], signals: Tensor, times: Tensor, wanted: set[str]):
-        self.laws, names = laws, [key(link.control.name) for link in laws.links]
+        self.laws, names = laws, [law_key(link.control.name) for link in laws.links]
         self.names = [name if name in wanted else None for name in names]
         lanes = signals.shape[-1]
         leaves: dict[int, Tensor] = {}  # one of each module, which holds it for all controllers that share it

@@ -36,7 +36,7 @@ from torchmbd.math.codegen.program import Program, Write, product
 from torchmbd.math.codegen.reverse import Pullback
 from torchmbd.math.codegen.size import AnySize, Index, Lookup, Size, at, place
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import Pair, separate, value
+from torchmbd.math.pair import Pair, separate_tangents, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.state import State
@@ -293,7 +293,7 @@ class _Saddle:
 
 
 def _step(kind: Kind) -> str:
-    with separate():
+    with separate_tangents():
         s = _Step(kind)
         s.module.values = {"signals": s.signals(), "residual": s.residual(), "finish": s.finish(), "matrix": s.matrix()}
         residual = s.step.residual(Pair.of(s.z, s.dz)).tangent
@@ -305,7 +305,7 @@ def _step(kind: Kind) -> str:
 
 
 def _adjoint(kind: Kind) -> str:
-    with separate():
+    with separate_tangents():
         s = _Step(kind)
         p = s.program
         residual, finish, signals = s.residual(), s.finish(), s.signals()
@@ -331,7 +331,7 @@ def _adjoint(kind: Kind) -> str:
 
 
 def _rates(kind: Kind) -> str:
-    with separate():
+    with separate_tangents():
         s = _Traced(kind)
         T, p = s.T, s.program
         q, v = s.state([T.n_q, T.n_v])

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.variable_step import determined
-from torchmbd.math.gradients import refuse_lost
+from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -54,7 +54,7 @@ class Event:
             raise InputError(
                 f"function of an event is {self.function!r}; allowed: a function motion -> [lanes, times] or a history"
             )
-        refuse_lost("function of an event", self.function, "constant tensors")
+        refuse_lost_gradients("function of an event", self.function, "constant tensors")
         if self.direction not in DIRECTIONS:
             raise InputError(f"direction of an event is {self.direction!r}; allowed: {', '.join(DIRECTIONS)}")
 

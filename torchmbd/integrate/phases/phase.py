@@ -30,8 +30,8 @@ from typing import Any
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate.phases.events import Event
-from torchmbd.math.gradients import refuse_lost
-from torchmbd.math.owned import real
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.multibody.forces.action import Action, Law
 from torchmbd.multibody.forces.laws import checked
 from torchmbd.multibody.joints import Drive, Joint
@@ -91,8 +91,8 @@ class Phase:
             raise InputError(f"name of a phase is {self.name!r}; allowed: a string")
         if self.impact is not None and not isinstance(self.until, Event):
             raise InputError(f"impact of a phase is given, but until={self.until!r}; allowed: an Event, its gap")
-        refuse_lost("impact of a phase", self.impact, "constant tensors")
-        number = real(self.impact) and 0.0 <= float(self.impact) <= 1.0  # pyright: ignore[reportArgumentType]
+        refuse_lost_gradients("impact of a phase", self.impact, "constant tensors")
+        number = is_real(self.impact) and 0.0 <= float(self.impact) <= 1.0  # pyright: ignore[reportArgumentType]
         if self.impact is not None and not callable(self.impact) and not number:
             raise InputError(f"impact of a phase is {self.impact!r}; allowed: from 0 to 1, or a map of the velocities")
 

@@ -21,7 +21,7 @@ from torchmbd.fem.elements.beam_nodes import varying_nodes
 from torchmbd.fem.exact_beam import ExactBeam
 from torchmbd.fem.exact_beam.half_elements import rigid_halves
 from torchmbd.fem.exact_beam.sections import Elements
-from torchmbd.math.owned import nonnegative
+from torchmbd.math.checked_numbers import nonnegative
 from torchmbd.multibody.bodies.frame import Frame, identifier, put, rotation, vector
 from torchmbd.multibody.bodies.rigid import RigidBody
 

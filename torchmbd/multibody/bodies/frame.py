@@ -23,8 +23,8 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.gradients import refuse_gradients
-from torchmbd.math.owned import parameter
 from torchmbd.math.variable import Numbers, is_variable, number, stacked
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 

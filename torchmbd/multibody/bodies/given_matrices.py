@@ -25,9 +25,9 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, NodeCloud
 from torchmbd.io.matrix_file import FileMatrix, read_matrix
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 from torchmbd.math.sparse import Pattern, SparseMatrix
-from torchmbd.math.variable import Variables
+from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.matrix_modules import maker
 
 SYMMETRY = 1e-9  # of the largest entry
@@ -72,11 +72,11 @@ class GivenMatrices:
         self.mesh: Mesh = nodes if own else NodeCloud(places, node_sets=node_sets or {}, lines=self._lines(places))
         self._values = [_symmetric(name, key, self.pattern, v) for key, v in zip(("M", "K"), values[:2], strict=True)]
         self.module: nn.Module | None = None
-        self._variables: Variables | None = None
+        self._variables: ParameterVector | None = None
         if made is not None:
             filled = iter(_symmetric(name, "a derivative", self.pattern, v) for v in values[2:])
             own = made.on(self.pattern, self._values, self.freedoms, filled)
-            self.module, self._variables = made.registered, Variables.of(own)
+            self.module, self._variables = made.registered, ParameterVector.of(own)
 
     def now(self) -> tuple[SparseMatrix, SparseMatrix]:
         """M and K in the present design; both have the same lanes."""

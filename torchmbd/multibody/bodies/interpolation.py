@@ -26,7 +26,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import RigidLink
-from torchmbd.math.owned import scalar
+from torchmbd.math.checked_numbers import scalar
 
 _FLAT = 1e-10  # share of the largest eigenvalue of T that counts as zero
 

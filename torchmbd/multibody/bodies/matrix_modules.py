@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 from torchmbd.math.sparse import Pattern
 from torchmbd.math.variable import variable
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, true_or_false, unknown, warn
 from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, uncut
 from torchmbd.fem.reduction.mass_invariants import isotropic, mass_invariants, rigid_motions
-from torchmbd.math.owned import reals, whole
+from torchmbd.math.checked_numbers import is_whole, reals
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
@@ -67,7 +67,7 @@ class MatrixStructure:
             used &= ~loose
             self._rotations = FittedRotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
             self._held_rows = torch.tensor(held, dtype=torch.long)
-            self.shapes = None if whole(modes) else self._given_shapes(modes)
+            self.shapes = None if is_whole(modes) else self._given_shapes(modes)
             if self.shapes is None:
                 used[self._held_rows] = False
                 self.free = used.nonzero()[:, 0]

@@ -21,7 +21,7 @@ from torch import Tensor
 from torchmbd.errors import warn
 from torchmbd.fem.elements import Part, Plates
 from torchmbd.fem.mesh import directed_area
-from torchmbd.math.variable import plain
+from torchmbd.math.variable import without_variables
 
 CORNERS = {"quad": (30.0, 150.0), "triangle": (0.0, 160.0)}  # degrees
 ASPECT = 12.0
@@ -77,7 +77,7 @@ def _cells(part: Plates) -> list[str]:
 
 def _plies(part: Plates) -> list[str]:
     count = len(part.matrices.members)
-    plies = [plain(p) for p in part.laminates[0].plies]
+    plies = [without_variables(p) for p in part.laminates[0].plies]
     ratios = [max(p.E1, p.E2) / min(p.E1, p.E2, p.G12, p.G13, p.G23) for p in plies]
     k = max(range(len(ratios)), key=ratios.__getitem__)
     if ratios[k] < ANISOTROPY or count >= FINE:

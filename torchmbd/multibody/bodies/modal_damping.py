@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import scalar
+from torchmbd.math.checked_numbers import scalar
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
 from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, uncut
-from torchmbd.math.owned import whole
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
 
 
@@ -47,7 +47,7 @@ def reduced(
     free = assembly.freedoms.free
     held = _rows(name, free, interface, reference)
     least, most = 0 if held else 1, len(free) - len(held)
-    if not whole(modes) or not least <= modes <= most:
+    if not is_whole(modes) or not least <= modes <= most:
         allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
         raise InputError(f"modes of {name!r} is {modes!r}; allowed: {allowed}")
     updated = true_or_false(f"updated of {name!r}", updated)

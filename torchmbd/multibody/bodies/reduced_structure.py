@@ -25,7 +25,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh import Mesh, NodeCloud
 from torchmbd.fem.reduction import modal_basis
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "mass": (),

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import parameter, positive
-from torchmbd.math.plausible_units import GYRATION, doubt
+from torchmbd.math.checked_numbers import parameter, positive
+from torchmbd.math.plausible_units import GYRATION, warn_unusual
 from torchmbd.multibody.bodies.frame import Frame, frame_at, identifier, keep, numbers, put, vector_or_parameter
 
 
@@ -93,7 +93,7 @@ class RigidBody(nn.Module):
         J = _inertia(name, inertia)
         self._principal = isinstance(inertia, nn.Parameter) and inertia.dim() == 1
         radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
-        doubt(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
+        warn_unusual(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
         keep(self, "mass", _scalar(name, mass) if varies else torch.tensor(m, dtype=torch.float64))
         keep(self, "center", vector_or_parameter(f"center of {name!r}", center))
         keep(self, "inertia", parameter(f"inertia of {name!r}", inertia) if isinstance(inertia, nn.Parameter) else J)

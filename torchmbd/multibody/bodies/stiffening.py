@@ -32,7 +32,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import Assembly, GivenElements, MassPoints
 from torchmbd.fem.elements.geometric import projected
 from torchmbd.fem.reduction import StaticLoads
-from torchmbd.math.module_call import outside
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.sparse import SparseMatrix
 
 INERTIAL = 12  # unit loads of inertia
@@ -54,7 +54,7 @@ class Stiffening:
     def __init__(self, name: str, assembly: Assembly) -> None:
         check_stressed(name, "stiffening", assembly.parts)
         self.name, self.assembly = name, assembly
-        self._static = outside(lambda: StaticLoads(assembly.pattern))
+        self._static = outside_transforms(lambda: StaticLoads(assembly.pattern))
 
     def __call__(
         self,

@@ -18,8 +18,8 @@ import torch
 from torchmbd.errors import warn
 from torchmbd.fem.elements import Plates
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.plausible_units import DENSITY, SLENDER, SOUND, doubt
-from torchmbd.math.variable import plain
+from torchmbd.math.plausible_units import DENSITY, SLENDER, SOUND, warn_unusual
+from torchmbd.math.variable import without_variables
 
 SIZE = (2e-3, 200.0)  # m
 
@@ -29,7 +29,7 @@ def warn_units(name: str, mesh: Mesh, plates: Iterable[Plates], structure: Calla
     size = _size(mesh)
     doubts = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
     for part in plates:
-        for ply in map(plain, part.laminate.layer_plies):
+        for ply in map(without_variables, part.laminate.layer_plies):
             sound = math.sqrt(ply.E1 / ply.density)
             if not DENSITY[0] <= ply.density <= DENSITY[1]:
                 doubts.append(f"a ply has the density {ply.density:.3g} kg/m3")
@@ -50,7 +50,7 @@ def warn_slender(name: str, mesh: Mesh, plates: Iterable[Plates]) -> None:
     size = _size(mesh)
     for part in plates:
         thickness = float(part.laminate.total_thickness.detach().max())
-        doubt(f"mesh and laminate: thickness of {name!r} by its size", thickness / size, "", SLENDER)
+        warn_unusual(f"mesh and laminate: thickness of {name!r} by its size", thickness / size, "", SLENDER)
 
 
 def _size(mesh: Mesh) -> float:

@@ -37,7 +37,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.math.elementwise import lifted, reciprocal, slopes, sqrt
+from torchmbd.math.elementwise import apply_elementwise, partial_derivatives, reciprocal, sqrt
 from torchmbd.math.pair import Pair, cat, cross, dot, linear, value
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import Scaled, Spring
@@ -191,7 +191,7 @@ def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
     if isinstance(law, Scaled):
         return _force(law.law, s, rate, t) * law.factor
     if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):
-        return lifted(law, s, rate, t)
+        return apply_elementwise(law, s, rate, t)
     by_s, by_rate = law_slopes(law, value(s), value(rate), t)
     return Pair.of(law(value(s), value(rate), t), by_s * s.tangent + by_rate * rate.tangent)
 
@@ -204,7 +204,7 @@ def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Te
     own = getattr(law, "slopes", None)
     if own is not None:
         return own(s, rate, t)
-    by_s, by_rate, _ = slopes(law, s, rate, t)
+    by_s, by_rate, _ = partial_derivatives(law, s, rate, t)
     return by_s, by_rate
 
 

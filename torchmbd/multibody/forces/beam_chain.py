@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torchmbd.math.variable import Variables
+from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable
@@ -25,9 +25,9 @@ class BeamChain(ForceElement):
         self.beam = beam
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         """Those of the beam."""
-        return Variables.of(self.beam)
+        return ParameterVector.of(self.beam)
 
     def actions(self, attachments: AttachmentTable) -> list[Any]:
         """None: these are elements of beams."""

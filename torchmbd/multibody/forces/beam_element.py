@@ -18,9 +18,9 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import nonnegative, parameter, reals
+from torchmbd.math.checked_numbers import nonnegative, parameter, reals
 from torchmbd.math.rigid_motion import LARGEST, logarithm
-from torchmbd.math.variable import Variables
+from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable
@@ -64,9 +64,9 @@ class BeamElement(ForceElement):
             raise InputError(f"frames of {self.name!r} are turned by more than {LARGEST} rad; allowed: less")
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         """The stiffness, if it varies."""
-        return Variables.of(self._own)
+        return ParameterVector.of(self._own)
 
     def actions(self, attachments: AttachmentTable) -> list:
         """None: it is an element of a beam."""

@@ -14,7 +14,7 @@ from typing import Any
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.variable import Variables, number
+from torchmbd.math.variable import ParameterVector, number
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Spin, Turn
 from torchmbd.multibody.forces.contact_law import ContactControl, ContactNumbers, PlaneControl, StopControl
@@ -31,7 +31,7 @@ class _Contact(ForceElement):
     control: ContactControl
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         return self.control.variables
 
     @property

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import parameter, positive
+from torchmbd.math.checked_numbers import parameter, positive
 
 _KINDS = ("linear", "hold")
 _EARLY = 1e-9  # of an interval: a time that rounding puts before its node is the node

@@ -17,9 +17,9 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import refuse_lost
-from torchmbd.math.owned import several
-from torchmbd.math.variable import Variables
+from torchmbd.math.checked_numbers import list_of
+from torchmbd.math.gradients import refuse_lost_gradients
+from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.feedback import Control, Port
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -54,8 +54,8 @@ class Controller(ForceElement):
     ):
         if not isinstance(module, nn.Module):
             raise InputError(f"module of a Controller is {module!r}; allowed: a torch.nn.Module")
-        self.inputs = several("inputs", inputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
-        self.outputs = several("outputs", outputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+        self.inputs = list_of("inputs", inputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
+        self.outputs = list_of("outputs", outputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
         if not self.outputs:
             raise InputError(f"outputs of {name!r} is empty; allowed: at least one actuator")
         frames = tuple(frame for x in self.outputs for frame in x.frames)
@@ -66,7 +66,7 @@ class Controller(ForceElement):
         _check(self.control)
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         return self.control.variables
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
@@ -89,7 +89,7 @@ def _check(control: Control) -> None:
             raise InputError(
                 f"parameter {name!r} of the {control.label} is {p.dtype}; allowed: torch.float64, as by .double()"
             )
-    refuse_lost(control.label, control.module, VARIABLES, control.module)
+    refuse_lost_gradients(control.label, control.module, VARIABLES, control.module)
     x = torch.randn(1, control.inputs, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     with torch.inference_mode(False), torch.enable_grad():
         for at in (torch.zeros_like(x), x):

@@ -21,9 +21,9 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.module_call import call_module, holding
+from torchmbd.math.module_call import call_module, run_with_parameters
 from torchmbd.math.pair import Pair, cat, constant_map, value
-from torchmbd.math.variable import Variables, key
+from torchmbd.math.variable import ParameterVector, law_key
 
 R = TypeVar("R")
 
@@ -33,7 +33,7 @@ class Control:
 
     def __init__(self, name: str, module: nn.Module, inputs: int, outputs: int):
         self.name, self.module, self.inputs, self.outputs = name, module, inputs, outputs
-        self.variables = Variables.of(module)
+        self.variables = ParameterVector.of(module)
 
     @property
     def label(self) -> str:
@@ -62,7 +62,7 @@ class Control:
 
     def holding(self, p: Tensor, run: Callable[[], R]) -> R:
         """run(), in which the module has the parameters [k, 1], and is called without any."""
-        return holding(self.module, self.variables.named(p[:, 0]), run) if self.variables else run()
+        return run_with_parameters(self.module, self.variables.named(p[:, 0]), run) if self.variables else run()
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
         """u [outputs, lanes] of parameters [k, lanes or 1], k = 0: its own, and x [inputs, lanes]."""
@@ -89,7 +89,7 @@ class Control:
 
     def _weights(self, x: Any, data: Mapping[str, Any]) -> Any:
         """Parameters [k, pair, lanes]; k = 0 of a module without."""
-        return x[:0] if self.variables is None else data[key(self.name)]
+        return x[:0] if self.variables is None else data[law_key(self.name)]
 
     def _one(self, t: Any) -> Callable[[Tensor, Tensor], Tensor]:
         """u [outputs] of one lane: parameters [k] and x [inputs]."""

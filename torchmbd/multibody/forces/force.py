@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.variable import Variables
+from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.parametric_law import Varying
@@ -55,7 +55,7 @@ class ForceElement:
         self.varying = Varying(self.name)
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         """Design variables, parameters of the system by the element's name; None: there are none."""
         return self.varying.variables
 

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import refuse_gradients, refuse_lost
-from torchmbd.math.owned import reals, scalar
+from torchmbd.math.checked_numbers import reals, scalar
+from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.multibody.joints.laws import finite
 
 Slopes = tuple[Tensor, Tensor]
@@ -263,7 +263,7 @@ def checked(name: str, law: object) -> object:
 
 def tried(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     """What a law of the user gives; InputError where it raises, or has variables that would not be differentiated."""
-    refuse_lost(f"law of {name!r}", law, VARIABLES)
+    refuse_lost_gradients(f"law of {name!r}", law, VARIABLES)
     try:
         with torch.enable_grad():
             found = law(*at)

@@ -16,7 +16,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from torchmbd.math.variable import Variables, is_variable, key
+from torchmbd.math.variable import ParameterVector, is_variable, law_key
 from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
 from torchmbd.multibody.joints.laws import finite
 
@@ -60,7 +60,7 @@ class Varying:
         own = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in called.items()}
         rows = tuple((field, self._row(called[field], x)) for field, x in own.items() if is_variable(x))
         law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in own.items()})
-        return ParametricLaw(key(self.name), rows, law) if rows else law
+        return ParametricLaw(law_key(self.name), rows, law) if rows else law
 
     def in_time(self, x: Any, label: str, size: float = 1.0) -> Any:
         """The law size x(t) of a number, a variable called `label`, a function of time, or Scaled of one."""
@@ -81,6 +81,6 @@ class Varying:
         return len(self._numbers) - 1
 
     @cached_property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         """All of them when the force is complete, with the shapes of one design; None: there are none."""
-        return Variables.of(self._numbers)
+        return ParameterVector.of(self._numbers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.math.owned import positive
+from torchmbd.math.checked_numbers import positive
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive

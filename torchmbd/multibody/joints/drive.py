@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import refuse_gradients, refuse_lost
-from torchmbd.math.plausible_units import doubt_turn
-from torchmbd.math.variable import Variables
+from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
+from torchmbd.math.plausible_units import warn_degrees
+from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, others
 from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, finite
 from torchmbd.multibody.joints.parametric_law import ParametricDrive
@@ -70,10 +70,10 @@ class Drive(Joint):
             x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
         self.law = _checked(self.name, key, x)
         for turn in ("size", "amplitude") if key == "angle" else ():
-            doubt_turn(f"{turn} of {self.name!r}", _number(getattr(x, turn, 0.0)))
+            warn_degrees(f"{turn} of {self.name!r}", _number(getattr(x, turn, 0.0)))
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         return self.law.variables if isinstance(self.law, ParametricDrive) else None
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
@@ -112,8 +112,8 @@ def _checked(name: str, key: str, law: Any) -> Finite:
             f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64"
         )
     prescribed: Any = law
-    variables = Variables.of(law)
-    refuse_lost(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
+    variables = ParameterVector.of(law)
+    refuse_lost_gradients(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
     if variables is None:
         refuse_gradients(f"what {key} of {name!r} returns", start, VARIABLES)
     return Finite(name, prescribed) if variables is None else ParametricDrive(name, variables)

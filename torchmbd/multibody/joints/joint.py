@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_nodes import varying_nodes
-from torchmbd.math.variable import Numbers, Variables
+from torchmbd.math.variable import Numbers, ParameterVector
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.bodies.rigid import Ground
@@ -173,7 +173,7 @@ class Joint:
         return self.a, self.b
 
     @property
-    def variables(self) -> Variables | None:
+    def variables(self) -> ParameterVector | None:
         """Design variables, parameters of the system by the joint's name; None: there are none."""
         return None
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, value
-from torchmbd.math.variable import Variables, key
+from torchmbd.math.variable import ParameterVector, law_key
 from torchmbd.multibody.joints.laws import Finite
 from torchmbd.multibody.joints.primitive import slopes
 
@@ -26,7 +26,7 @@ from torchmbd.multibody.joints.primitive import slopes
 class ParametricDrive(Finite):
     """The law of the joint `name`, a module with parameters."""
 
-    def __init__(self, name: str, variables: Variables):
+    def __init__(self, name: str, variables: ParameterVector):
         super().__init__(name, variables.module)
         self.variables = variables
 
@@ -46,7 +46,7 @@ class ParametricDrive(Finite):
 
     def _of(self, f: Callable[[Tensor], Tensor], data: Mapping[str, Any] | None) -> Any:
         """f [m] of the parameters of every lane: a number [m, pair, lanes]."""
-        own = self.variables.flat().detach() if data is None else data[key(self.name)]
+        own = self.variables.flat().detach() if data is None else data[law_key(self.name)]
         every: Any = torch.func.vmap(f, 1, 1)
         p = value(own)[:, 0]
         if not isinstance(own, Pair):

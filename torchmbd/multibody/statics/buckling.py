@@ -24,8 +24,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import StaticLoads
-from torchmbd.math.module_call import outside
-from torchmbd.math.owned import all_true, whole
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.gradients import all_true
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.statics.eigenproblem import eigenproblem
 from torchmbd.multibody.statics.nodal_loads import Loads, NodalLoads
@@ -73,7 +74,7 @@ def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None,
     >>> round((1000.0 * found.factors[0] / euler).item(), 2)  # shear
     1.0
     """
-    return outside(lambda: BucklingCase(body, loads, supports))(number)
+    return outside_transforms(lambda: BucklingCase(body, loads, supports))(number)
 
 
 class BucklingCase:
@@ -100,7 +101,7 @@ class BucklingCase:
         Raises InputError where the supports leave the body movable, or number is not possible.
         """
         supported, assembly = self.supported, self.supported.assembly
-        if not whole(number) or not 1 <= number <= supported.pattern.size:
+        if not is_whole(number) or not 1 <= number <= supported.pattern.size:
             allowed = f"1 to {supported.pattern.size}, the free freedoms of {self.body.name!r}"
             raise InputError(f"number is {number!r}; allowed: {allowed}")
         K = assembly.stiffness()

@@ -19,7 +19,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 from torchmbd.multibody.bodies.interpolation import node_indices
 
 Loads = Mapping[Any, Sequence[float] | Tensor]

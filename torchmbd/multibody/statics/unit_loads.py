@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.reduction import StaticLoads
-from torchmbd.math.module_call import outside
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.bodies.stiffening import inertial_loads
@@ -32,8 +32,8 @@ class UnitLoads:
 
     def __init__(self, body: FlexibleBody, carriers: Sequence[InterpolationConstraint]) -> None:
         self.body = body
-        self._static = outside(lambda: StaticLoads(body.assembly.pattern))
-        self._carried = outside(lambda: [_on_nodes(body, carrier) for carrier in carriers])
+        self._static = outside_transforms(lambda: StaticLoads(body.assembly.pattern))
+        self._carried = outside_transforms(lambda: [_on_nodes(body, carrier) for carrier in carriers])
 
     def __call__(
         self, psi: Float[Tensor, "*lanes n 6 m"], Kr: Float[Tensor, "*lanes m m"]

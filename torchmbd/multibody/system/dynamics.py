@@ -27,8 +27,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.math.owned import watched
-from torchmbd.math.pair import Pair, cat, linear, slope_of, value
+from torchmbd.math.gradients import is_differentiated
+from torchmbd.math.pair import Pair, cat, linear, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import Data
@@ -249,7 +249,7 @@ class Dynamics:
         """
         T, data = self.topology, {name: value(y) for name, y in self.data.items()}
         qv, plain = value(q), [y if y is None else value(y) for y in given]
-        by = [y for y in (t, qv, *plain, *data.values()) if y is not None and watched(y)]
+        by = [y for y in (t, qv, *plain, *data.values()) if y is not None and is_differentiated(y)]
         at = equations.placement(T, self.data, q, T.prescribed(t, self.data))
         with torch.set_grad_enabled(torch.is_grad_enabled() and not by):
             fixed = at.map(lambda y: value(y).detach())
@@ -258,7 +258,7 @@ class Dynamics:
             x = -factors.solve(residual(data, fixed, qv, *plain, nothing)).detach()
         if not by and not isinstance(q, Pair):
             return x
-        slopes = -factors.solve(slope_of(residual(self.data, at, q, *given, x)))
+        slopes = -factors.solve(variation(residual(self.data, at, q, *given, x)))
         return Pair.of(x, slopes) if isinstance(q, Pair) else x + slopes
 
 

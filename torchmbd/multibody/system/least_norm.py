@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import Pair, cat, slope_of, value
+from torchmbd.math.pair import Pair, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
@@ -76,8 +76,8 @@ class LeastNorm:
             mu, nu = _times(inverse, own), acting * (own - least)
         if not isinstance(lam, Pair) and not torch.is_grad_enabled():
             return least
-        moved, pulls = slope_of(acting * _rates(self.T, data, at, mu)), slope_of(_forces(self.T, data, at, nu))
-        slopes = _times(P, slope_of(lam) - moved) + moved + _times(inverse.mT, pulls)
+        moved, pulls = variation(acting * _rates(self.T, data, at, mu)), variation(_forces(self.T, data, at, nu))
+        slopes = _times(P, variation(lam) - moved) + moved + _times(inverse.mT, pulls)
         return Pair.of(least, slopes) if isinstance(lam, Pair) else least + slopes
 
     def at_own_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.pair import Pair, cat, slope_of, value
+from torchmbd.math.pair import Pair, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import INERTIA, Data, Placement
@@ -61,7 +61,7 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
         found = _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam)).detach()), gone, T.rows)
     lam = lam + found
     if isinstance(q, Pair) or torch.is_grad_enabled():
-        slopes = _placed(-_times(inverse, slope_of(_residual(T, wide, at, v, a, lam))), gone, T.rows)
+        slopes = _placed(-_times(inverse, variation(_residual(T, wide, at, v, a, lam))), gone, T.rows)
         lam = lam + (Pair.of(torch.zeros_like(found), slopes) if isinstance(q, Pair) else slopes)
     full = lam.full if isinstance(lam, Pair) else lam
     return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)

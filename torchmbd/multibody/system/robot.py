@@ -22,7 +22,7 @@ import torch
 
 from torchmbd.errors import InputError, true_or_false, unknown, warn
 from torchmbd.io.robot_file import STAND, Pose, Robot, RobotJoint, combined
-from torchmbd.math.owned import positive, scalar
+from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import put
 from torchmbd.multibody.bodies.rigid import Ground

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.io.robot_file import Actuator, RobotJoint
-from torchmbd.math.owned import positive, scalar
+from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.forces.laws import Friction, Spring
 from torchmbd.multibody.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper

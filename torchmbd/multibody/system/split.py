@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine, Beams
-from torchmbd.math.owned import whole
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.frame import Frame, moves
 from torchmbd.multibody.bodies.interpolation import node_indices
@@ -80,9 +80,9 @@ def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Seq
     """
     line = _line(body)
     count = len(line.elements)
-    if not whole(n) or not 1 <= n <= count:
+    if not is_whole(n) or not 1 <= n <= count:
         raise InputError(f"n is {n!r}; allowed: 1 to {count}, the elements of {body.name!r}")
-    if not whole(modes) or modes < 0:
+    if not is_whole(modes) or modes < 0:
         raise InputError(f"modes is {modes!r}; allowed: 0, 1, 2, ...")
     bounds = [round(k * count / n) for k in range(n + 1)]
     nodes = interface if isinstance(interface, (list, tuple)) else [interface]

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.math.owned import all_true, plain, refuse_derivatives, watched
+from torchmbd.math.gradients import all_true, is_differentiated, refuse_derivatives, untransformed
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
 from torchmbd.multibody.system.equilibrium import equilibrium_coordinates, find_equilibria
@@ -99,7 +99,7 @@ class Start:
     @property
     def watched(self) -> bool:
         """Whether derivatives by what is given are wanted."""
-        return any(map(watched, self.tensors))
+        return any(map(is_differentiated, self.tensors))
 
     @property
     def lanes(self) -> int:
@@ -185,6 +185,7 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
         raise InputError(f"start: {name!r} is {x!r}; allowed: finite float64 numbers [{size}] or [lanes, {size}]")
     if name.endswith(".axes"):
         refuse_derivatives(f"start: {name!r}", found, "a joint or another body that is turned by a parameter")
-    if len(shape) == 2 and float((plain(found).mT @ plain(found) - torch.eye(3).double()).abs().max()) > _TURNED:
+    numbers = untransformed(found)
+    if len(shape) == 2 and float((numbers.mT @ numbers - torch.eye(3).double()).abs().max()) > _TURNED:
         raise InputError(f"start: {name!r} is no rotation; allowed: orthonormal columns, the axes of the body")
     return found

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import transformed
+from torchmbd.math.gradients import in_transform
 from torchmbd.multibody.system.dynamics import Dynamics
 
 
@@ -59,7 +59,7 @@ class StateEquation(nn.Module):
                 raise InputError(f"the system was moved to {x.dtype} on {x.device}; allowed: torch.float64 on cpu")
         if grad not in self._kept or not _same(self._kept[grad][0], own):
             found = self._reduce()
-            if grad and not any(map(transformed, own)):
+            if grad and not any(map(in_transform, own)):
                 found.data = _linked(found.data, [x for x in self.parameters() if x.requires_grad])
             self._kept[grad] = [(x, x.detach().clone()) for x in own], found
         return self._kept[grad][1]
@@ -72,7 +72,7 @@ class StateEquation(nn.Module):
 def _same(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
     if len(before) != len(now) or any(x is not y for (x, _), y in zip(before, now, strict=True)):
         return False
-    return all(transformed(x) or torch.equal(x, then) for x, then in before)
+    return all(in_transform(x) or torch.equal(x, then) for x, then in before)
 
 
 def _linked(data: dict[str, Any], parameters: list[Tensor]) -> dict[str, Any]:

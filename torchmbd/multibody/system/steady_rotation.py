@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import reals
+from torchmbd.math.checked_numbers import reals
 from torchmbd.math.pair import cat, cross, matvec_t
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.system import equations

@@ -21,10 +21,10 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.io.mjcf import read_mjcf
 from torchmbd.io.urdf import read_urdf
-from torchmbd.math.gradients import refuse_lost
+from torchmbd.math.checked_numbers import list_of, positive
+from torchmbd.math.gradients import refuse_derivatives, refuse_lost_gradients
 from torchmbd.math.module_call import call_module, exclusive
-from torchmbd.math.owned import positive, refuse_derivatives, several
-from torchmbd.math.variable import key
+from torchmbd.math.variable import law_key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, vector
@@ -91,7 +91,7 @@ class System(nn.Module):
         super().__init__()
         self._start = Start()
         bodies, joints, forces, free = (
-            several(name, given, kinds, allowed)
+            list_of(name, given, kinds, allowed)
             for name, given, kinds, allowed in (
                 ("bodies", bodies, (RigidBody, FlexibleBody, FlexibleBeam), "bodies, such as mbd.RigidBody(...)"),
                 ("joints", joints, Joint, "joints, such as mbd.Revolute(...)"),
@@ -178,7 +178,7 @@ class System(nn.Module):
     def with_joints(self, joints: Sequence[Joint]) -> Self:
         """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
         other = copy.copy(self)
-        other._join(several("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
+        other._join(list_of("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
         return other
 
     def starting(self, start: Start) -> Self:
@@ -314,12 +314,12 @@ class System(nn.Module):
         for kind in self.topology.actions:
             for law in kind.laws:
                 if isinstance(law, Port):
-                    refuse_lost(law.control.label, law.control.module, OF_CONTROLLERS, law.control.module)
+                    refuse_lost_gradients(law.control.label, law.control.module, OF_CONTROLLERS, law.control.module)
                 else:
-                    refuse_lost("law of a force", law, VARIABLES)
+                    refuse_lost_gradients("law of a force", law, VARIABLES)
         for joint in self.joints:
             registered = joint.variables.module if joint.variables else None
-            refuse_lost(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
+            refuse_lost_gradients(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
 
     def _structures(self) -> dict[str, dict[str, Tensor]]:
         T = self.topology
@@ -346,7 +346,7 @@ class System(nn.Module):
         data["x"] = together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
             if element.variables is not None and getattr(element, "of_law", True):
-                data[key(element.name)] = element.variables.flat()
+                data[law_key(element.name)] = element.variables.flat()
         if (
             any(body.bends for body in flexible)
             or any(name in body._parameters for body in self.bodies for name in _OF_START)

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from torchmbd.errors import MbdError, warn
 from torchmbd.fem.reduction import StaticLoads
-from torchmbd.math.module_call import outside
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.joints.joint import Attached
 from torchmbd.multibody.system import equations
@@ -107,7 +107,7 @@ def warn_static_truncation(system: Any) -> None:
         return
     _LOOKED_AT.update(bodies)
     try:
-        found = outside(lambda: static_truncation(system))
+        found = outside_transforms(lambda: static_truncation(system))
     except (
         MbdError,
         RuntimeError,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import indices, positive, reals, scalar
+from torchmbd.math.checked_numbers import indices, positive, reals, scalar
 
 
 @pytest.mark.parametrize("given", [[1, 2], (1.0, 2.0), np.array([1, 2]), torch.tensor([1.0, 2.0]), range(1, 3)])

@@ -1,6 +1,6 @@
-"""Numbers given by a user, read as one's own: a later change of the argument changes nothing here.
+"""Numbers that a user gives: checked by kind and range, and copied, so that a later change of the argument changes nothing.
 
-Checked in tests/math/test_owned.py.
+Checked in tests/math/test_checked_numbers.py.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
-from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import differentiated, refuse_gradients
+from torchmbd.math.gradients import refuse_gradients
 
 _COMPUTED = "p = x.detach() and then x.backward(p.grad) with the gradient of the parameter p that is made of it"
 
@@ -39,42 +38,14 @@ def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = 
     return x
 
 
-def whole(given: Any) -> bool:
+def is_whole(given: Any) -> bool:
     """Whether it is a whole number, of Python or NumPy; True and False are none."""
     return isinstance(given, numbers.Integral) and not isinstance(given, bool)
 
 
-def transformed(x: Tensor) -> bool:
-    """Whether a transform of torch.func (vmap, grad, jvp) looks at x."""
-    return debug_unwrap(x, recurse=False) is not x
-
-
-def watched(x: Tensor) -> bool:
-    """Whether torch differentiates by x here: autograd in grad mode, dual numbers, or a transform of torch.func."""
-    return transformed(x) or (differentiated(x) and (torch.is_grad_enabled() or not x.requires_grad))
-
-
-def plain(x: Tensor) -> Tensor:
-    """The numbers of x without transforms of torch.func; a batch of these has an axis more."""
-    return debug_unwrap(x).detach()
-
-
-def all_true(x: Tensor) -> bool:
-    """Whether all are true, also of a batch of torch.func.vmap."""
-    return bool(plain(x).all())
-
-
-def real(given: Any) -> bool:
+def is_real(given: Any) -> bool:
     """Whether it is one real number, of Python or NumPy; True and False are none."""
     return isinstance(given, numbers.Real) and not isinstance(given, bool)
-
-
-def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
-    """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
-    if watched(x):
-        raise InputError(
-            f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
-        )
 
 
 def positive(name: str, given: Any, unit: str) -> float:
@@ -104,7 +75,7 @@ def indices(name: str, given: ArrayLike | Tensor) -> Tensor:
     return x.long()
 
 
-def several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
+def list_of(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
     """Read a list of things of some kinds; InputError names the argument and what is none."""
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise InputError(f"{name} is {given!r}; allowed: a list of {allowed}")

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchmbd.fem.reduction.lanczos import Recurrence
-from torchmbd.math.panels import Factor, Panels, panels
+from torchmbd.math.compiled_products import CompiledProducts, Factor, compiled_products
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -17,8 +17,8 @@ def random(*shape: int) -> torch.Tensor:
     return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(sum(shape)))
 
 
-def code() -> Panels:
-    found = panels(random(1))
+def code() -> CompiledProducts:
+    found = compiled_products(random(1))
     assert found is not None
     return found
 

@@ -1,4 +1,4 @@
-// Products with a few columns, one design after another, so that its numbers stay near the processor. See panels.py.
+// Products with a few columns, one design after another, so that its numbers stay near the processor. See compiled_products.py.
 //
 // Arrays are row-major and [lane][row][column]. Inside, columns are filled up with zeros to a multiple of eight.
 // A tile keeps R rows of W x 8 columns of a product in registers: with wide ones it runs at the speed of arithmetic.

@@ -1,4 +1,4 @@
-"""Products of the structure stage by compiled code (panels.cpp): a few columns, one design after another.
+"""Products of the structure stage by compiled code (compiled_products.cpp): a few columns, one design after another.
 
     factorize, solve      A^-1 X of a block-tridiagonal matrix                      blocks.py
     lanczos               steps of block Lanczos                                    lanczos.py
@@ -10,8 +10,8 @@
 
 A batch of designs that torch treats as one tensor leaves the cache of the processor with every operation; one after
 another they stay in it, and there is no call for each block. The same sums in another order: results agree to rounding.
-`panels` gives None where there is no compiled code (no compiler, not built yet, another device): torch does it then.
-Tensors are float64 on the CPU. No autograd inside. Checked in tests/math/test_panels.py.
+`compiled_products` gives None where there is no compiled code (no compiler, not built yet, another device): torch does it then.
+Tensors are float64 on the CPU. No autograd inside. Checked in tests/math/test_compiled_products.py.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from torch import Tensor
 from torchmbd.math.codegen.compiler import Native
 from torchmbd.math.sparse import Pattern
 
-_native = Native("math/panels.cpp")
+_native = Native("math/compiled_products.cpp")
 
 
 class _Factor(ctypes.Structure):
-    """As in panels.cpp."""
+    """As in compiled_products.cpp."""
 
     _fields_ = (
         ("lanes", c_long),
@@ -40,10 +40,10 @@ class _Factor(ctypes.Structure):
     )
 
 
-def panels(like: Tensor) -> Panels | None:
+def compiled_products(like: Tensor) -> CompiledProducts | None:
     """The compiled products, if there is a compiler and they serve such tensors."""
     code = _native() if like.device.type == "cpu" else None
-    return None if code is None else Panels(code)
+    return None if code is None else CompiledProducts(code)
 
 
 class Factor:
@@ -58,7 +58,7 @@ class Factor:
         self.struct = _Factor(self.lanes, blocks, (c_long * (blocks + 1))(*bounds), flat.data_ptr())
 
 
-class Panels:
+class CompiledProducts:
     """See the module header."""
 
     def __init__(self, code: ctypes.CDLL) -> None:
