@@ -22,20 +22,34 @@ GROUP = 64  # points
 
 
 def quadratic_forms(
-    law: Float[Tensor, "*lanes k p r r"], d: Float[Tensor, "*lanes p r s a"]
+    law: Float[Tensor, "*lanes k p pairs"], d: Float[Tensor, "*lanes p r s a"]
 ) -> Float[Tensor, "*lanes k a a"]:
-    """The sums of all laws."""
-    r, a = law.shape[-1], d.shape[-1]
+    """Return the sums of all laws; a law is given by its `factors`."""
+    a = d.shape[-1]
+    lanes = torch.broadcast_shapes(law.shape[:-3], d.shape[:-4])
+    law, d = (x.expand(*lanes, *x.shape[-n:]).reshape(-1, *x.shape[-n:]) for x, n in ((law, 3), (d, 4)))
+    sums: Any = _Forms.apply(law, d)
+    return sums.reshape(*lanes, -1, a, a)
+
+
+def factors(L: Float[Tensor, "*any r r"]) -> Float[Tensor, "*any pairs"]:
+    """Return the factors of d_i' d_j, i <= j, row by row: the upper triangle, doubled off the diagonal."""
+    r = L.shape[-1]
     i, j = torch.triu_indices(r, r)
-    pairs = law.flatten(-2).index_select(-1, i * r + j) * torch.where(i == j, 1.0, 2.0).to(law.dtype)
-    lanes = torch.broadcast_shapes(pairs.shape[:-3], d.shape[:-4])
-    pairs, d = (x.expand(*lanes, *x.shape[-n:]).reshape(-1, *x.shape[-n:]) for x, n in ((pairs, 3), (d, 4)))
-    found: Any = _Forms.apply(pairs, d)
-    return found.reshape(*lanes, -1, a, a)
+    return L.flatten(-2).index_select(-1, i * r + j) * torch.where(i == j, 1.0, 2.0).to(L.dtype)
+
+
+def matrices(law: Float[Tensor, "*any pairs"], r: int) -> Float[Tensor, "*any r r"]:
+    """Return the matrices L [r, r] of `factors`."""
+    i, j = torch.triu_indices(r, r)
+    pair = torch.zeros(r, r, dtype=torch.long)
+    pair[i, j] = pair[j, i] = torch.arange(len(i))
+    half = torch.where(i == j, 1.0, 0.5).to(law.dtype)
+    return (law * half).index_select(-1, pair.flatten()).unflatten(-1, (r, r))
 
 
 class _Forms(torch.autograd.Function):
-    """y [lane, k, a, a] of upper triangles of laws, doubled off the diagonal [lane, k, p, ij], and of d [lane, p, r, s, a]."""
+    """y [lane, k, a, a] of factors of laws [lane, k, p, ij] and of d [lane, p, r, s, a]."""
 
     @staticmethod
     def forward(law: Tensor, d: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchmbd.fem.elements.beam import BeamMatrices
 from torchmbd.fem.elements.geometric import StressedCells, at_corners
+from torchmbd.math.quadratic_forms import factors
 
 
 def stressed_beams(
@@ -32,7 +33,7 @@ def stressed_beams(
     forces = inside.forces @ at_corners(matrices.elements, motion)[..., None, :, :]
     F, M = forces.movedim(-1, -4).split(3, dim=-1)  # [*lanes, k, m, g, 3]
     law = _law(F, M, inside.tangent.unsqueeze(-4)) * inside.weight[..., None, :, :, None, None]
-    return [StressedCells(matrices.elements, inside.rows.unsqueeze(-2), law)]
+    return [StressedCells(matrices.elements, inside.rows.unsqueeze(-2), factors(law))]
 
 
 def _law(F: Tensor, M: Tensor, t: Tensor) -> Float[Tensor, "*lanes k m g 9 9"]:

@@ -47,18 +47,18 @@ class CellStiffness:
     """
 
     def __init__(self, strains: Strains, variants: Int[Tensor, "variants 2"], laminates: int) -> None:
-        shape, self.laminate = variants.unbind(1)
+        self.shape, self.laminate = variants.unbind(1)
         f = strains.at.shape[-1]
         self.upper, self.laminates = torch.triu_indices(f, f), laminates
         place = torch.zeros(f, f, dtype=torch.long)
         place[self.upper[0], self.upper[1]] = torch.arange(self.upper.shape[1])
         self.place = place.maximum(place.mT)
         self.basis = _basis(strains)[:, :, self.upper[0], self.upper[1]]
-        self.counts = torch.bincount(shape, minlength=len(self.basis)).tolist()
+        self.counts = torch.bincount(self.shape, minlength=len(self.basis)).tolist()
         forces = strains.forces
         self.inner = None
         if forces is not None:
-            own = {name: x[:, shape] if name == "sides" else x[shape] for name, x in forces._asdict().items()}
+            own = {name: x[:, self.shape] if name == "sides" else x[self.shape] for name, x in forces._asdict().items()}
             self.inner = CellForces(InnerForces(**own))
 
     @property

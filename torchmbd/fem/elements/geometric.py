@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.math.quadratic_forms import quadratic_forms
+from torchmbd.math.quadratic_forms import matrices, quadratic_forms
 from torchmbd.math.sparse import Pattern
 
 AT_ONCE = 4_000_000  # numbers of cells' matrices in memory
@@ -29,12 +29,13 @@ class StressedCells(NamedTuple):
 
     nodes   corners of each cell, whose freedoms u1 ... phi3 are the columns of the rows
     rows    R at the points of each cell; the law is the same for all s components
-    law     L, with the length or area that each point stands for
+    law     L, with the length or area that each point stands for, as factors of the products d_i . d_j, i <= j
+            (quadratic_forms.py)
     """
 
     nodes: Int[Tensor, "m c"]
     rows: Float[Tensor, "*lanes m p r s f"]
-    law: Float[Tensor, "*lanes k m p r r"]
+    law: Float[Tensor, "*lanes k m p pairs"]
 
 
 def projected(cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6 a"]) -> Float[Tensor, "*lanes k a a"]:
@@ -43,7 +44,7 @@ def projected(cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6
     for own in cells:
         at = at_corners(own.nodes, motions)  # [*lanes, m, f, a]
         d = (own.rows.flatten(-4, -2) @ at).unflatten(-2, own.rows.shape[-4:-1])  # [*lanes, m, p, r, s, a]
-        found = quadratic_forms(own.law.flatten(-4, -3), d.flatten(-5, -4))
+        found = quadratic_forms(own.law.flatten(-3, -2), d.flatten(-5, -4))
         total = found if total is None else total + found
     if total is None:
         return motions.new_zeros(*motions.shape[:-3], 0, motions.shape[-1], motions.shape[-1])
@@ -63,8 +64,8 @@ def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor,
         freedoms = (6 * own.nodes[:, :, None] + torch.arange(6)).flatten(1)
         place = freedoms[:, :, None] * pattern.size + freedoms[:, None, :]
         position = torch.searchsorted(key, place.flatten())
-        some = max(1, AT_ONCE * own.law.shape[-5] // (own.law[..., 0, 0].numel() * freedoms.shape[1] ** 2))
-        found = torch.cat([_summed(own, law, position, pattern.nnz) for law in own.law.split(some, -5)], -2)
+        some = max(1, AT_ONCE * own.law.shape[-4] // (own.law[..., 0].numel() * freedoms.shape[1] ** 2))
+        found = torch.cat([_summed(own, law, position, pattern.nnz) for law in own.law.split(some, -4)], -2)
         total = found if total is None else total + found
     assert total is not None
     return total
@@ -73,7 +74,7 @@ def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor,
 def _summed(cells: StressedCells, law: Tensor, position: Tensor, nnz: int) -> Float[Tensor, "*lanes k nnz"]:
     """Of some states of stress."""
     rows = cells.rows.unsqueeze(-6)  # [*lanes, 1, m, p, r, s, f]
-    left = law @ rows.flatten(-2)
+    left = matrices(law, rows.shape[-3]) @ rows.flatten(-2)
     m = left.unflatten(-1, cells.rows.shape[-2:]).flatten(-4, -2)
     small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
     values = 0.5 * (small + small.mT)

@@ -17,7 +17,7 @@ Int. J. Numer. Methods Eng. 36 (1993) 3057-3066. Checked in tests/fem/elements/t
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.elements.cell_stiffness import CellStiffness
@@ -31,45 +31,36 @@ from torchmbd.fem.materials import ENTRIES, LaminateStiffness
 def stressed_shells(
     matrices: PlateMatrices, entries: Float[Tensor, "*lanes 21"], motion: Float[Tensor, "*lanes n 6 k"]
 ) -> list[StressedCells]:
-    """The cells of each kind under the membrane forces of k motions; entries as of `PlateMatrices.values`."""
+    """Return the cells of each kind under the membrane forces of k motions; entries as of `PlateMatrices.values`."""
     numbers = entries if matrices.several else entries[..., None, :]
     assert numbers.shape[-1] == len(ENTRIES)
     law = LaminateStiffness.of(numbers)
-    zones = matrices.zones.split([len(own.shape) for own in matrices.kinds.values()])
-    found = []
-    for (kind, own), zone, (cell, variant) in zip(matrices.kinds.items(), zones, matrices.variants, strict=True):
-        A, B = (X[..., zone, :, :] for X in (law.A, law.B))
-        at = at_corners(own.corners, motion)
-        inner = cell.inner
-        if inner is None:
-            strains = own.strains.at[own.shape] @ at[..., None, :, :]  # [*lanes, m, p, 8, k]
-            N = A[..., None, :, :] @ strains[..., :3, :] + B[..., None, :, :] @ strains[..., 3:6, :]
-        else:
-            mean = own.strains.center[own.shape] @ at
-            N = (A @ mean[..., :3, :] + B @ mean[..., 3:6, :]).unsqueeze(-3)
-            N = N + _varying_forces(own, cell, law, variant, at)
-        weight = own.strains.weight[own.shape][:, : N.shape[-3] if inner is None else 4]
-        N = (N * weight[..., None, None]).movedim(-1, -4)  # [*lanes, k, m, p, 3]
-        forces = N.index_select(-1, torch.tensor([0, 2, 2, 1])).unflatten(-1, (2, 2))
-        found.append(StressedCells(own.corners, slopes(kind, own.facets), forces))
-    return found
+    stressed = []
+    for (kind, cells), (cell, variant) in zip(matrices.kinds.items(), matrices.variants, strict=True):
+        rows = _force_rows(cells, cell, law)  # [*lanes, variants, p, 3, f]
+        p = rows.shape[-3]
+        N = rows.flatten(-3, -2)[..., variant, :, :] @ at_corners(cells.corners, motion)  # [*lanes, m, 3 p, k]
+        stressed.append(
+            StressedCells(cells.corners, slopes(kind, cells.facets), N.unflatten(-2, (p, 3)).movedim(-1, -4))
+        )
+    return stressed
 
 
-def _varying_forces(
-    own: Cells,
-    cell: CellStiffness,
-    law: LaminateStiffness,
-    variant: Int[Tensor, " m"],
-    at: Float[Tensor, "*lanes m f k"],
-) -> Float[Tensor, "*lanes m 4 3 k"]:
-    """Membrane forces at the points of Gauss, without their mean."""
+def _force_rows(cells: Cells, cell: CellStiffness, law: LaminateStiffness) -> Float[Tensor, "*lanes variants p 3 f"]:
+    """Return N_11, 2 N_12, N_22 at the points, times the area of a point, as rows of the freedoms of the corners."""
+    A, B = (X[..., cell.laminate, :, :] for X in (law.A, law.B))
+    weight = cells.strains.weight[cell.shape]
     inner = cell.inner
-    assert inner is not None
-    A, B = (X if cell.laminates == 1 else X[..., cell.laminate, :, :] for X in (law.A, law.B))
-    rows = (inner.amounts(A, B) @ inner.rows)[..., variant, :, :]
-    first = torch.zeros(len(inner.rows), dtype=torch.long).index_copy(0, variant, torch.arange(len(variant)))
-    weight = own.strains.weight[own.shape[first]][:, :4]
-    return inner.at_points(weight)[variant] @ (rows @ at).unsqueeze(-3)
+    if inner is None:
+        strains = cells.strains.at[cell.shape]  # [variants, p, 8, f]
+        rows = A[..., None, :, :] @ strains[..., :3, :] + B[..., None, :, :] @ strains[..., 3:6, :]
+    else:
+        center, weight = cells.strains.center[cell.shape], weight[:, :4]
+        mean = A @ center[..., :3, :] + B @ center[..., 3:6, :]
+        amounts = inner.amounts(A, B) @ inner.rows  # of the states that vary over the cell, without mean
+        rows = mean[..., None, :, :] + inner.at_points(weight) @ amounts[..., None, :, :]
+    rows = rows * weight[..., None, None]
+    return torch.stack([rows[..., 0, :], 2.0 * rows[..., 2, :], rows[..., 1, :]], -2)
 
 
 #: The rows of one kind of cell: displacements u1 u2 u3 by two slopes, of freedoms of the corners.
