@@ -166,6 +166,7 @@ def test_lives_in_closed_form():
         ([(1e3, 2e8), (1e4, -1.0)], r"points\[1\].*positive"),
         ([(1e3, 2e8), (float("nan"), 1e8)], r"points\[1\]"),
         ("steel", "pairs"),
+        ([(1e3, mbd.variable(2e8)), (1e4, 1e8)], "points carries a gradient"),
     ],
 )
 def test_points_that_are_not_in_order_are_named(points, message):

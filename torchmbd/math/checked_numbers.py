@@ -26,6 +26,20 @@ def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
     return _read(name, given, "numbers").double()
 
 
+def differentiable_reals(name: str, given: Any, allowed: str) -> Tensor:
+    """Read numbers of any shape as float64 with their gradients, also those of tensors in a list."""
+    try:
+        return _joined(given)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} is {given!r}; allowed: {allowed}") from error
+
+
+def _joined(given: Any) -> Tensor:
+    if isinstance(given, list | tuple):  # torch.as_tensor would take the numbers of its tensors alone
+        return torch.stack([_joined(x) for x in given])
+    return torch.as_tensor(given, dtype=torch.float64)
+
+
 def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = "") -> float:
     """Read one finite number; InputError names the argument. A gradient would be lost here, so none is taken."""
     refuse_gradients(name, given, allowed)

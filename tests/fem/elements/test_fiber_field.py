@@ -127,6 +127,7 @@ REFUSED = {
     "degree": (lambda: mbd.FiberField(MESH, (2, 2), degree=-1), "degree of a FiberField is -1"),
     "radius": (lambda: mbd.FiberField(MESH, "cells", radius=0.0), "radius of a FiberField is 0.0"),
     "far": (lambda: mbd.FiberField(MESH, [[9.0, 0, 0]], radius=0.1), "no control so near"),
+    "places": (lambda: mbd.FiberField(MESH, [["a", "b", "c"]], radius=0.1), "controls of a FiberField"),
     "word": (lambda: mbd.FiberField(MESH, "nodes", radius=0.1), "'nodes'; allowed: 'cells'"),
     "axes": (lambda: mbd.FiberField(MESH, (3, 3), axes="xx"), "'xx'; allowed: two of x, y, z"),
     "flat": (lambda: mbd.FiberField(MESH, (3, 3), axes="xz"), "no extent"),

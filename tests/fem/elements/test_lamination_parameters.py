@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
@@ -92,6 +93,7 @@ def test_what_needs_plies_says_that_there_are_none():
         ({"membrane": [0.0] * 4, "thickness": 0.0}, "thickness"),
         ({"membrane": [0.0] * 4, "thickness": [1e-3, 2e-3]}, "one for each control"),
         ({"membrane": [0.0] * 4, "ply": "carbon"}, "ply"),
+        ({"membrane": [0.0] * 4, "ply": dataclasses.replace(CARBON, E1=mbd.variable(128e9))}, "numbers that vary"),
         ({"membrane": [0.0] * 4, "field": 3}, "field"),
         ({"membrane": [0.0] * 4, "shear_correction": 2.0}, "shear_correction"),
         ({"membrane": [5.0, 0.0, 5.0, 0.0], "checked": False}, "positive definite"),

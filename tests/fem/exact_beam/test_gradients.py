@@ -128,3 +128,14 @@ def test_ply_angles():
         return tip().sum().detach()
 
     assert gradient[0].item() == pytest.approx(difference(moved, 1e-3), rel=1e-6)
+
+
+def test_loads_in_lists_keep_the_gradients_of_their_tensors():
+    beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 4), given(*[1e3] * 3, *[1.0] * 3))
+    force, gravity = mbd.variable(0.1), mbd.variable(-9.81)
+    deflection = beam.equilibrium({"end": (0.0, force, 0.0)}, gravity=[0.0, gravity, 0.0]).nodes[-1, 1]
+    together = torch.autograd.grad(deflection, [force, gravity])
+    F, g = (torch.tensor([0.0, float(x.detach()), 0.0], dtype=torch.float64).requires_grad_() for x in (force, gravity))
+    apart = torch.autograd.grad(beam.equilibrium({"end": F}, gravity=g).nodes[-1, 1], [F, g])
+    assert [float(x) for x in together] == pytest.approx([float(x[1]) for x in apart], rel=1e-12)
+    assert min(abs(float(x)) for x in together) > 1e-6

@@ -108,6 +108,7 @@ def test_reactions_balance_the_loads():
         ({"supports": {"start": "u4"}}, "allowed: some of u1"),
         ({"supports": {"start": "u1 phi1"}}, "1 rotations of node 0"),
         ({"supports": {"start": (0.0, 0.0, 0.0, 0.1, 0.0, None)}}, "hinge"),
+        ({"supports": {"start": (mbd.variable(0.1), 0.0, 0.0, 0.0, 0.0, 0.0)}}, "support 'start'.*carries a gradient"),
         ({"gravity": (0.0, 1.0)}, "gravity"),
         ({"spin": 3.0}, "spin"),
     ],

@@ -160,5 +160,7 @@ def test_coinciding_frequencies_have_the_mean_of_their_derivatives():
 def test_what_is_refused():
     with pytest.raises(mbd.InputError, match="number of frequencies"):
         rod().frequencies(0)
+    with pytest.raises(mbd.InputError, match="number of frequencies of 'rod' is 10; allowed: 1 to 9"):
+        rod(2).frequencies(10, supports={"start": "all", "end": "u1 u2 u3"})
     with pytest.raises(mbd.InputError, match="no potential"):
         rod().frequencies(2, {"end": (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)})

@@ -140,6 +140,7 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
         (K_GOOD, M_GOOD, -1, [0], "n = -1"),
         (K_GOOD, M_GOOD, True, [0], "n = True"),
         (K_GOOD, M_GOOD, 2, [6], r"interface has the freedom 6; allowed: 0 \.\.\. 5"),
+        (K_GOOD, M_GOOD, 2, [0.7], "interface holds 0.7; allowed: whole numbers"),
         (K_GOOD, M_GOOD, 2, [1, 1], "the freedom 1 more than once"),
         (K_GOOD, M_GOOD, 2, [], "interface has 0 of 6 freedoms"),
         (K_GOOD, M_GOOD, 0, [0, 1, 2, 3, 4, 5], "interface has 6 of 6 freedoms"),

@@ -131,3 +131,13 @@ def test_mass_is_that_of_quadrature(made):
     assert_close(M[0, 5], -(g.weight * y).sum(), rtol=1e-12, atol=0)
     assert_close(M[4, 5], -(g.weight * y * z).sum(), rtol=1e-12, atol=1e-18)
     assert_close(M[3, 3], M[4, 4] + M[5, 5], rtol=1e-12, atol=0)
+
+
+def test_a_force_in_a_list_keeps_the_gradients_of_its_tensors():
+    section = mbd.sections.rectangle(0.02, 0.01, mbd.Ply.isotropic(210e9, 0.3, 7850.0), cells=(2, 2))
+    moment = mbd.variable(1.0)
+    largest = section.stress([0.0, 0.0, 0.0, 0.0, moment, 0.0]).stress[..., 0].max()
+    (slope,) = torch.autograd.grad(largest, [moment])
+    assert float(slope) == pytest.approx(float(largest), rel=1e-12)
+    with pytest.raises(mbd.InputError, match="force is"):
+        section.stress([0.0, 0.0, 0.0, 0.0, "1 N m", 0.0])

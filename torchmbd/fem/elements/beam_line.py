@@ -26,6 +26,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam_nodes import Straight, made, shape_of
+from torchmbd.fem.mesh.mesh import node_members
 from torchmbd.math.checked_numbers import indices, reals
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import EXTENT, warn_unusual
@@ -75,7 +76,9 @@ class BeamLine:
             _check_middles(self.nodes[self.elements], self.middles)
         if node_sets is None:
             node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
-        self.node_sets = {str(name): tuple(int(k) for k in members) for name, members in node_sets.items()}
+        if not isinstance(node_sets, Mapping):
+            raise InputError(f"node_sets of a BeamLine is {node_sets!r}; allowed: names -> lists of nodes")
+        self.node_sets = {str(name): node_members("BeamLine", name, given) for name, given in node_sets.items()}
         for name, members in self.node_sets.items():
             for k in members:
                 if not 0 <= k < len(self.nodes):

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.checked_numbers import indices, is_real, is_whole
+from torchmbd.math.checked_numbers import indices, is_real, is_whole, reals
 from torchmbd.math.gradients import constant_arguments
 
 AXES = "xyz"
@@ -173,7 +173,7 @@ def _points(controls: object, places: Tensor) -> Tensor:
         if controls != "cells":
             raise InputError(f"controls of a FiberField is {controls!r}; allowed: 'cells', or places [k, 3]")
         return places
-    points = torch.as_tensor(controls, dtype=torch.float64).detach()
+    points = reals("controls of a FiberField", controls)  # pyright: ignore[reportArgumentType]
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not points.isfinite().all():
         raise InputError(
             f"controls of a FiberField has shape {tuple(points.shape)}; allowed with a radius: places [k, 3], or 'cells'"

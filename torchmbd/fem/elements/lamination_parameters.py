@@ -31,6 +31,7 @@ from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
 from torchmbd.fem.materials.lamination_region import outside
 from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, warn_unusual
+from torchmbd.math.variable import varies
 
 _UNKNOWN = (
     "is given by lamination parameters, its plies are not known; allowed: a Laminate, such as recover_stacks finds"
@@ -75,6 +76,8 @@ class LaminationParameters(Laminate):
         nn.Module.__init__(self)
         if not isinstance(ply, Ply):
             raise InputError(f"ply of LaminationParameters is {ply!r}; allowed: a Ply")
+        if varies(ply):
+            raise InputError("ply of LaminationParameters has numbers that vary; allowed: a ply of numbers")
         if not (field is None or isinstance(field, FiberField)):
             raise InputError(f"field of LaminationParameters is {field!r}; allowed: a FiberField, or None")
         if not (is_real(shear_correction) and 0.0 < shear_correction <= 1.0):
@@ -88,10 +91,8 @@ class LaminationParameters(Laminate):
         self.coupling = None if coupling is None else _four("coupling", coupling, field)
         self.thickness = _thickness(thickness, field)
         self._thickness_varies = self.thickness.ndim == 1
-        own = torch.cat([ply.plane_stiffness().flatten(), ply.shear_stiffness().flatten()]).detach()
-        if own.requires_grad or own.ndim != 1:
-            raise InputError("ply of LaminationParameters has numbers that vary; allowed: a ply of numbers")
-        self.register_buffer("_constant", own, persistent=False)
+        constant = torch.cat([ply.plane_stiffness().flatten(), ply.shear_stiffness().flatten()])
+        self.register_buffer("_constant", constant, persistent=False)
         self._check(checked)
 
     def _check(self, checked: bool) -> None:

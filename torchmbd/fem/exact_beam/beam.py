@@ -203,8 +203,6 @@ class ExactBeam(nn.Module):
         >>> bool(spun[0] > 1.3 * rest[0]), state.status  # the flapping blade is stiffer
         (True, 'ok')
         """
-        if not is_whole(number) or not 1 <= number <= 6 * len(self.mesh.nodes) - 6:
-            raise InputError(f"number of frequencies of {self.name!r} is {number!r}; allowed: an integer >= 1")
         given = {
             "loads": loads,
             "follower_loads": None,
@@ -215,6 +213,11 @@ class ExactBeam(nn.Module):
             "center": center,
         }
         search, data, made = self._problem(supports, given, False, massive=True)
+        count = len(search.topology.free)
+        if not is_whole(number) or not 1 <= number <= count:
+            raise InputError(
+                f"number of frequencies of {self.name!r} is {number!r}; allowed: 1 to {count}, its freedoms"
+            )
         if not search.topology.symmetric:
             raise InputError(
                 f"loads of {self.name!r} have moments, which have no potential; allowed in frequencies: forces"

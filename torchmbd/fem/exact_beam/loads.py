@@ -14,8 +14,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import FREEDOMS, BeamLine
-from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.gradients import all_true
+from torchmbd.math.checked_numbers import differentiable_reals, is_whole
+from torchmbd.math.gradients import all_true, refuse_gradients
 
 Loads = Mapping[Any, Sequence[float] | Tensor]
 Supports = Mapping[Any, str | Sequence[float | None]]
@@ -34,10 +34,7 @@ def nodes_of(line: BeamLine, given: Any) -> list[int]:
 
 def wrench(name: str, given: Any) -> Float[Tensor, "*lanes 6"]:
     """A force, or force and moment, with its gradient; InputError names the argument."""
-    try:
-        x = torch.as_tensor(given, dtype=torch.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{name} is {given!r}; allowed: 3 or 6 finite numbers") from error
+    x = differentiable_reals(name, given, "3 or 6 finite numbers")
     if x.dim() == 0 or x.shape[-1] not in (3, 6) or not all_true(torch.isfinite(x)):
         raise InputError(f"{name} is {given!r}; allowed: 3 or 6 finite numbers")
     return x if x.shape[-1] == 6 else torch.cat([x, torch.zeros_like(x)], -1)
@@ -45,10 +42,10 @@ def wrench(name: str, given: Any) -> Float[Tensor, "*lanes 6"]:
 
 def vector(name: str, given: Any) -> Float[Tensor, " 3"]:
     """Three numbers, with their gradient."""
-    x = wrench(name, given)
-    if torch.as_tensor(given).shape != (3,):
+    x = differentiable_reals(name, given, "three finite numbers")
+    if x.shape != (3,) or not all_true(torch.isfinite(x)):
         raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
-    return x[:3]
+    return x
 
 
 def nodal(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor, "n 6"]:
@@ -112,6 +109,7 @@ def _values(name: str, given: Any) -> list[float | None]:
         if names and all(x in FREEDOMS for x in names):
             return [0.0 if x in names else None for x in FREEDOMS]
     elif isinstance(given, Sequence) and len(given) == 6:
+        refuse_gradients(name, given, "six numbers, None where it is free")
         found: list[float | None]
         try:
             found = [None if x is None else float(x) for x in given]

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import scalar
+from torchmbd.math.gradients import refuse_gradients
 
 _LEAST = 1e-3  # share of the room between the mean and the strengths that is always left
 
@@ -50,6 +51,7 @@ class SNCurve:
     compression: float | None = None
 
     def __post_init__(self) -> None:
+        refuse_gradients("points", self.points, "pairs (cycles, amplitude [Pa])")
         try:
             points = tuple((float(n), float(a)) for n, a in self.points)
         except (TypeError, ValueError):

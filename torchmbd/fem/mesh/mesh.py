@@ -15,7 +15,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -40,13 +40,13 @@ def _none(corners: int) -> Tensor:
     return torch.empty(0, corners, dtype=torch.long)
 
 
-def _members(name: str, given: Sequence[int]) -> tuple[int, ...]:
-    found = indices(
-        f"node_sets of a Mesh: {name!r}", list(given) if isinstance(given, (Sequence, set, range)) else given
-    )
-    if found.dim() != 1:
-        raise InputError(f"node_sets of a Mesh: {name!r} is {given!r}; allowed: a list of nodes")
-    return tuple(found.tolist())
+def node_members(kind: str, name: Any, given: Any) -> tuple[int, ...]:
+    """Read the node indices of the set `name` of a `kind` of mesh; InputError where they are no list of whole numbers."""
+    where = f"node_sets of a {kind}: {name!r}"
+    nodes = indices(where, list(given) if isinstance(given, (Sequence, set)) else given)
+    if nodes.dim() != 1:
+        raise InputError(f"{where} is {given!r}; allowed: a list of nodes")
+    return tuple(nodes.tolist())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,7 +80,7 @@ class Mesh:
     def __post_init__(self) -> None:
         if not isinstance(self.node_sets, Mapping):
             raise InputError(f"node_sets of a Mesh is {self.node_sets!r}; allowed: names -> lists of nodes")
-        sets = {str(name): _members(name, given) for name, given in self.node_sets.items()}
+        sets = {str(name): node_members("Mesh", name, given) for name, given in self.node_sets.items()}
         object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
         object.__setattr__(self, "node_sets", sets)
         for name in ("triangles", "quads", "lines"):

@@ -37,6 +37,7 @@ from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT
 from torchmbd.fem.reduction.slices import by_slices
 from torchmbd.fem.reduction.transport import Pencil, batched
+from torchmbd.math.checked_numbers import indices
 from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -56,7 +57,7 @@ def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Te
 
 def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
     """Interface freedoms as integers; InputError where they are out of range, repeated, none or all."""
-    found = tuple(int(i) for i in interface)
+    found = tuple(indices("interface", list(interface)).tolist())
     for i in found:
         if not 0 <= i < size:
             raise InputError(f"interface has the freedom {i}; allowed: 0 ... {size - 1}")

@@ -38,7 +38,7 @@ from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.orthotropic import Orthotropic, strain_rotation, turned
 from torchmbd.fem.sections.saint_venant import UnitFields, compliance, unit_fields
 from torchmbd.fem.sections.warping import WarpingProblem
-from torchmbd.math.checked_numbers import parameter
+from torchmbd.math.checked_numbers import differentiable_reals, parameter
 from torchmbd.math.inverse import balanced_inverse
 from torchmbd.math.plausible_units import check_angles
 from torchmbd.math.variable import LayerNumbers, stacked, without_variables
@@ -171,9 +171,9 @@ class Section(nn.Module):
         # kappa_y = p + z a - y b = 0, kappa_z = q + z b - y c = 0
         return torch.stack([a * q - b * p, b * q - c * p], dim=-1) / (a * c - b * b)[..., None]
 
-    def stress(self, force: Sequence[float] | Float[Tensor, "*lanes 6"]) -> SectionStress:
+    def stress(self, force: Sequence[float | Tensor] | Float[Tensor, "*lanes 6"]) -> SectionStress:
         """Recover strains and stresses under (N, V_y, V_z, T, M_y, M_z) [N, N m] at the points of all elements."""
-        load = torch.as_tensor(force, dtype=torch.float64)
+        load = differentiable_reals("force", force, f"[..., 6], {', '.join(FORCES)}")
         if load.shape[-1:] != (6,):
             raise InputError(f"force has shape {tuple(load.shape)}; allowed: [..., 6], {', '.join(FORCES)}")
         _, strain, stress = self.unit_fields()
