@@ -137,7 +137,7 @@ def motion(
 ) -> tuple[Tensor, Tensor]:
     """The motion stage of a batch: from frozen dynamics to `responses` of what is observed."""
     with torch.no_grad():
-        integrator = integrator_of(DEFAULT, options).suited(dynamics.topology)
+        integrator = integrator_of(DEFAULT, options).with_defaults(dynamics.topology)
         history = integrator.integrate(library.resolved(dynamics, "auto"), duration, steps).history
         U = observed(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
@@ -150,9 +150,9 @@ def differentiable_motion(
     moving = [name for name, x in dynamics.data.items() if isinstance(x, Pair) or name in names]
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
-    integrator = GeneralizedAlpha().suited(dynamics.topology)
+    integrator = GeneralizedAlpha().with_defaults(dynamics.topology)
     made = ReverseIntegration(
-        None, model, tuple(data), duration, False, steps, integrator, precise=True, wanted=tuple(moving)
+        None, model, tuple(data), duration, False, steps, integrator, with_gradients=True, wanted=tuple(moving)
     )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]

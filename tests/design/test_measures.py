@@ -12,7 +12,7 @@ from torch import Tensor
 import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.design import RMS, AtTime, AtTimes, Final, Frequency, Mass, Mean, Min, SmoothMax, history
-from torchmbd.results.time_rows import Given
+from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
 
 
@@ -28,7 +28,7 @@ def clock(n: int) -> Any:
     rows = {name: torch.zeros(2, n, 1, dtype=torch.float64) for name in ("q", "v", "a", "lam")}
     nothing: Any = None
     times = torch.linspace(0, 1, n, dtype=torch.float64)
-    return Trajectory(times, Given(rows), ["ok", "ok"], {}, None, nothing, nothing)
+    return Trajectory(times, TensorSignals(rows), ["ok", "ok"], {}, None, nothing, nothing)
 
 
 def exact(t: float) -> float:

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.integrate.attempts import doubted
-from torchmbd.integrate.contacts import STEPS, Doubt, lowest
+from torchmbd.integrate.contacts import STEPS, UnresolvedContact, lowest
+from torchmbd.integrate.lane_status import mark_unresolved_contacts
 
 pytestmark = pytest.mark.usefixtures("compiled")
 GROUND = mbd.Ground()
@@ -144,7 +144,7 @@ def test_outputs_of_other_methods_and_phases():
     assert motion.status[0].startswith("failed: contact 'ceiling'")
 
 
-def test_states_that_are_not_kept_are_looked_at():
+def test_states_that_are_not_kept_show_contacts():
     motion = mbd.simulate(thrown(), 0.9, steps=80, gradients="none", checkpoint=10, halvings=0)
     assert motion.status[0].startswith("failed: contact 'ceiling'")
 
@@ -173,6 +173,6 @@ def test_nothing_is_found_where_bodies_rest():
 
 def test_a_contact_does_not_hide_a_failure():
     status = ["failed: the motion is not finite from t = 0.1 s on", "ok"]
-    doubt = Doubt("contact 'floor' of 'ground' and 'ball' from t = 0.05 s on lasts 3 steps", 8, False)
-    doubted(status, {0: doubt, 1: doubt})
-    assert status == ["failed: the motion is not finite from t = 0.1 s on", f"unresolved: {doubt.text}"]
+    contact = UnresolvedContact("contact 'floor' of 'ground' and 'ball' from t = 0.05 s on lasts 3 steps", 8, False)
+    mark_unresolved_contacts(status, {0: contact, 1: contact})
+    assert status == ["failed: the motion is not finite from t = 0.1 s on", f"unresolved: {contact.message}"]

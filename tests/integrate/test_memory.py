@@ -73,11 +73,11 @@ def test_what_is_said_to_fit_fits(monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 1e9)
     system = build()
     with pytest.raises(InputError, match=r"about 1\.. GB of memory, 1 GB are available") as caught:
-        memory.require_room(system, 1, 500_000)
+        memory.require_memory(system, 1, 500_000)
     most = int(re.search(r"up to (\d+) states", str(caught.value))[1])  # pyright: ignore[reportOptionalSubscript]
-    memory.require_room(system, 1, most)
+    memory.require_memory(system, 1, most)
     with pytest.raises(InputError):
-        memory.require_room(system, 1, int(1.2 * most))
+        memory.require_memory(system, 1, int(1.2 * most))
 
 
 def test_lanes_that_do_not_fit_are_refused(monkeypatch):

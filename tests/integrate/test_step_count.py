@@ -9,7 +9,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import box, tensor
-from torchmbd.integrate.step_count import all_modes, announce, first_steps, wanted_steps
+from torchmbd.integrate.step_count import all_modes, announce, first_steps, needed_steps
 from torchmbd.progress import motion_shown, without_bars
 
 pytestmark = pytest.mark.usefixtures("compiled")  # thousands of steps
@@ -94,8 +94,8 @@ def stats(turn: float, error: float, suggested: float) -> dict[str, torch.Tensor
     ],
 )
 def test_steps_that_an_estimate_asks_for(found, status, wanted):
-    assert wanted_steps(200, found, [status], {}) == wanted
-    assert wanted_steps(200, found, [status], {0: "it starts nowhere"}) == 200
+    assert needed_steps(200, found, [status], {}, {}) == wanted
+    assert needed_steps(200, found, [status], {0: "it starts nowhere"}, {}) == 200
 
 
 @pytest.mark.thorough

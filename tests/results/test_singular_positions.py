@@ -12,7 +12,7 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate, tensor
 from tests.validation.rigid_benchmarks import n_four_bar, n_four_bar_at
 from torchmbd.results.singular_positions import explain
-from torchmbd.results.time_rows import Given
+from torchmbd.results.time_rows import TensorSignals
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_a_motion_that_failed_says_where(folding):
     gone = folding.t[:, None] > 0.755
     states = {name: torch.where(gone, torch.nan, getattr(folding, name)) for name in ("q", "v", "a", "lam")}
     status = ["failed: the motion is not finite from t = 0.76 s on"]
-    failed = replace(folding, signals=Given(states), status=status)
+    failed = replace(folding, signals=TensorSignals(states), status=status)
     explain(failed)
     (status,) = failed.status
     assert status.startswith("failed: the motion is not finite from t = 0.76 s on; singular position near t = 0.71")
@@ -139,7 +139,7 @@ def test_a_start_in_a_singular_position():
     motion = mbd.simulate(system, 0.2, steps=100).require_ok()
     assert motion.singular_positions()[0].t == 0.0
     assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
-    # Given at rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix.
+    # TensorSignals at rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix.
     bar.moving((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     system = parallelogram(0.0, 6.0, bar, side=0.1)
     with pytest.warns(

@@ -189,7 +189,7 @@ def test_many_responses_go_back_in_parts(monkeypatch):
 def test_gradients_that_did_not_converge_say_so(monkeypatch):
     motion = mbd.simulate(sprung(), 0.02, steps=15, gradients="reverse")
     monkeypatch.setattr(pullback, "MOST", 1)
-    monkeypatch.setattr(adjoint, "POOR", 1e-6)
+    monkeypatch.setattr(adjoint, "INACCURATE", 1e-6)
     with pytest.warns(
         UserWarning, match=r"lane 0: the adjoint leaves an error of .*; more steps help, or gradients='forward'"
     ):

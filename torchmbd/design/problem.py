@@ -35,7 +35,7 @@ from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check, check_backend, check_gradients, start_of
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.memory import lanes_at_once, require_room
+from torchmbd.integrate.memory import lanes_at_once, require_memory
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.step_count import FEWEST
@@ -137,8 +137,12 @@ class Problem(Summary):
         check_backend(backend)
         self.gradients = self._way(integrator) if gradients in ("auto", "none") else gradients
         self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
-        require_room(
-            system, 1, integrator.kept(steps) if steps else FEWEST, self._tangents, self.gradients == "reverse"
+        require_memory(
+            system,
+            1,
+            integrator.stored_intervals(steps) if steps else FEWEST,
+            self._tangents,
+            self.gradients == "reverse",
         )
 
     def settings(self) -> list[Any]:

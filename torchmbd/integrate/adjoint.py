@@ -14,7 +14,7 @@ itself, with corrections until they are small. b are the numbers of the reduced 
 stage that they come from.
 
 `Adjoint` is kept by the integration (reverse_integration.py); `AdjointSolver` makes the steps by operators of torch,
-backward.py by compiled code. Through phases it is adjoint.py; not for the methods of torchdiffeq.
+native/backward.py by compiled code. phases/adjoint.py is the adjoint through phases. Methods of torchdiffeq have none.
 Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
 """
@@ -43,10 +43,10 @@ from torchmbd.results.history import History, segments
 from torchmbd.results.state import State
 
 # Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
-POOR = 1e-5  # worth a warning
+INACCURATE = 1e-5  # worth a warning
 
 
-# What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
+# Cotangents of q, v, a, lam, in this order [times, n, rows, lanes]; None: zero.
 MotionCotangents = Sequence[Tensor | None]
 
 
@@ -59,12 +59,12 @@ def rows_of(of_motion: MotionCotangents) -> int:
 class Grid:
     """Lanes that were integrated with the same equal steps.
 
-    lanes     their numbers in the batch;  history: their states, of what a condensation left
-    leaves    data of the whole system by which gradients are wanted [component..., 1, lanes]
-    dynamics  the equations of what a condensation left, and
-    start     the initial state: both functions of the leaves in reverse mode
-    times     of all steps [steps + 1];  every: steps between two outputs
-    corrections   of mu, at least
+    lanes        their numbers in the batch;  history: their states, of the condensed system
+    leaves       data of the whole system by which gradients are wanted [component..., 1, lanes]
+    dynamics     the equations of the condensed system, and
+    start        its initial state: both functions of the leaves in reverse mode
+    times        of all steps [steps + 1];  every: steps between two outputs
+    corrections  of mu, at least
     """
 
     lanes: list[int]
@@ -105,8 +105,12 @@ class Grid:
 
 
 class Cotangents(NamedTuple):
-    """Of the steps: by the data [component..., rows, lanes], by what laws with design variables prescribe
-    [steps, n, rows, lanes] (None: there are none), and by the initial state [n, rows, lanes]."""
+    """Cotangents that the steps give.
+
+    data    by name [component..., rows, lanes]
+    laws    of what laws with design variables prescribe [steps, n, rows, lanes]; None: there are none
+    start   of the initial state [n, rows, lanes]
+    """
 
     data: dict[str, Tensor]
     laws: Tensor | None
@@ -117,11 +121,11 @@ class Cotangents(NamedTuple):
 class Adjoint:
     """The adjoint of one motion.
 
-    dynamics   of the whole system, values only;  known: the same as a function of leaves, if that was made already
-    history    what was integrated, by equal steps over the duration [s]
-    integrator  that made the steps
-    failed     lanes whose cotangents are zero
-    sweep      makes a AdjointSolver of a grid
+    dynamics        of the whole system, values only;  dynamics_of_leaves: the same as a function of leaves, or None
+    history         what was integrated, by equal steps over the duration [s]
+    integrator      that made the steps
+    failed          lanes whose cotangents are zero
+    adjoint_solver  makes the AdjointSolver of a grid
     """
 
     dynamics: Dynamics
@@ -130,7 +134,7 @@ class Adjoint:
     integrator: OneStep
     failed: Sequence[int]
     adjoint_solver: Callable[[Grid], AdjointSolver]
-    known: Dynamics | None = None
+    dynamics_of_leaves: Dynamics | None = None
     _solvers: dict[tuple[str, ...], list[AdjointSolver]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -140,7 +144,7 @@ class Adjoint:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the solvers: native ones hold a library, eager ones a graph; both are made again where they are needed."""
-        return vars(self) | {"_solvers": {}, "known": None}
+        return vars(self) | {"_solvers": {}, "dynamics_of_leaves": None}
 
     @torch.no_grad()
     def __call__(self, of_motion: MotionCotangents, names: Sequence[str]) -> dict[str, Tensor]:
@@ -148,14 +152,14 @@ class Adjoint:
         lanes, rows = self.dynamics.lanes, rows_of(of_motion)
         shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
         result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
-        for adjoint_solver in self._solvers_of(tuple(names)):
-            some = adjoint_solver.grid.lanes
-            own = of_motion if len(some) == lanes else [x if x is None else x[..., some] for x in of_motion]
-            found, error = adjoint_solver(own)
-            for name, x in adjoint_solver.grid.cotangents(found).items():
-                result[name][..., some] = x
-            self.error[some] = self.error[some].maximum(error)
-        for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
+        for solver in self._solvers_of(tuple(names)):
+            part = solver.grid.lanes
+            own = of_motion if len(part) == lanes else [x if x is None else x[..., part] for x in of_motion]
+            cotangents, error = solver(own)
+            for name, x in solver.grid.cotangents(cotangents).items():
+                result[name][..., part] = x
+            self.error[part] = self.error[part].maximum(error)
+        for lane in torch.nonzero(self.error > INACCURATE)[:, 0].tolist():
             warn(
                 f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
                 "or gradients='forward'",
@@ -163,46 +167,44 @@ class Adjoint:
         return result
 
     def _solvers_of(self, names: tuple[str, ...]) -> list[AdjointSolver]:
-        """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
+        """One for the lanes with the steps that were asked for, one for each lane with smaller steps."""
         if names not in self._solvers:
             self._solvers[names] = [self.adjoint_solver(grid) for grid in self.grids(names)]
         return self._solvers[names]
 
     def grids(self, names: tuple[str, ...] = ()) -> list[Grid]:
         """Of all lanes that have not failed."""
-        finer = self.history.finer
-        some = [lane for lane in range(self.dynamics.lanes) if lane not in finer and lane not in self.failed]
-        grids = [self._grid(names, some, self.history, some, 1)] if some else []
-        for lane, (history, own, every) in finer.items():
+        refined = self.history.refined
+        lanes = [lane for lane in range(self.dynamics.lanes) if lane not in refined and lane not in self.failed]
+        grids = [self._grid(names, lanes, self.history, lanes, 1)] if lanes else []
+        for lane, own in refined.items():
             if lane not in self.failed:
-                grids.append(self._grid(names, [lane], history, [own], every))
+                grids.append(self._grid(names, [lane], own.history, [own.lane], own.substeps))
         return grids
 
-    def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
-        """Of lanes of the batch, which are `own` in a history that has `every` times as many intervals as there are outputs."""
-        known = self.known
-        if (
-            known is None
-            or len(lanes) < known.lanes
-            or names != tuple(k for k, x in known.data.items() if x.requires_grad)
-        ):
-            known = differentiable(
-                self.dynamics.select_lanes(lanes) if len(lanes) < self.dynamics.lanes else self.dynamics, names
-            )
-        leaves = {name: known.data[name] for name in names}
-        _, left, start = prepare(known)
-        stored = history.between.steps if history.between else 1
-        steps = stored * (len(history.q) - 1)
+    def _grid(
+        self, names: tuple[str, ...], lanes: list[int], history: History, columns: list[int], substeps: int
+    ) -> Grid:
+        """Of lanes of the batch, which are `columns` of a history with `substeps` intervals between two outputs."""
+        dynamics, of_leaves = self.dynamics, self.dynamics_of_leaves
+        leaf_names = () if of_leaves is None else tuple(k for k, x in of_leaves.data.items() if x.requires_grad)
+        if of_leaves is None or len(lanes) < of_leaves.lanes or names != leaf_names:
+            of_leaves = differentiable(dynamics.select_lanes(lanes) if len(lanes) < dynamics.lanes else dynamics, names)
+        leaves = {name: of_leaves.data[name] for name in names}
+        _, reduced, start = prepare(of_leaves)
+        interval = history.checkpoints.interval if history.checkpoints else 1
+        steps = interval * (len(history.q) - 1)
         h = self.duration / steps
         times = h * torch.arange(steps + 1, dtype=torch.float64)
-        weights, corrections = self.integrator.weights(h), self.integrator.counts(self.dynamics)[1]
-        return Grid(lanes, history.lanes(own), leaves, left, start, weights, times, stored * every, corrections)
+        weights, corrections = self.integrator.weights(h), self.integrator.counts(dynamics)[1]
+        every = interval * substeps
+        return Grid(lanes, history.lanes(columns), leaves, reduced, start, weights, times, every, corrections)
 
 
 class AdjointSolver:
     """The adjoint through one grid by operators of torch, one segment of steps after the other, the last one first.
 
-    So the memory that it takes besides the history does not grow with the number of steps.
+    The memory that it takes besides the history does not grow with the number of steps.
     """
 
     def __init__(self, grid: Grid):
@@ -211,13 +213,13 @@ class AdjointSolver:
         self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(T, self.dynamics.saddle, grid.weights, self.data)
         self.stepper = EagerStepper(self.dynamics, model, (1, grid.corrections), refresh=1)
-        between = grid.history.between
-        self.segments = segments(len(grid.times) - 1, between.steps if between else 1)
-        self.accelerations = between.a if between else self._accelerations()
+        checkpoints = grid.history.checkpoints
+        self.segments = segments(len(grid.times) - 1, checkpoints.interval if checkpoints else 1)
+        self.accelerations = checkpoints.accelerations if checkpoints else self._accelerations()
 
     def __call__(self, of_motion: MotionCotangents) -> tuple[Cotangents, Tensor]:
         """Cotangents of the steps, from those of the outputs, and their estimated relative error [lanes]."""
-        y, by, laws = self._taken(of_motion, len(self.grid.times) - 1), {}, []
+        y, by, laws = self._of_outputs(of_motion, len(self.grid.times) - 1), {}, []
         error = torch.zeros(len(self.grid.lanes), dtype=torch.float64)
         for number in reversed(range(len(self.segments))):
             found, left = self._segment(number, of_motion, y)
@@ -237,14 +239,14 @@ class AdjointSolver:
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
             found = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)
-            y = State(*(a + b for a, b in zip(found.state, self._taken(of_motion, steps[i]), strict=True)))
+            y = State(*(a + b for a, b in zip(found.state, self._of_outputs(of_motion, steps[i]), strict=True)))
             by = {name: x + found.data[name] for name, x in by.items()}
             laws.append(torch.cat(list(found.laws.values())) if found.laws else None)
             error = error.maximum(found.error)
         return Cotangents(by, torch.stack(laws[::-1]) if T.varied else None, y), error
 
     def _schedule(self, steps: range) -> list[Prescribed]:
-        """What is known at the ends of steps."""
+        """Drives and bodies of known motion at the ends of steps."""
         return self.dynamics.topology.schedule(self.grid.times[steps.start + 1 : steps.stop + 1], self.dynamics.data)
 
     def _accelerations(self) -> list[Tensor]:
@@ -265,10 +267,10 @@ class AdjointSolver:
     def _history(self, number: int, schedule: Sequence[Prescribed]) -> tuple[History, Tensor]:
         """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
         h, steps, a = self.grid.history, self.segments[number], self.accelerations[number]
-        if h.between is None:
+        if h.checkpoints is None:
             return h.at(slice(steps.start, steps.stop + 1)), a
-        q, v, vd, lam = (y[steps.start // h.between.steps] for y in (h.q, h.v, h.vd, h.lam))
-        stepper = h.between.integrator.stepper(self.dynamics.values(), float(self.grid.weights.h))
+        q, v, vd, lam = (y[steps.start // h.checkpoints.interval] for y in (h.q, h.v, h.vd, h.lam))
+        stepper = h.checkpoints.integrator.stepper(self.dynamics.values(), float(self.grid.weights.h))
         return resume(stepper, State(q, v, vd, a, lam), schedule, steps.start)[1], a
 
     def _states(self, known: tuple[History, Tensor]) -> list[State]:
@@ -279,8 +281,8 @@ class AdjointSolver:
             found.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
         return found
 
-    def _taken(self, of_motion: MotionCotangents, i: int) -> State:
-        """What the outputs take from the state after i steps."""
+    def _of_outputs(self, of_motion: MotionCotangents, i: int) -> State:
+        """Cotangents of the state after i steps, as an output of the motion."""
         h, rows, (row, beside) = self.grid.history, rows_of(of_motion), divmod(i, self.grid.every)
         both = zip(of_motion, (h.q, h.v, h.vd, h.lam), strict=True)
         parts = [y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None or beside else x[row] for x, y in both]

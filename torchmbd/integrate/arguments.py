@@ -44,7 +44,7 @@ def check(
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
     integrator = integrator_of(method, options, phases, own)
     if steps is not None:
-        integrator.kept(steps)
+        integrator.stored_intervals(steps)
     return integrator
 
 

@@ -1,12 +1,13 @@
-"""Contacts located in time: those that fixed steps pass over, and those of too few steps.
+"""Contacts that the steps of a motion do not show, and the steps that would.
 
     missed    both ends of a step are apart, but the cubic of gaps and rates at its ends (Hermite) is not in between
     short     bodies touch at fewer than STEPS consecutive times, between times at which they are apart; or they touch at the
               last time, and lose half of their speed in fewer than a third of STEPS, as in a contact of STEPS
 
-The first of either says how many steps would stand for one; attempts.py makes them, for the whole motion of that lane, so
-that derivatives are those of equal steps. A linear spring in contact for STEPS steps gives the speed back to 0.05 %, with an
-error of the third order in the step. What changes the speed by less than a thousandth of the motion's largest is no contact.
+`ContactWatch` reads the states of a motion in order, and then names the first such contact of each lane, with the number of
+steps that should stand for one. retries.py makes them, for the whole motion of that lane, so that derivatives are those of
+equal steps. A linear spring in contact for STEPS steps gives the speed back to 0.05 %, with an error of the third order in
+the step. What changes the speed by less than a thousandth of the motion's largest is no contact.
 Checked in tests/integrate/test_contacts.py.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,151 +28,156 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 
 STEPS = 20  # in contact
-MOST = 256  # steps for one
-_FIRST = 7  # of these, before which a linear spring takes less than half of the speed
-_PASSED = 4  # steps for one where a contact was passed over
+MOST_SUBSTEPS = 256  # steps for one
+_FIRST = 7  # steps in contact before which a linear spring takes less than half of the speed
+_MISSED_SUBSTEPS = 4  # steps for one where a contact was missed
 _SLOW = 1e-3  # of the largest rate of the gap: slower contacts count as none
-_SHALLOW = 1e-3  # of what the gap changes in a step: a cubic that overlaps less touches nothing
-_AT_ONCE = 20_000  # times of lanes
+_SHALLOW = 1e-3  # of the change of the gap in a step: a cubic that overlaps less touches nothing
+_AT_ONCE = 20_000  # times x lanes in one evaluation of the gaps
 
 
-class Doubt(NamedTuple):
+class UnresolvedContact(NamedTuple):
     """The first contact of a lane that its steps do not show.
 
-    text    which it is, and when
-    steps   that should stand for one
-    fails   whether the motion is another one than without it
+    message   the contact, and when it occurs
+    substeps  number of steps that should stand for one
+    fails     whether the lane has failed: its motion is the one without this contact
     """
 
-    text: str
-    steps: int
+    message: str
+    substeps: int
     fails: bool
 
 
 @dataclass(frozen=True)
 class _Gap:
-    """A gap of a control: its number there, and where the inputs are among s | s' of all actions."""
+    """Gaps of a contact law; `inputs`: where its inputs are among s | s' of all actions."""
 
     control: ContactControl
-    read: Tensor
+    inputs: Tensor
 
 
 class ContactWatch:
-    """Sees the states of a motion in order, all lanes; says what its steps do not show."""
+    """Gaps and their rates along a motion, of all lanes."""
 
-    def __init__(self, whole: Dynamics):
-        self.dynamics = whole
-        links = whole.topology.links.each if whole.topology.actions else []
+    def __init__(self, dynamics: Dynamics):
+        """dynamics: of the whole system."""
+        self.dynamics = dynamics
+        links = dynamics.topology.links.each if dynamics.topology.actions else []
         self.gaps = [_Gap(x.control, x.read) for x in links if isinstance(x.control, ContactControl)]
-        self.seen: list[tuple[Tensor, Tensor]] = []
+        self.parts: list[tuple[Tensor, Tensor]] = []  # gaps and rates so far
 
     @property
     def idle(self) -> bool:
-        """Whether there is no contact to look at."""
+        """Whether the system has no contacts."""
         return not self.gaps
 
     @torch.no_grad()
-    def see(self, times: Tensor, q: Tensor, v: Tensor) -> None:
+    def update(self, times: Tensor, q: Tensor, v: Tensor) -> None:
         """Go on with states q, v [times, n, 1, lanes] of the whole system; the first was the last before."""
-        lanes = q.shape[-1]
-        size = max(_AT_ONCE // lanes, 1)
-        for start in range(min(len(self.seen), 1), len(times), size):
-            some = slice(start, start + size)
-            self.seen.append(self._looked(times[some], q[some], v[some]))
+        size = max(_AT_ONCE // q.shape[-1], 1)
+        for start in range(min(len(self.parts), 1), len(times), size):
+            part = slice(start, start + size)
+            self.parts.append(self._gaps_and_rates(times[part], q[part], v[part]))
 
-    def doubts(self, h: float, equal: bool = True) -> dict[int, Doubt]:
-        """The first of each lane, of times h [s] apart; equal: whether these are the steps, or outputs between others."""
-        if not self.seen:
+    def unresolved(self, h: float, by_steps: bool = True) -> dict[int, UnresolvedContact]:
+        """The first contact of each lane that states h [s] apart do not show; no entry where they show all.
+
+        by_steps   the states are those of all steps; False: outputs of a method with steps of its own, which may have missed
+                   no contact, and are long enough
+        """
+        if not self.parts:
             return {}
-        gaps, rates = (torch.cat(x, 1) for x in zip(*self.seen, strict=True))  # [gaps, times, lanes]
+        gaps, rates = (torch.cat(x, 1) for x in zip(*self.parts, strict=True))  # [gaps, times, lanes]
         labels = [f"{gap.control.label} of {gap.control.what}" for gap in self.gaps for _ in range(gap.control.count)]
-        found: dict[int, Doubt] = {}
+        result: dict[int, UnresolvedContact] = {}
         for lane in range(gaps.shape[-1]):
-            first = min(
-                (
-                    x
-                    for k, label in enumerate(labels)
-                    for x in _doubts(label, gaps[k, :, lane], rates[k, :, lane], h, equal)
-                ),
-                key=lambda x: x[0],
-                default=None,
-            )
-            if first is not None:
-                found[lane] = first[1]
-        return found
+            contacts = [
+                contact
+                for k, label in enumerate(labels)
+                for contact in _unresolved(label, gaps[k, :, lane], rates[k, :, lane], h, by_steps)
+            ]
+            if contacts:
+                result[lane] = min(contacts, key=lambda contact: contact[0])[1]
+        return result
 
-    def _looked(self, times: Tensor, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-        """Gaps and their rates [gaps, times, lanes]."""
+    def _gaps_and_rates(self, times: Tensor, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+        """Gaps and their rates [gaps, times, lanes]: times are further lanes of one evaluation."""
         T, lanes, count = self.dynamics.topology, q.shape[-1], len(times)
-
-        def tiled(x: Any) -> Tensor:
-            x = value(x).detach()
-            return x if x.shape[-1] == 1 else x.repeat(*(1,) * (x.dim() - 1), count)
-
         plain = {name: value(x).detach() for name, x in self.dynamics.data.items()}
-        known = as_lanes(T.schedule(times, plain), lanes)
-        data = {name: tiled(x) for name, x in plain.items()}
+        data = {name: x if x.shape[-1] == 1 else x.repeat(*(1,) * (x.dim() - 1), count) for name, x in plain.items()}
         q, v = (x.movedim(0, -2).flatten(-2) for x in (q, v))
-        at = equations.placement(T, data, q, known)
+        at = equations.placement(T, data, q, as_lanes(T.schedule(times, plain), lanes))
         states = equations.action_states(T, data, at, v)
-        both = torch.cat([value(x[k]) for k in range(2) for x in states])[:, 0]
-        found = []
+        inputs = torch.cat([value(x[k]) for k in range(2) for x in states])[:, 0]
+        parts = []
         for gap in self.gaps:
-            p = data[law_key(gap.control.name)][:, 0] if gap.control.variables is not None else both[:0]
-            found.append(gap.control.gaps(gap.control.numbers(p), both[gap.read]))
-        return tuple(torch.cat(x).unflatten(-1, (count, lanes)) for x in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
+            p = data[law_key(gap.control.name)][:, 0] if gap.control.variables is not None else inputs[:0]
+            parts.append(gap.control.gaps(gap.control.numbers(p), inputs[gap.inputs]))
+        gaps, rates = (torch.cat(x).unflatten(-1, (count, lanes)) for x in zip(*parts, strict=True))
+        return gaps, rates
 
 
-def _doubts(label: str, gap: Tensor, rate: Tensor, h: float, equal: bool) -> list[tuple[int, Doubt]]:
-    """First missed and first short contact of a gap [times], with the numbers of their times."""
+Contacts = list[tuple[int, UnresolvedContact]]  # each with the number of the time at which it begins
+
+
+def _unresolved(label: str, gap: Tensor, rate: Tensor, h: float, by_steps: bool) -> Contacts:
+    """The first missed and the first short contacts of a gap [times] of one lane."""
     closed, speed = gap < 0.0, rate.abs()
-    pair = torch.maximum(speed[:-1], speed[1:])
-    felt = pair > _SLOW * speed.nan_to_num().max()
-    missed = ~closed[:-1] & ~closed[1:] & felt & (lowest(gap, rate, h) < -_SHALLOW * h * pair)
-    found = []
-    for i in torch.nonzero(missed)[:1, 0].tolist():
-        verb = (
-            f"is passed over by a step of {h:.3g} s" if equal else "is not seen in its outputs: more steps may show it"
+    faster_end = torch.maximum(speed[:-1], speed[1:])
+    counts = faster_end > _SLOW * speed.nan_to_num().max()  # steps in which the contact would change the motion
+    contacts = _missed(label, closed, counts & (lowest(gap, rate, h) < -_SHALLOW * h * faster_end), h, by_steps)
+    if by_steps:
+        contacts += _short(label, closed, counts, h) + _cut_off(label, gap, rate, counts, h)
+    return contacts
+
+
+def _missed(label: str, closed: Tensor, overlaps: Tensor, h: float, by_steps: bool) -> Contacts:
+    """The first step in which the bodies touch, but at neither end."""
+    for i in torch.nonzero(~closed[:-1] & ~closed[1:] & overlaps)[:1, 0].tolist():
+        fault = (
+            f"is passed over by a step of {h:.3g} s"
+            if by_steps
+            else "is not seen in its outputs: more steps may show it"
         )
-        text = f"{label} between t = {i * h:.6g} s and {(i + 1) * h:.6g} s {verb}"
-        found.append((i, Doubt(text, _PASSED, equal)))
-    if equal:
-        found += _short(label, closed, felt, h) + _cut(label, gap, rate, felt, h)
-    return found
+        message = f"{label} between t = {i * h:.6g} s and {(i + 1) * h:.6g} s {fault}"
+        return [(i, UnresolvedContact(message, _MISSED_SUBSTEPS, by_steps))]
+    return []
 
 
-def _cut(label: str, gap: Tensor, rate: Tensor, felt: Tensor, h: float) -> list[tuple[int, Doubt]]:
-    """A contact that the end of the motion cuts off, and that slows down in too few steps."""
-    is_open = torch.nonzero(gap >= 0.0)[:, 0]
-    if not len(is_open) or (n := len(gap) - 1 - int(is_open[-1])) in (0, *range(_FIRST, len(gap))):
-        return []
-    i = int(is_open[-1])
-    before = torch.stack([rate[i], rate[i + 1], (gap[i + 1] - gap[i]) / h]).min()
-    if not bool(felt[i] & (rate[-1] > 0.5 * before)):
-        return []
-    text = f"{label} from t = {i * h:.6g} s on stops within {n} steps of {h:.3g} s; allowed: {STEPS} steps in contact"
-    return [(i, Doubt(text, 2 ** math.ceil(math.log2(STEPS / 3.0 / n)), False))]
-
-
-def _short(label: str, closed: Tensor, felt: Tensor, h: float) -> list[tuple[int, Doubt]]:
-    number = torch.arange(len(closed))
-    last_open = torch.where(closed, -1, number).cummax(0).values
+def _short(label: str, closed: Tensor, counts: Tensor, h: float) -> Contacts:
+    """The first contact of fewer than STEPS steps between times at which the bodies are apart."""
+    last_open = torch.where(closed, -1, torch.arange(len(closed))).cummax(0).values
     ends = torch.nonzero(closed[:-1] & ~closed[1:])[:, 0]
     begins = last_open[ends]
     length = ends - begins
-    bad = (begins >= 0) & (length < STEPS) & (felt[begins.clamp_min(0)] | felt[ends])
-    found = []
-    for i, n in zip(begins[bad][:1].tolist(), length[bad][:1].tolist(), strict=True):
-        more = 2 ** math.ceil(math.log2(STEPS / n))
-        text = (
+    short = (begins >= 0) & (length < STEPS) & (counts[begins.clamp_min(0)] | counts[ends])
+    for i, n in zip(begins[short][:1].tolist(), length[short][:1].tolist(), strict=True):
+        message = (
             f"{label} from t = {i * h:.6g} s on lasts {n} steps of {h:.3g} s; allowed: {STEPS} steps or more in contact"
         )
-        found.append((i, Doubt(text, more, False)))
-    return found
+        return [(i, UnresolvedContact(message, 2 ** math.ceil(math.log2(STEPS / n)), False))]
+    return []
+
+
+def _cut_off(label: str, gap: Tensor, rate: Tensor, counts: Tensor, h: float) -> Contacts:
+    """A contact that the end of the motion cuts off, and that slows down in too few steps."""
+    is_open = torch.nonzero(gap >= 0.0)[:, 0]
+    n = len(gap) - 1 - int(is_open[-1]) if len(is_open) else 0
+    if not 0 < n < _FIRST:
+        return []
+    i = int(is_open[-1])
+    closing = torch.stack([rate[i], rate[i + 1], (gap[i + 1] - gap[i]) / h]).min()
+    if not bool(counts[i] & (rate[-1] > 0.5 * closing)):
+        return []
+    message = (
+        f"{label} from t = {i * h:.6g} s on stops within {n} steps of {h:.3g} s; allowed: {STEPS} steps in contact"
+    )
+    return [(i, UnresolvedContact(message, 2 ** math.ceil(math.log2(STEPS / 3.0 / n)), False))]
 
 
 def lowest(gap: Tensor, rate: Tensor, h: float) -> Tensor:
-    """Least value of the cubics between consecutive times, of gaps and rates [times] -> [times - 1]."""
+    """Least value of the Hermite cubics between consecutive times, of gaps and rates [times] -> [times - 1]."""
     a, b, m, n = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
     square, cube = 3.0 * (b - a) - 2.0 * m - n, 2.0 * (a - b) + m + n
     # Zeros u of m + 2 square u + 3 cube u^2, the second as m over the other factor: no division by a small cube.

@@ -2,9 +2,8 @@
 
     h = T / n,   t_i = i T / n          dh/dT = 1/n,   dt_i/dT = i/n
 
-The size of a step is in the weights of the method; the time in what drives prescribe, where prescribed bodies are and in
-forces that
-depend on time. One tangent is carried along the states that were recorded, by the eager operations of a step (step.py),
+The size of a step enters the weights of the method; the time enters drives, bodies of known motion and forces that depend
+on it. One tangent is carried along the states that were recorded, by the eager operations of a step (step.py),
 iterated to rounding. With it both modes are a product: one number T moves all outputs.
 Checked in tests/integrate/test_duration.py.
 """
@@ -49,9 +48,9 @@ def _of_grid(grid: Grid, integrator: OneStep) -> list[Tensor]:
     model = Model.of(dynamics, w)
     x = grid.start.map(lambda y: _still(value(y).detach(), len(grid.lanes)))
     states, schedule = [x], _schedule(dynamics, grid.times)
-    for i, given in enumerate(schedule):
+    for i, prescribed in enumerate(schedule):
         z = torch.cat([grid.history.vd[i + 1], grid.history.lam[i + 1]])
-        step = model.step(x, given)
+        step = model.step(x, prescribed)
         H = factored(regularized(step.matrix(z), diagonal))
         dz = converged(step, H, z, torch.cat([x.vd.tangent, x.lam.tangent]))
         x = _recorded(step.finish(z, dz), grid, i + 1, w.values())
@@ -72,20 +71,19 @@ def _recorded(x: State, grid: Grid, i: int, w: Weights) -> State:
 
 
 def _schedule(dynamics: Dynamics, times: Tensor) -> list[Prescribed]:
-    """What is known at all times but the first, with the derivative by the duration."""
+    """Drives and bodies of known motion at all times but the first, with their derivatives by the duration."""
     T, share = dynamics.topology, torch.linspace(0.0, 1.0, len(times), dtype=torch.float64)[1:]
 
     def numbers(t: Tensor) -> list[Tensor]:
-        given = T.schedule(t, dynamics.data)
-        found = [(x.A, x.r, *(part for law in x.laws for part in law or ())) for x in given]
-        return [torch.stack(part) for part in zip(*found, strict=True)]
+        rows = [(x.A, x.r, *(part for law in x.laws for part in law or ())) for x in T.schedule(t, dynamics.data)]
+        return [torch.stack(part) for part in zip(*rows, strict=True)]
 
     found = [Pair.of(x, dx) for x, dx in zip(*torch.func.jvp(numbers, (times[1:],), (share,)), strict=True)]
     result = []
-    for i, given in enumerate(T.schedule(times[1:], dynamics.data)):
+    for i, prescribed in enumerate(T.schedule(times[1:], dynamics.data)):
         A, r, *rest = (Pair(x.full[i]) for x in found)
         parts = iter(rest)
-        laws = [None if law is None else tuple(next(parts) for _ in law) for law in given.laws]
+        laws = [None if law is None else tuple(next(parts) for _ in law) for law in prescribed.laws]
         t = Pair(torch.stack([times[i + 1], share[i]])[:, None])
         result.append(Prescribed(laws, A, r, t))  # pyright: ignore[reportArgumentType]
     return result

@@ -1,4 +1,4 @@
-"""Estimates of what a motion leaves to be desired: errors of steps, and rotations in one step.
+"""Estimates of the errors of the steps of a motion: truncation errors, alternating accelerations, rotations in one step.
 
 Source: Zienkiewicz and Xie, Earthq. Eng. Struct. Dyn. 20 (1991) 871-887.
 Checked in tests/integrate/test_simulate.py.
@@ -29,7 +29,7 @@ class StepErrors:
         self.modes = self.T.modes * self.T.flexible
         self.change = self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
 
-    def see(self, history: History, smooth: Tensor | None = None) -> None:
+    def update(self, history: History, smooth: Tensor | None = None) -> None:
         """Go on with states, the first of which was the last before; smooth: steps without a jump [steps, lanes]."""
         T, accelerations = self.T, history.vd[:, :, 0].transpose(0, 1)
         rows = split_v(T, accelerations)[2 if self.modes else 1].flatten(0, 1)

@@ -29,16 +29,16 @@ _SAME = 1e-15  # of a time: times that are equal
 
 
 class FlowStepper:
-    """Regular steps of size h [s]; `given`: arguments of torchdiffeq.odeint. Each lane has steps of its own in them."""
+    """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint. Each lane has steps of its own in them."""
 
-    def __init__(self, dynamics: Dynamics, h: float, given: dict[str, Any]):
-        self.dynamics, self.h, self.given = dynamics, h, given
+    def __init__(self, dynamics: Dynamics, h: float, arguments: dict[str, Any]):
+        self.dynamics, self.h, self.arguments = dynamics, h, arguments
         self.failed: dict[int, str] = {}
         self._rates: dict[int, RightHandSide] = {}
 
-    def step(self, i: int, x: State, given: Prescribed, lanes: Tensor) -> State:
+    def step(self, i: int, x: State, prescribed: Prescribed, lanes: Tensor) -> State:
         """As of Stepper."""
-        del given  # the right-hand side evaluates laws itself
+        del prescribed  # the right-hand side evaluates laws itself
         full = [_full(y).clone() for y in x]
         for lane in torch.nonzero(lanes)[:, 0].tolist():
             for part, y in zip(full, self._lane(i, lane, x), strict=True):
@@ -53,29 +53,29 @@ class FlowStepper:
             self._rates[lane] = RightHandSide(lane_of(self.dynamics, lane))
         f, times = self._rates[lane], self.h * torch.arange(i - 1, i + 1, dtype=torch.float64)
         try:
-            y = flow(f, torch.cat(own[:2]), times, self.given)[-1]
+            y = flow(f, torch.cat(own[:2]), times, self.arguments)[-1]
         except FloatingPointError as error:
             self.failed[lane] = str(error)
             return [y * torch.nan for y in own]
         a, lam = f.accelerations(times[-1], y)
         return [*y.split([len(own[0]), len(own[1])]), a, a, lam]
 
-    def forget(self) -> None:
+    def restart(self) -> None:
         """As of Stepper: nothing is kept."""
 
-    def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
-        """As of Stepper: tolerances, or the order, are what there is."""
+    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
+        """As of Stepper: methods of torchdiffeq have no such estimates."""
         return {}
 
 
-def moved(dynamics: Dynamics, x: State, h: Any, t1: Any, given: dict[str, Any]) -> State:
-    """The state of one lane a time h later, at t1; as of `Integrator.sized`."""
+def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:
+    """The state of one lane a time h later, at t1; as of `Integrator.step_of_size`."""
     t0 = t1 - h
     y = _shifted(dynamics, _full(cat([x.q, x.v])), t0, -1.0)
     now, then = float(value(t0)), float(value(t1))
     if abs(then - now) > _SAME * abs(then):
         times = torch.tensor([now, then], dtype=torch.float64)
-        y = flow(RightHandSide(dynamics), y, times, given)[-1]
+        y = flow(RightHandSide(dynamics), y, times, arguments)[-1]
     y = _shifted(dynamics, y, t1, 1.0)
     z = Pair(y) if y.shape[1] > 1 else y
     q, v = z[: dynamics.topology.n_q], z[dynamics.topology.n_q :]

@@ -1,10 +1,10 @@
 """A motion with the tangents of its design variables, integrated together; see motion.py.
 
     inputs    designs by name [component..., 1, lanes]
-    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (attempts.py), the data of the reduced model that
+    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (lane_status.py), the data of the reduced model that
               move with the design, and of every switch between phases its time and the states on both sides
 
-The structure stage is inside. Every method and phases; forward and reverse mode multiply with the tangents at hand.
+The structure stage is part of it. Serves every method, and phases; forward and reverse mode multiply with the tangents.
 Checked in tests/integrate/test_motion.py, tests/sensitivity/.
 """
 
@@ -18,14 +18,16 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.attempts import memory_check, resolved_run, run, validity
 from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.lane_status import validity
+from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import integrate, numbers_of, steps_of_phases, switches_of
+from torchmbd.integrate.phases.multiphase import integrate, steps_of_phases, switch_numbers, switches_with
 from torchmbd.integrate.phases.phase import Phase, plan
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.retries import integrate_by_chosen_steps, integrate_lanes
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import Dynamics, System
@@ -39,12 +41,12 @@ from torchmbd.results.motion_data import Switch
 class ForwardIntegration:
     """Any integrator over a duration [s].
 
-    names      of the inputs;  variables: those among them whose tangents are carried
+    names      of the inputs;  variables: those among them whose tangents are integrated
     labels     one for each entry of the variables
     steps      their number; None: chosen from the data
-
     system     with the locks of its phases
-    dynamics, history   with tangents;  status, stats, switches, actions: what came of it
+
+    Results: dynamics and history with tangents; status, stats, switches, actions.
     """
 
     system: System
@@ -74,7 +76,7 @@ class ForwardIntegration:
         lanes = max((len(x) for x in designs.values()), default=1)
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
         if self.phases is None:
-            self._plainly(designs)
+            self._without_phases(designs)
         else:
             self._through_phases(designs, self.phases)
         data = self.dynamics.data
@@ -84,28 +86,29 @@ class ForwardIntegration:
         numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
         numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
         for switch in self.switches:
-            numbers += numbers_of(switch)
+            numbers += switch_numbers(switch)
         self._tangents = [x.tangent for x in numbers]
         return tuple(value(x) for x in numbers)
 
-    def _plainly(self, designs: dict[str, Tensor]) -> None:
+    def _without_phases(self, designs: dict[str, Tensor]) -> None:
         dynamics = self.system.dynamics(designs, tangents=self.variables)
-        self.dynamics = resolved(dynamics, self.backend, self.integrator.kind)
-        precise = self.dynamics.tangents > 0
+        self.dynamics = resolved(dynamics, self.backend, self.integrator.native_kind)
+        args = self.integrator, self.dynamics, self.duration
+        with_gradients = self.dynamics.tangents > 0
         if self.steps is None:
-            room = memory_check(self.system, self.dynamics, len(self.labels), self.integrator)
-            self.steps, made = resolved_run(self.integrator, self.dynamics, self.duration, precise, room)
+            check_memory = memory_check(self.system, self.dynamics.lanes, len(self.labels), self.integrator)
+            self.steps, results = integrate_by_chosen_steps(*args, with_gradients, check_memory)
         else:
-            made = run(self.integrator, self.dynamics, self.duration, self.steps, precise)
-        self.history, self.stats, self.status = made
+            results = integrate_lanes(*args, self.steps, with_gradients)
+        self.history, self.stats, self.status = results.history, results.statistics, results.status
         self.dynamics.evaluate_rank()
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, phase_models = plan(self.system, phases, self.duration)
         dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
-        room = memory_check(self.system, dynamics, len(self.labels), self.integrator)
+        check_memory = memory_check(self.system, dynamics.lanes, len(self.labels), self.integrator)
         self.steps = steps = self.steps or steps_of_phases(
-            self.system, dynamics, phase_models, designs, self.duration, self.integrator, room
+            self.system, dynamics, phase_models, designs, self.duration, self.integrator, check_memory
         )
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
@@ -154,11 +157,11 @@ class ForwardIntegration:
         """As of ReverseIntegration, with the tangents of the history."""
         if self._multiphase is not None:
             return self._multiphase.multipliers(history, data)
-        return history.settled(self.dynamics.least_norm, self.duration, data)
+        return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
     def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
         """The switches with their numbers as differentiable outputs."""
-        return switches_of(self.switches, numbers)
+        return switches_with(self.switches, numbers)
 
     def _by_name(self, x: Tensors) -> list[tuple[str, Tensor | None]]:
         return list(zip(self.names, x, strict=True))

@@ -38,7 +38,7 @@ class GeneralizedAlpha(OneStep):
         if rho is not None and (not isinstance(rho, (int, float)) or isinstance(rho, bool) or not 0.0 <= rho <= 1.0):
             raise InputError(f"spectral_radius is {rho!r}; allowed: 0 (strong damping) to 1 (none)")
 
-    def suited(self, topology: Topology) -> GeneralizedAlpha:
+    def with_defaults(self, topology: Topology) -> GeneralizedAlpha:
         """As of Integrator."""
         own = self.spectral_radius is None and topology.beams is not None
         return replace(self, spectral_radius=_OF_BEAMS) if own else self

@@ -1,11 +1,11 @@
-"""The contract of an integrator: a method with its options, which makes motions out of equations.
+"""The contract of an integrator: a method with its options, which integrates the equations of motion.
 
-    integrate           motion of all lanes over equal output intervals
-    integrate_phases    the same through the phases of a simulation (loop.py), by
-    stepper               regular steps of all lanes, from output to output
-    sized                 a step of one lane whose size and end may depend on the design
-    again               what lanes that failed are tried again with
-    suited              the same with defaults for a system
+    integrate             motion of all lanes over equal output intervals
+    integrate_phases      the same through the phases of a simulation (phases/loop.py), by
+    stepper                 regular steps of all lanes, from output to output
+    step_of_size            a step of one lane whose size and end may depend on the design
+    retry                 the integrator for lanes that failed
+    with_defaults         the same integrator, defaults chosen for a system
 
 An integrator is a frozen dataclass: its fields but `name` are its options, with types and defaults; `__post_init__` refuses
 values out of range. It keeps nothing of a simulation. Those whose steps have an exact pullback (`adjoint`) serve reverse
@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 
 from torch import Tensor
 
-from torchmbd.integrate.contacts import Doubt
+from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed, Topology
@@ -31,46 +31,48 @@ from torchmbd.results.state import State
 
 
 @dataclass
-class Integrated:
-    """What an integrator makes: states, statistics, and lanes that it gave up, with the reason; their numbers are nan.
+class IntegrationResult:
+    """States and statistics of all lanes.
 
-    doubts   of lanes with contacts that the steps do not show
+    failed     lanes that the integrator gave up, with the reason; their numbers are nan
+    contacts   of lanes with contacts that the steps do not show, the first
     """
 
     history: History
     statistics: dict[str, Any]
     failed: Mapping[int, str] = field(default_factory=dict)
-    doubts: Mapping[int, Doubt] = field(default_factory=dict)
+    contacts: Mapping[int, UnresolvedContact] = field(default_factory=dict)
 
 
-class Again(NamedTuple):
-    """What lanes that failed are tried again with: an integrator, and how many of its steps stand for one."""
+class Retry(NamedTuple):
+    """The integrator for lanes that failed, and how many of its steps stand for one of the steps that failed."""
 
-    integrator: Any
-    steps: int
+    integrator: Integrator
+    substeps: int
 
 
 class Stepper(Protocol):
-    """Regular steps of the lanes of one system; keeps what goes on from step to step.
+    """Regular steps of the lanes of one system; keeps factors and estimates from step to step.
 
     failed   lanes that cannot be integrated, with the reason
     """
 
     failed: dict[int, str]
 
-    def step(self, i: int, x: State, given: Prescribed, lanes: Tensor) -> State:
+    def step(self, i: int, x: State, prescribed: Prescribed, lanes: Tensor) -> State:
         """The state at time i of the grid; with tangents, the exact derivative of the discrete step, where x has them.
 
-        given   what is known at its end;  lanes: a mask: others have no motion, and come out with any numbers
+        prescribed   drives and bodies of known motion at its end
+        lanes        mask of the lanes that have a motion; the others come out with any numbers
         """
         ...
 
-    def forget(self) -> None:
-        """The state has jumped: what is kept does not suit it."""
+    def restart(self) -> None:
+        """Discard what is kept: the state has jumped."""
         ...
 
-    def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
-        """What the steps to the times of these numbers left to be desired, for statistics [lanes]."""
+    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
+        """Estimated errors [lanes] of the steps to the times of these indices, for the statistics; None: of all steps."""
         ...
 
 
@@ -78,16 +80,16 @@ class Stepper(Protocol):
 class Integrator(ABC):
     """See the module header.
 
-    kind            of native code that makes its steps: "step", "rates"; None: there is none
+    native_kind     kind of native code that makes its steps: "step", "rates"; None: there is none
     adjoint         whether its steps have a pullback: reverse mode
-    shortest        step that it bears, of the regular one
-    not_in_phases   options that say nothing where there are phases
+    shortest_step   size of the shortest step that it makes, relative to a regular one
+    not_in_phases   options that have no effect where there are phases
     """
 
     name: str
-    kind: ClassVar[str | None]
+    native_kind: ClassVar[str | None]
     adjoint: ClassVar[bool]
-    shortest: ClassVar[float] = 0.0
+    shortest_step: ClassVar[float] = 0.0
     not_in_phases: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
@@ -97,12 +99,12 @@ class Integrator(ABC):
         names = [f.name for f in fields(cls) if f.name != "name"]
         return {name: hints[name] for name in names if not (phases and name in cls.not_in_phases)}
 
-    def suited(self, topology: Topology) -> Integrator:
+    def with_defaults(self, topology: Topology) -> Integrator:
         """The integrator with the defaults that depend on the system."""
         return self
 
     @abstractmethod
-    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:
+    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
         """States at steps + 1 equal times, with tangents where the dynamics have any; a lane that fails is nan."""
 
     @abstractmethod
@@ -114,20 +116,25 @@ class Integrator(ABC):
         """Regular steps of size h [s]."""
 
     @abstractmethod
-    def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
         """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
 
         Those of x and of the result carry total derivatives: times may depend on the design.
         """
 
-    def kept(self, steps: int) -> int:
-        """How many states of so many steps are kept, but the first; InputError if the steps do not suit the options."""
+    def stored_intervals(self, steps: int) -> int:
+        """The number of intervals between the states that are kept; InputError if the steps do not suit the options."""
         return steps
 
-    def fitting(self, steps: int) -> int:
-        """A number of steps that suits the options, not below the given one."""
+    def round_up_steps(self, steps: int) -> int:
+        """The least number of steps that suits the options and is not below the given one."""
         return steps
 
-    def again(self) -> Again | None:
-        """What lanes that failed are tried again with; None: nothing more."""
+    @property
+    def refines(self) -> bool:
+        """Whether lanes may be integrated by smaller steps than asked for."""
+        return False
+
+    def retry(self) -> Retry | None:
+        """The integrator for lanes that failed; None: they are not integrated again."""
         return None

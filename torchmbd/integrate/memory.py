@@ -1,4 +1,4 @@
-"""Memory of a motion, estimated before it is made: what does not fit is refused, and batches are cut to what does.
+"""Memory of a motion, estimated before it is made: one that does not fit is refused, and batches are cut to a size that does.
 
     bytes = min(steps, SEGMENT) * STEP + lanes * (structure + motion)
     motion    = 3 * 8 * times * (n_q + 2 n_v + rows) * (1 + n_b)                    coordinates, rates, ... and copies of them
@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from torchmbd.errors import InputError
+from torchmbd.integrate.integrator import Integrator
 from torchmbd.multibody.system import System
 from torchmbd.results.history import SEGMENT
 
@@ -41,7 +43,7 @@ def lane_bytes(system: System, steps: int, tangents: int = 0, adjoint: bool = Fa
 
 
 def _shared(steps: int) -> float:
-    """Bytes of what a segment of steps has in common, of however many lanes."""
+    """Bytes of a segment of steps that do not depend on the number of lanes."""
     return _STEP * (min(steps, SEGMENT) + 1)
 
 
@@ -61,7 +63,7 @@ def installed() -> float:
 
 
 def available() -> float:
-    """Bytes that are free, with those that this process has already: it uses them again."""
+    """Bytes that are free, and those that this process holds already: it uses them again."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         own = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -71,20 +73,20 @@ def available() -> float:
     return min(free + own, installed())
 
 
-def require_room(system: System, lanes: int, steps: int, tangents: int = 0, adjoint: bool = False) -> None:
+def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, adjoint: bool = False) -> None:
     """Refuse a motion that does not fit into memory; InputError names its size, what there is, and what would fit."""
-    needed, room = motion_bytes(system, lanes, steps, tangents, adjoint), available()
-    if needed <= room:
+    needed, free = motion_bytes(system, lanes, steps, tangents, adjoint), available()
+    if needed <= free:
         return
-    sizes = f"about {_shown(needed)} of memory, {_shown(room)} are available"
+    sizes = f"about {_shown(needed)} of memory, {_shown(free)} are available"
     one = motion_bytes(system, 1, steps, tangents, adjoint)
-    if one <= room:
-        most = int((room - _shared(steps)) / lane_bytes(system, steps, tangents, adjoint))
+    if one <= free:
+        most = int((free - _shared(steps)) / lane_bytes(system, steps, tangents, adjoint))
         raise InputError(
             f"designs have {lanes} lanes, of {steps} steps: they take {sizes}; allowed: up to {_rounded(most)} lanes at once"
         )
     fixed, each = (lane_bytes(system, k, tangents, adjoint) for k in (0, 1))
-    most = int((room - _shared(steps) - fixed) / (each - fixed))
+    most = int((free - _shared(steps) - fixed) / (each - fixed))
     if most < 1:
         raise InputError(
             f"system is too large: one design takes {sizes}; allowed: smaller meshes, fewer modes or variables"
@@ -95,10 +97,19 @@ def require_room(system: System, lanes: int, steps: int, tangents: int = 0, adjo
     )
 
 
+def memory_check(system: System, lanes: int, tangents: int, integrator: Integrator) -> Callable[[int], None]:
+    """A function that refuses a number of steps whose motion does not fit into memory (InputError)."""
+
+    def check(steps: int) -> None:
+        require_memory(system, lanes, integrator.stored_intervals(steps), tangents)
+
+    return check
+
+
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:
     """Designs of a batch that leaves most of the machine's memory free, one at least; the same for the same machine."""
-    room = _SHARE * installed() - _shared(steps)
-    return max(1, int(min(room / lane_bytes(system, steps, tangents, adjoint), 2.0**30)))
+    free = _SHARE * installed() - _shared(steps)
+    return max(1, int(min(free / lane_bytes(system, steps, tangents, adjoint), 2.0**30)))
 
 
 def _rounded(count: int) -> int:

@@ -46,12 +46,12 @@ def fastest_vibration(dynamics: Dynamics) -> float:
     return float(torch.linalg.eigvalsh(Kr.detach()).max().clamp_min(0.0)) ** 0.5
 
 
-def flow(f: RightHandSide, y0: Tensor, times: Tensor, given: dict[str, Any]) -> Tensor:
+def flow(f: RightHandSide, y0: Tensor, times: Tensor, arguments: dict[str, Any]) -> Tensor:
     """The augmented state [times, n_z, 1 + n_b, lanes] at times [n] from y0 at the first.
 
-    given   arguments of torchdiffeq.odeint
+    arguments   of torchdiffeq.odeint
     """
     try:
-        return torchdiffeq.odeint(f, y0, times, **given)  # pyright: ignore[reportReturnType]
+        return torchdiffeq.odeint(f, y0, times, **arguments)  # pyright: ignore[reportReturnType]
     except AssertionError as error:  # torchdiffeq's way to say that dt underflows or that the state is not finite
-        raise FloatingPointError(f"{given['method']}: {error}") from error
+        raise FloatingPointError(f"{arguments['method']}: {error}") from error

@@ -42,20 +42,22 @@ class PulledBack(NamedTuple):
 class StepPullback:
     """Of one step from a state to another."""
 
-    def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int, nothing: Tensor):
-        T, self.corrections, self.nothing = model.T, corrections, nothing
-        varied: dict[int, tuple] = {i: given.laws[i] or () for i in T.varied}
+    def __init__(
+        self, model: Model, before: State, after: State, prescribed: Prescribed, corrections: int, negligible: Tensor
+    ):
+        T, self.corrections, self.negligible = model.T, corrections, negligible
+        varied: dict[int, tuple] = {i: prescribed.laws[i] or () for i in T.varied}
         self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
         self.x, self.z = before.map(leaf), leaf(torch.cat([after.vd, after.lam]))
         lanes = self.z.shape[-1]
         self.law_values = {name: leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.laws.items()}
         laws: list = [
             tuple(self.law_values[f"{i}.{k}"] for k in range(len(law or ()))) if i in varied else law
-            for i, law in enumerate(given.laws)
+            for i, law in enumerate(prescribed.laws)
         ]
         self.data = model.data
         with torch.enable_grad():
-            step = Step(model, self.x, Prescribed(laws, *given[1:]))
+            step = Step(model, self.x, Prescribed(laws, *prescribed[1:]))
             self.end, self.residual = step.finish(self.z), step.residual(self.z)
         with torch.no_grad():
             self.matrix = step.matrix(self.z)
@@ -104,7 +106,7 @@ class StepPullback:
         """Of mu [n, lanes] for accelerations; where that is rounding only, what mu for multipliers would make of it."""
         n_v = self.x.v.shape[0]
         size = mu[:n_v].amax(0)
-        return size.maximum(self.nothing * mu[n_v:].amax(0)) if len(mu) > n_v else size
+        return size.maximum(self.negligible * mu[n_v:].amax(0)) if len(mu) > n_v else size
 
 
 def leaf(x: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
 """A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
     inputs    the data of the reduced model, in the order of `names`; with `timed` the duration [1, 1] behind them
-    outputs   q, v, v', lam [times, n, 1, lanes] of what a condensation left, and the validity of the lanes (attempts.py)
+    outputs   q, v, v', lam [times, n, 1, lanes] of the condensed system, and the validity of the lanes
+              (lane_status.py)
 
 Tangents are integrated when they are asked for, together with the values once more.
 Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py.
@@ -19,32 +20,36 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
-from torchmbd.integrate.attempts import has_failed, memory_check, resolved_run, run, validity
 from torchmbd.integrate.duration_derivative import tangents
+from torchmbd.integrate.lane_status import validity
+from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.prepared import differentiable
+from torchmbd.integrate.retries import integrate_by_chosen_steps, integrate_lanes
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
+from torchmbd.results.motion_data import has_failed
 
 
 @dataclass(eq=False)
 class ReverseIntegration:
     """Equal steps over a duration [s].
 
-    system    the model, where steps are to be chosen;  model: topology and options of the equations; its data are not used
-    names     of the inputs;  timed: whether the duration is one as well
-    steps     their number; None: chosen from the data
-    integrator   with a pullback of its steps
-    precise   whether derivatives will be taken
-    backend   of the steps, as of `simulate`
-    wanted    names of inputs that are differentiated, as far as that is known before: their start is made once
+    system           the mechanism, or None where steps are given
+    model            topology and options of its equations; its data are not used
+    names            of the inputs;  timed: whether the duration is one as well
+    steps            their number; None: chosen from the data
+    integrator       with a pullback of its steps
+    with_gradients   whether derivatives may be taken
+    backend          of the steps, as of `simulate`
+    wanted           names of inputs that are differentiated, as far as known before: the initial state is then made once
 
-    dynamics, history, status, stats   what came of it
+    Results: dynamics, history, status, stats.
     """
 
     system: System | None
@@ -54,7 +59,7 @@ class ReverseIntegration:
     timed: bool
     steps: int | None
     integrator: OneStep
-    precise: bool
+    with_gradients: bool
     backend: str = "auto"
     wanted: tuple[str, ...] = ()
     dynamics: Dynamics = field(init=False)
@@ -63,10 +68,10 @@ class ReverseIntegration:
     validity: Tensor = field(init=False)
     stats: dict[str, Any] = field(init=False)
     variables: tuple[str, ...] = ()  # none carries tangents along
-    _known: Dynamics | None = field(default=None, init=False, repr=False)
+    _of_leaves: Dynamics | None = field(default=None, init=False, repr=False)  # the dynamics as a function of leaves
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_known": None}  # has a graph of torch
+        return vars(self) | {"_of_leaves": None}  # has a graph of torch
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -79,17 +84,19 @@ class ReverseIntegration:
             )
         self.dynamics = resolved(self._with(data), self.backend, also=["adjoint"])
         if self.wanted:
-            self._known = differentiable(self.dynamics, self.wanted)
-        known = self._known or self.dynamics
+            self._of_leaves = differentiable(self.dynamics, self.wanted)
+        dynamics = self._of_leaves or self.dynamics
+        args = self.integrator, dynamics, self.duration
         if self.steps is None:
-            room = memory_check(self.system, self.dynamics, 0, self.integrator)
-            self.steps, made = resolved_run(self.integrator, known, self.duration, self.precise, room)
+            assert self.system is not None
+            check_memory = memory_check(self.system, dynamics.lanes, 0, self.integrator)
+            self.steps, results = integrate_by_chosen_steps(*args, self.with_gradients, check_memory)
         else:
-            made = run(self.integrator, known, self.duration, self.steps, self.precise)
-        self.history, self.stats, self.status = made
-        h = self.history
+            results = integrate_lanes(*args, self.steps, self.with_gradients)
+        h = self.history = results.history
+        self.stats, self.status = results.statistics, results.status
         self.validity = validity(h, self.status, self.stats)
-        vars(self.dynamics)["rank"] = known.rank
+        vars(self.dynamics)["rank"] = dynamics.rank
         self.dynamics.evaluate_rank()
         return h.q, h.v, h.vd, h.lam, self.validity
 
@@ -100,8 +107,10 @@ class ReverseIntegration:
         moving = {name: Pair.of(data[name], dx) for name, dx in given if dx is not None}
         if moving:
             moved = replace(self._with({**data, **moving}.values()), backend=self.dynamics.backend)
-            h, stats, _ = run(self.integrator, moved, self.duration, self.steps or 0, precise=True)
-            self.stats["tangent_error"] = stats.get("tangent_error")
+            assert self.steps is not None
+            results = integrate_lanes(self.integrator, moved, self.duration, self.steps, with_gradients=True)
+            self.stats["tangent_error"] = results.statistics.get("tangent_error")
+            h = results.history
             parts.append([x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)])
         if self.timed and directions[-1] is not None:
             parts.append([x * directions[-1] for x in self.by_duration])
@@ -129,17 +138,16 @@ class ReverseIntegration:
     def adjoint(self) -> Adjoint:
         """Of the motion."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return Adjoint(
-            self.dynamics, self.history, self.duration, self.integrator, failed, backward.adjoint_solver, self._known
-        )
+        args = self.dynamics, self.history, self.duration, self.integrator, failed
+        return Adjoint(*args, backward.adjoint_solver, self._of_leaves)
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
-        """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""
+        """Leads from the condensed to the whole system, as a function of the data; None: it is the whole."""
         return self.history.expansion_by(data)
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """All multipliers [times, rows, 1, lanes]; of redundant rows those of least norm."""
-        return history.settled(self.dynamics.least_norm, self.duration, data)
+        return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
     def _with(self, inputs: Any) -> Dynamics:
         return replace(self.model, data=dict(zip(self.names, inputs, strict=True)))

@@ -33,7 +33,7 @@ from torchmbd.integrate.arguments import (
     start_of,
 )
 from torchmbd.integrate.forward_integration import ForwardIntegration
-from torchmbd.integrate.memory import require_room
+from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.phase import Phase, plan
@@ -51,7 +51,7 @@ from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import explain
 from torchmbd.results.spin import warn_of_spin
-from torchmbd.results.time_rows import Recorded
+from torchmbd.results.time_rows import IntegratedSignals
 from torchmbd.results.trajectory import Trajectory
 
 
@@ -119,7 +119,7 @@ def simulate(
     integrator = check(duration, method, steps, options, phases is not None, argument_names(simulate))
     begins = start_of(system, start)
     system = system if start == "assembled" else system.starting(begins)
-    integrator = integrator.suited(system.topology)
+    integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
     seconds = seconds_of(duration)
@@ -140,7 +140,9 @@ def simulate(
             batch = {k: _leaf(x) if k in names and not is_differentiated(x) else x for k, x in batch.items()}
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
         lanes = max((len(x) for x in batch.values()), default=begins.lanes)
-        require_room(system, lanes, integrator.kept(steps) if steps else FEWEST, count, gradients != "forward")
+        require_memory(
+            system, lanes, integrator.stored_intervals(steps) if steps else FEWEST, count, gradients != "forward"
+        )
         if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
         if gradients == "forward" or not isinstance(integrator, OneStep):
@@ -158,7 +160,7 @@ def simulate(
         with torch.no_grad():
             if phases is None:
                 explain(_plain(motion))
-            motion.stats.pop("until", None)
+            motion.stats.pop("valid_times", None)
             warn_of_spin(_plain(motion, motion.integration.validity[0, 0]))
         return motion
 
@@ -167,12 +169,15 @@ def _route(motion: Trajectory) -> str:
     return "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
 
 
-def _plain(motion: Trajectory, until: Tensor | None = None) -> Trajectory:
-    """The motion on plain tensors, wherever the caller is; status and statistics are shared. until: as of Recorded."""
+def _plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
+    """The motion on plain tensors, also under torch.func; it shares status and statistics.
+
+    valid_times: as of IntegratedSignals
+    """
     made = motion.integration
     dynamics, h = made.dynamics.values(), made.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
-    signals = Recorded(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data, until)
+    signals = IntegratedSignals(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data, valid_times)
     return replace(
         motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None, t=motion.t.detach()
     )
@@ -241,12 +246,14 @@ def _reverse(
 def _timed(motion: Trajectory, duration: Tensor) -> Trajectory:
     """The motion at times that are functions of the duration."""
     signals = motion.signals
-    assert isinstance(signals, Recorded)
+    assert isinstance(signals, IntegratedSignals)
     t = torch.linspace(0.0, 1.0, signals.times, dtype=torch.float64) * duration
     h, x = signals.history, signals.history.expansion
     x = None if x is None else Expansion.of(x.condensation, x.data, t)
     history = replace(h, expansion=x, times=t)
-    return replace(motion, t=t, signals=Recorded(history, signals.settle, signals.data, signals.until))
+    return replace(
+        motion, t=t, signals=IntegratedSignals(history, signals.integration, signals.data, signals.valid_times)
+    )
 
 
 def _reverse_phases(
@@ -303,13 +310,13 @@ def presented(
     shapes: Mapping[str, Tensor] = MappingProxyType({}),
 ) -> Trajectory:
     """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
-    q, v, vd, lam, (until, good) = outputs
-    until, good = until[0].detach(), good[0] > 0.0
+    q, v, vd, lam, (valid_times, good) = outputs
+    valid_times, good = valid_times[0].detach(), good[0] > 0.0
     whole = integration.dynamics
     data = without_failed(data, good)
     dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
     history = History(q, v, vd, lam, integration.expansion(data))
-    signals = Recorded(history, integration, data, until)
+    signals = IntegratedSignals(history, integration, data, valid_times)
     return Trajectory(
         t=torch.linspace(0.0, integration.duration, len(q), dtype=torch.float64),
         signals=signals,

@@ -160,7 +160,7 @@ class StaticIntegration:
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """As of ReverseIntegration."""
-        return history.settled(self.dynamics.least_norm, self.duration, data)
+        return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
     def _numbers(self, dynamics: Dynamics) -> list[Tensor]:
         """q, v, v' and lam [times, n, 1 + n_b, lanes] as functions of the data."""

@@ -1,7 +1,7 @@
 """One step on the index-3 equations: the operations that one-step integrators are made of (see one_step.py).
 
-Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be written out as it
-stands (native/functions.py), and the eager and the compiled integrator are one text.
+Each is a pure function of tensors: no branch on numbers, nothing kept. native/functions.py traces them, so the
+eager and the compiled integrator have one source.
 
     correct   z <- z - H R(z)                              values
     matrix    dR/dz                                        values
@@ -78,23 +78,23 @@ class Weights(NamedTuple):
 
 
 class Step:
-    """A step from the state x to a time at which `given` is known.
+    """A step from the state x to a time with `prescribed` drives and bodies of known motion.
 
-    Where the size or the end of the step depends on the design, the weights and `given` are pairs.
+    Where the size or the end of the step depends on the design, the weights and `prescribed` are pairs.
     """
 
-    def __init__(self, model: Model, x: State, given: Prescribed):
-        self.model, self.x, self.given = model, x, given
-        self._given_values = given.values()
-        self._known_values = self._from(x.values(), model.plain)
+    def __init__(self, model: Model, x: State, prescribed: Prescribed):
+        self.model, self.x, self.prescribed = model, x, prescribed
+        self._prescribed_values = prescribed.values()
+        self._predicted_values = self._predict(x.values(), model.plain)
 
     @cached_property
-    def _known(self) -> State:
-        return self._from(self.x, self.model.w)
+    def _predicted(self) -> State:
+        return self._predict(self.x, self.model.w)
 
     @staticmethod
-    def _from(x: State, w: Weights) -> State:
-        """What the known state gives to q (as an increment), v and a at the end of the step."""
+    def _predict(x: State, w: Weights) -> State:
+        """The share of the state x in q (as an increment), v and a at the end of the step; that of z is added."""
         a = combine(w.a_from_vd * x.vd, w.a_from_a, x.a)
         step = combine(combine(w.h * x.v, w.step_from_a, x.a), w.step_from_new, a)
         v = combine(combine(x.v, w.v_from_a, x.a), w.v_from_new, a)
@@ -102,7 +102,7 @@ class Step:
 
     def residual(self, z: Any) -> Any:
         """R [n_v + rows, ...] of the unknowns z."""
-        T, w, _, _, _, data = self._side(isinstance(z, Pair))
+        T, w, _, _, _, data = self._inputs(isinstance(z, Pair))
         at, v = self._end(z)
         forces = equations.dynamic_residual(T, data, at, v, z[: T.n_v], z[T.n_v :])
         return cat([forces, equations.constraints(T, at) * w.inverse_scale]) if T.rows else forces
@@ -110,21 +110,21 @@ class Step:
     def action_states(self, z: Any) -> list[tuple]:
         """s, s' [n, ...] and direction of each kind of action at the end of the step."""
         at, v = self._end(z)
-        return equations.action_states(self.model.T, self._side(isinstance(z, Pair))[-1], at, v)
+        return equations.action_states(self.model.T, self._inputs(isinstance(z, Pair))[-1], at, v)
 
     def _end(self, z: Any) -> tuple[equations.Placement, Any]:
-        """Where everything is at the end of the step, and the rates there."""
-        T, w, q0, known, given, data = self._side(isinstance(z, Pair))
+        """Positions and rates at the end of the step."""
+        T, w, q0, predicted, prescribed, data = self._inputs(isinstance(z, Pair))
         vd = z[: T.n_v]
-        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
-        return equations.placement(T, data, q, given), combine(known.v, w.rate, vd)
+        q = equations.advance(T, q0, combine(predicted.q, w.scale, vd))
+        return equations.placement(T, data, q, prescribed), combine(predicted.v, w.rate, vd)
 
-    def _side(self, tangents: bool) -> tuple:
-        """What a residual is made of, with tangents or without."""
+    def _inputs(self, tangents: bool) -> tuple:
+        """Topology, weights, q, predicted state, prescribed motion and data, as pairs or as values."""
         m = self.model
         if tangents:
-            return m.T, m.w, self.x.q, self._known, self.given, m.data
-        return m.T, m.plain, value(self.x.q), self._known_values, self._given_values, m.values
+            return m.T, m.w, self.x.q, self._predicted, self.prescribed, m.data
+        return m.T, m.plain, value(self.x.q), self._predicted_values, self._prescribed_values, m.values
 
     def correct(self, H: Factored | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected unknowns, and their correction [n, 1, lanes]."""
@@ -133,11 +133,11 @@ class Step:
 
     def matrix(self, z: Tensor) -> Tensor:
         """Iteration matrix [lanes, n, n]."""
-        T, w, q0, known, given, data = self._side(False)
+        T, w, q0, predicted, prescribed, data = self._inputs(False)
         vd, lam = z[: T.n_v], z[T.n_v :]
-        step = combine(known.q, w.scale, vd)
-        at = equations.placement(T, data, equations.advance(T, q0, step), given)
-        turn, v = equations.split_v(T, step)[1], combine(known.v, w.rate, vd)
+        step = combine(predicted.q, w.scale, vd)
+        at = equations.placement(T, data, equations.advance(T, q0, step), prescribed)
+        turn, v = equations.split_v(T, step)[1], combine(predicted.v, w.rate, vd)
         return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
     def tangent(self, H: Factored | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
@@ -152,14 +152,14 @@ class Step:
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """The new state."""
         both = z if dz is None else Pair.of(z, dz)
-        T, w, q0, known, _, _ = self._side(dz is not None)
+        T, w, q0, predicted, _, _ = self._inputs(dz is not None)
         vd, lam = both[: T.n_v], both[T.n_v :]
-        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
-        return State(q, combine(known.v, w.rate, vd), vd, combine(known.a, w.share, vd), lam)
+        q = equations.advance(T, q0, combine(predicted.q, w.scale, vd))
+        return State(q, combine(predicted.v, w.rate, vd), vd, combine(predicted.a, w.share, vd), lam)
 
 
 class Model:
-    """What all steps of a simulation share; makes steps. Of the eager stepper; native/functions.py traces the same."""
+    """Equations, weights and data that all steps of a simulation share; native/functions.py traces its steps."""
 
     def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data
@@ -171,9 +171,9 @@ class Model:
         """The model of a simulation."""
         return cls(dynamics.topology, dynamics.saddle, w, dynamics.data)
 
-    def step(self, x: State, given: Prescribed) -> Step:
+    def step(self, x: State, prescribed: Prescribed) -> Step:
         """The step from x."""
-        return Step(self, x, given)
+        return Step(self, x, prescribed)
 
 
 def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:

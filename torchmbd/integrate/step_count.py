@@ -1,8 +1,8 @@
-"""How many equal steps a motion gets where the caller does not say: by what moves it, not by the highest retained mode.
+"""The number of equal steps of a motion where the caller gives none: by its loads and vibrations, not by the highest mode.
 
     first   enough to follow loads and drives as functions of time: straight lines between the steps are off by 1 % (L1 norm);
             at least 200, without flexible bodies 1000
-    then    again with as many as the estimate of the error of a step asks for (estimates.py), until it is satisfied
+    then    as many as the estimated error of a step asks for (estimates.py), and contacts (contacts.py), until both are met
     most    20 per period of the fastest retained mode: every mode is resolved
 
 Modes that nothing excites cost no steps. Laws are sampled at 2048 times: a shorter pulse is not seen before it acts.
@@ -12,28 +12,79 @@ Checked in tests/integrate/test_step_count.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
+from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import GOOD_STEP
+from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import fastest_vibration
 from torchmbd.integrate.stepper import TURN
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.progress import say
+from torchmbd.results.motion_data import has_failed
 
 FEWEST, RIGID = 200, 1000  # steps
 _LONG = 20_000  # steps that are announced
 _MOST_RIGID = 20_000
 _SAMPLES = 2048  # of laws of time
 _SHARE = 0.01  # of a law that straight lines between the steps may miss
-_FINER = 4.0  # steps, of those whose error is GOOD_STEP: errors of many periods add up
-_NEAR = 1.5  # times the estimated error that is wanted: not worth another motion
-_MORE, _UNKNOWN = 1.1, 4  # steps, of those that the estimate says; where a motion failed, of those that it had
+_FINER = 4.0  # times the steps whose error is GOOD_STEP: errors of many periods add up
+_NEAR = 1.5  # times the error aimed at: not worth another motion
+_MORE = 1.1  # times the steps that the estimate says
+_UNKNOWN = 4  # times the steps of a motion that failed
 _MOST_MORE = 8  # times the steps of a motion has the next: the estimate of a coarse motion is a rough one
+_LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
+
+
+Result = TypeVar("Result")
+
+
+class Trial(NamedTuple, Generic[Result]):
+    """A motion by some number of steps, with what says whether it needs more.
+
+    result   what the caller keeps of it;  contacts: by lane, those that the steps do not show
+    """
+
+    result: Result
+    statistics: Mapping[str, Any]
+    status: Sequence[str]
+    contacts: Mapping[int, UnresolvedContact]
+
+
+def choose_steps(
+    integrator: Integrator,
+    dynamics: Dynamics,
+    duration: float,
+    integrate: Callable[[int], Trial[Result]],
+    check_memory: Callable[[int], None],
+) -> tuple[int, Result | None]:
+    """The number of steps that a motion needs, and the result of `integrate` with them.
+
+    Methods without estimates of their error get the steps that all modes need, and are not tried: their result is None.
+    """
+    most = integrator.round_up_steps(all_modes(dynamics, duration))
+    if not integrator.adjoint:
+        most = min(most, RIGID) if "Kr" not in dynamics.data else most
+        check_memory(most)
+        return most, None
+    try:
+        check_memory(most // _LEAST_SHARE)
+    except InputError:
+        check_memory(most)  # the message names the steps that resolve every mode
+    steps = min(integrator.round_up_steps(first_steps(dynamics, duration)), most)
+    while True:
+        check_memory(steps)
+        trial = integrate(steps)
+        needed = needed_steps(steps, trial.statistics, trial.status, dynamics.start_errors, trial.contacts)
+        if needed <= steps or steps >= most:
+            return steps, trial.result
+        steps = min(integrator.round_up_steps(needed), most)
 
 
 def all_modes(dynamics: Dynamics, duration: float) -> int:
@@ -54,22 +105,28 @@ def first_steps(dynamics: Dynamics, duration: float) -> int:
     return max(least, _SAMPLES)
 
 
-def wanted_steps(steps: int, stats: dict[str, Any], status: Sequence[str], faults: dict[int, str]) -> int:
-    """How many steps the lanes of a motion of so many want; lanes that have no start want nothing."""
-    wanted = steps
+def needed_steps(
+    steps: int,
+    statistics: Mapping[str, Any],
+    status: Sequence[str],
+    faults: Mapping[int, str],
+    contacts: Mapping[int, UnresolvedContact],
+) -> int:
+    """How many steps the lanes of a motion of so many need; lanes without an initial state (`faults`) need no more."""
+    needed = steps
     for lane, reason in enumerate(status):
         if lane in faults:
             continue
-        if "steps_for_contacts" in stats:
-            wanted = max(wanted, int(stats["steps_for_contacts"][lane]))
-        turn, error = (float(stats[name][lane]) for name in ("turn", "step_error"))
+        if lane in contacts:
+            needed = max(needed, steps * contacts[lane].substeps)
+        turn, error = (float(statistics[name][lane]) for name in ("turn", "step_error"))
         if turn > TURN:
-            wanted = max(wanted, math.ceil(_MORE * steps * turn / TURN) if math.isfinite(turn) else _UNKNOWN * steps)
-        elif reason.startswith("failed") or not math.isfinite(error):
-            wanted = max(wanted, _UNKNOWN * steps)
+            needed = max(needed, math.ceil(_MORE * steps * turn / TURN) if math.isfinite(turn) else _UNKNOWN * steps)
+        elif has_failed(reason) or not math.isfinite(error):
+            needed = max(needed, _UNKNOWN * steps)
         elif error > _NEAR * GOOD_STEP / _FINER**2:
-            wanted = max(wanted, math.ceil(_MORE * _FINER * float(stats["suggested_steps"][lane])))
-    return min(wanted, _MOST_MORE * steps)
+            needed = max(needed, math.ceil(_MORE * _FINER * float(statistics["suggested_steps"][lane])))
+    return min(needed, _MOST_MORE * steps)
 
 
 def announce(steps: int, lanes: int) -> None:
@@ -79,7 +136,7 @@ def announce(steps: int, lanes: int) -> None:
 
 
 def _followed(f: Tensor, stride: int) -> bool:
-    """Whether straight lines between every so many samples [k, samples + 1] are near."""
+    """Whether straight lines between every `stride`-th of the samples f [k, samples + 1] stay near all of them."""
     if not f.numel() or stride < 1:
         return True
     x = torch.linspace(0.0, 1.0, stride + 1, dtype=f.dtype)[:-1]
@@ -91,16 +148,16 @@ def _followed(f: Tensor, stride: int) -> bool:
 
 
 def _laws(dynamics: Dynamics, duration: float) -> list[Tensor]:
-    """What drives prescribe, and forces at the initial positions, at equal times [k, samples + 1]; kinds apart."""
+    """Samples [k, samples + 1] of what drives prescribe and of forces at the initial state, for each kind of them."""
     T, data = dynamics.topology, dynamics.data
     times = torch.linspace(0.0, duration, _SAMPLES + 1, dtype=torch.float64)
-    found = []
+    laws = []
     for kind in T.primitives:
         if kind.driven:
-            found += [part[..., 0].flatten(1).T for part in kind.prescribed(times, data)]
+            laws += [part[..., 0].flatten(1).T for part in kind.prescribed(times, data)]
     if T.actions:
         q, v = (x[..., :1].expand(*x.shape[:-1], len(times)) for x in dynamics.start)
         at = equations.placement(T, data, q, as_lanes(T.schedule(times, data)))
         states = equations.action_states(T, data, at, v)
-        found += [f.flatten(0, -2) for f in equations.strengths(T, data, states, at.t) if f.shape[-1] == len(times)]
-    return [f for f in found if bool(torch.isfinite(f).all())]
+        laws += [f.flatten(0, -2) for f in equations.strengths(T, data, states, at.t) if f.shape[-1] == len(times)]
+    return [f for f in laws if bool(torch.isfinite(f).all())]

@@ -14,8 +14,8 @@ import torch
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate.contacts import ContactWatch
-from torchmbd.integrate.flow_stepper import FlowStepper, moved
-from torchmbd.integrate.integrator import Integrated, Integrator
+from torchmbd.integrate.flow_stepper import FlowStepper, flow_of_size
+from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.native.rates import RightHandSide, augment
 from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrate.phases import loop
@@ -41,7 +41,7 @@ class Torchdiffeq(Integrator):
     rtol: float = 1e-7
     atol: float = 1e-9
     options: dict[str, Any] | None = None
-    kind: ClassVar[str | None] = "rates"
+    native_kind: ClassVar[str | None] = "rates"
     adjoint: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -59,26 +59,26 @@ class Torchdiffeq(Integrator):
             if not good(x):
                 raise InputError(f"options of method {self.name!r}: {key} is {x!r}; allowed: {words}")
 
-    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:
+    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
         """As of Integrator; statistics: the number of evaluations of the right-hand side."""
         before = dynamics.statistics["evaluations"]
         try:
-            history = self._together(dynamics, duration, steps)
+            history = self._integrate_together(dynamics, duration, steps)
         except FloatingPointError as error:
             if dynamics.lanes == 1:
                 x = initial(dynamics).map(lambda y: y * torch.nan)
-                return Integrated(History.of([x] * (steps + 1)), {}, {0: str(error)})
+                return IntegrationResult(History.of([x] * (steps + 1)), {}, {0: str(error)})
             return _joined_lanes(
                 [self.integrate(dynamics.select_lanes([i]), duration, steps) for i in range(dynamics.lanes)]
             )
         watch, h = ContactWatch(dynamics), duration / steps
         if not watch.idle:
             times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-            watch.see(times, *(history.rows(order, pair=slice(1)) for order in range(2)))
+            watch.update(times, *(history.rows(order, pair=slice(1)) for order in range(2)))
         evaluations = dynamics.statistics["evaluations"] - before
-        return Integrated(history, {"evaluations": evaluations}, doubts=watch.doubts(h, equal=False))
+        return IntegrationResult(history, {"evaluations": evaluations}, contacts=watch.unresolved(h, by_steps=False))
 
-    def _together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
+    def _integrate_together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
         """All lanes with the same steps; raises FloatingPointError where one of them cannot be integrated."""
         T = dynamics.topology
         start = initial(dynamics)
@@ -100,10 +100,10 @@ class Torchdiffeq(Integrator):
         """As of Integrator."""
         return FlowStepper(dynamics, h, self.arguments(dynamics))
 
-    def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
         """As of Integrator; nan where it cannot be integrated."""
         try:
-            return moved(dynamics, x, h, t1, self.arguments(dynamics))
+            return flow_of_size(dynamics, x, h, t1, self.arguments(dynamics))
         except FloatingPointError:
             return x.map(lambda y: y * torch.nan)
 
@@ -141,11 +141,11 @@ def _number(x: Any) -> bool:
     return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
 
 
-def _joined_lanes(parts: list[Integrated]) -> Integrated:
+def _joined_lanes(parts: list[IntegrationResult]) -> IntegrationResult:
     """Lanes that were integrated one by one."""
     histories = [part.history for part in parts]
     q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))
     evaluations = sum(part.statistics.get("evaluations", 0) for part in parts)
     failed = {i: part.failed[0] for i, part in enumerate(parts) if part.failed}
-    doubts = {i: part.doubts[0] for i, part in enumerate(parts) if part.doubts}
-    return Integrated(History(q, v, vd, lam), {"evaluations": evaluations}, failed, doubts)
+    contacts = {i: part.contacts[0] for i, part in enumerate(parts) if part.contacts}
+    return IntegrationResult(History(q, v, vd, lam), {"evaluations": evaluations}, failed, contacts)

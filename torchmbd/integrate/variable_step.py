@@ -26,7 +26,7 @@ _MOST = 25  # corrections
 _ROUNDING = 1e-13  # relative
 
 
-def sized(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> State:
+def step_of_size(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> State:
     """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
 
     weights   of a step, as a function of its size
@@ -34,7 +34,7 @@ def sized(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: An
     In grad mode differentiable in reverse mode by all that it depends on.
     """
     model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
-    step = model.step(x, known(dynamics.topology, t1, dynamics.data))
+    step = model.step(x, prescribed_at(dynamics.topology, t1, dynamics.data))
     with torch.no_grad():
         z, K = _solved(dynamics, step, torch.cat([value(x.vd), value(x.lam)]))
     if isinstance(x.q, Pair):
@@ -98,19 +98,21 @@ def _done(size: float, before: float, z: Tensor) -> bool:
     return not size > _ROUNDING * scale or (size > 0.5 * before and size < 1e-6 * scale)
 
 
-def known(T: Topology, t: Any, data: equations.Data) -> Prescribed:
-    """What is known at a time t [1 + n, 1]."""
-    given = T.prescribed(value(t)[0, 0], data)
+def prescribed_at(T: Topology, t: Any, data: equations.Data) -> Prescribed:
+    """Drives and bodies of known motion at a time t [1 + n, 1], with tangents if t has any."""
+    prescribed = T.prescribed(value(t)[0, 0], data)
     if not isinstance(t, Pair):
-        return given
+        return prescribed
     laws = [None if law is None else tuple(_at(x, t) for x in law) for law in T.law_jets(value(t)[0, 0], data)]
-    return given._replace(laws=laws, t=t)
+    return prescribed._replace(laws=laws, t=t)
 
 
-def determined(dynamics: Dynamics, t: Any, x: State) -> Any:
-    """Multipliers of a state at a time t [1 + n, 1]; of redundant rows those of least norm."""
+def least_norm_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
+    """Multipliers of a state at a time t [1 + n, 1], of redundant rows those of least norm."""
     least = dynamics.least_norm
-    return x.lam if least is None else least(dynamics.data, known(dynamics.topology, t, dynamics.data), x.q, x.lam)
+    return (
+        x.lam if least is None else least(dynamics.data, prescribed_at(dynamics.topology, t, dynamics.data), x.q, x.lam)
+    )
 
 
 def _at(x: Jet, t: Pair) -> Pair:

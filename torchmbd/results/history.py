@@ -1,7 +1,7 @@
-"""A motion as an integrator leaves it: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
+"""States of a motion as an integrator leaves them: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
 
-Of a condensed system only what was left of it is kept; rows of the whole are made on demand (time_rows.py):
-most of a motion is never looked at.
+Of a condensed system only its own coordinates are kept; rows of the whole system are made on demand (time_rows.py), for
+few of them are read.
 Checked in tests/results/test_time_rows.py.
 """
 
@@ -23,28 +23,43 @@ from torchmbd.results.state import State
 SEGMENT = 2000  # steps
 
 
-class Between(NamedTuple):
-    """Steps between the states of a history.
+class Checkpoints(NamedTuple):
+    """What is needed to make the steps between the states of a history again.
 
-    steps        between two states
-    a            algorithmic accelerations [n_v, 1, lanes] at the first states of segments
-    integrator   that made them
+    interval        steps between two states
+    accelerations   algorithmic ones [n_v, 1, lanes] at the first states of segments
+    integrator      that made the steps
     """
 
-    steps: int
-    a: list[Tensor]
+    interval: int
+    accelerations: list[Tensor]
     integrator: Any
 
-    def lanes(self, some: Sequence[int]) -> Between:
+    def lanes(self, lanes: Sequence[int]) -> Checkpoints:
         """Of some lanes."""
-        return self._replace(a=[x[..., some] for x in self.a])
+        return self._replace(accelerations=[x[..., lanes] for x in self.accelerations])
+
+
+class RefinedLane(NamedTuple):
+    """A lane that was integrated by smaller steps.
+
+    history    with all of these steps;  lane: its number there
+    substeps   intervals there for each of the batch
+    """
+
+    history: History
+    lane: int
+    substeps: int
 
 
 @dataclass
 class History:
-    """What was integrated; `expansion` leads to the whole system, None: it is the whole.
+    """States that an integrator leaves.
 
-    between   how the steps between the states are made again; None: there are none between
+    expansion     leads to the whole system; None: it is the whole
+    times         [times] [s]; None: equal intervals over the duration
+    refined       lanes that were integrated by smaller steps
+    checkpoints   how the steps between the states are made again; None: there are none between
     """
 
     q: Tensor
@@ -52,21 +67,20 @@ class History:
     vd: Tensor
     lam: Tensor
     expansion: Expansion | None = None
-    times: Tensor | None = None  # [times] [s]; None: equal ones, by the duration
-    # Lanes that were integrated with smaller steps: of which history they are which lane, with how many steps for one here.
-    finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
-    between: Between | None = None
+    times: Tensor | None = None
+    refined: dict[int, RefinedLane] = field(default_factory=dict)
+    checkpoints: Checkpoints | None = None
 
-    def at(self, some: slice) -> History:
-        """What was left, at some of the times."""
-        return History(self.q[some], self.v[some], self.vd[some], self.lam[some])
+    def at(self, times: slice) -> History:
+        """The states of some of the times, without an expansion."""
+        return History(self.q[times], self.v[times], self.vd[times], self.lam[times])
 
-    def lanes(self, some: Sequence[int]) -> History:
-        """What was left, of some lanes, all if there are as many."""
-        if self.q.shape[-1] == len(some):
-            return History(self.q, self.v, self.vd, self.lam, between=self.between)
-        q, v, vd, lam = (x[..., some] for x in (self.q, self.v, self.vd, self.lam))
-        return History(q, v, vd, lam, between=None if self.between is None else self.between.lanes(some))
+    def lanes(self, lanes: Sequence[int]) -> History:
+        """The states of some lanes, without an expansion; of all where there are as many."""
+        if self.q.shape[-1] == len(lanes):
+            return History(self.q, self.v, self.vd, self.lam, checkpoints=self.checkpoints)
+        q, v, vd, lam = (x[..., lanes] for x in (self.q, self.v, self.vd, self.lam))
+        return History(q, v, vd, lam, checkpoints=self.checkpoints and self.checkpoints.lanes(lanes))
 
     def rows(self, order: int, rows: Sequence[int] | None = None, pair: slice = slice(None)) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) of the whole [times, k, pair, lanes]."""
@@ -86,7 +100,7 @@ class History:
         """Leads to the whole system as a function of its data; None: it is the whole."""
         return None if self.expansion is None else replace(self.expansion, data=data)
 
-    def settled(self, least: LeastNorm | None, duration: float, data: Data) -> Tensor:
+    def least_norm_multipliers(self, least: LeastNorm | None, duration: float, data: Data) -> Tensor:
         """Multipliers of all constraints [times, rows, pair, lanes]; of redundant rows those of least norm."""
         if least is None:
             return self.multipliers
@@ -105,7 +119,7 @@ class History:
 
 
 class Record:
-    """States as they come, in arrays of their final size: nothing is kept twice."""
+    """States of a motion in arrays of their final size, filled as they come."""
 
     def __init__(self, x: State, count: int):
         shapes = [y.shape for y in (x.q, x.v, x.vd, x.lam)]
@@ -118,7 +132,7 @@ class Record:
             part[i] = y.full if isinstance(y, Pair) else y
 
     def put_all(self, i: int, states: History) -> None:
-        """Keep states from time i on."""
+        """Keep the states of time i and of those after it."""
         for part, y in zip(self.parts, (states.q, states.v, states.vd, states.lam), strict=True):
             part[i : i + len(y)] = y
 

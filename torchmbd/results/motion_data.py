@@ -17,10 +17,15 @@ from torchmbd.math.gradients import all_true
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import OneLane, Shapes
-from torchmbd.results.time_rows import Given, Recorded, Rows, Signals, detached
+from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, TensorSignals, detached
 from torchmbd.summary import Summary, few
 
 OK = "ok"
+
+
+def has_failed(status: str) -> bool:
+    """Whether a lane has no motion, or one that ends early; one that is unresolved has all its numbers."""
+    return status.startswith("failed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +177,8 @@ class MotionData(Summary):
         made = self.integration
         if made is None or not made.variables:
             return self.signals
-        until = self.signals.until if isinstance(self.signals, Recorded) else None
-        return Recorded(made.history, made, made.dynamics.data, until)
+        valid_times = self.signals.valid_times if isinstance(self.signals, IntegratedSignals) else None
+        return IntegratedSignals(made.history, made, made.dynamics.data, valid_times)
 
     def detach(self) -> Self:
         """The same numbers without a graph of torch."""
@@ -230,7 +235,7 @@ class MotionData(Summary):
         return replace(
             self,
             t=t[None],
-            signals=Given(there),
+            signals=TensorSignals(there),
             status=self.status[one],
             dynamics=self.dynamics.select_lanes([lane]),
             shapes=OneLane(self.shapes, lane),

@@ -4,7 +4,7 @@
 
 A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a freedom for a moment, its
 motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported; a motion that failed says
-in its status where it came near one, one that failed before its steps were taken again (integrate/attempts.py) warns.
+in its status where it came near one, one that failed before it was integrated again (integrate/retries.py) warns.
 Checked in tests/results/test_singular_positions.py: four-bars that fold flat.
 """
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from torchmbd.errors import warn
 from torchmbd.multibody.system.rank import RELATIVE, dominant_rows, jacobians
 from torchmbd.results.law_faults import laws_at_fault
-from torchmbd.results.motion_data import MotionData
+from torchmbd.results.motion_data import MotionData, has_failed
 
 NEAR = 2e-2  # of the largest singular value
 
@@ -81,7 +81,7 @@ def explain(motion: MotionData) -> None:
     """
     failed_first = motion.stats.get("failed_first", ())
     for lane, status in enumerate(motion.status):
-        if status.startswith("failed"):
+        if has_failed(status):
             near = of_lane(motion, lane)[:1]  # what follows the first is no motion to trust
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
         elif lane in failed_first:

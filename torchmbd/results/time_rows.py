@@ -1,10 +1,10 @@
-"""A motion as it is shown: q, v, a and multipliers by rows, made only on demand.
+"""Rows of the coordinates, rates, accelerations and multipliers of a motion, made only on demand.
 
     values(name, rows)     [lanes, times, k]
     tangents(name, rows)   [lanes, times, k, n_b], None without sensitivities
 
-`Recorded` reads what an integrator left; `Given` holds tensors.
-Names are "q", "v", "a" and "lam"; rows None: all. What was asked for once is kept.
+`IntegratedSignals` has the states that an integrator left, `TensorSignals` tensors.
+Names are "q", "v", "a" and "lam"; rows None: all. Each result is kept.
 Checked in tests/results/test_time_rows.py.
 """
 
@@ -61,53 +61,49 @@ class Signals:
         return None
 
 
-class Given(Signals):
-    """Tensors of all rows, as they are shown; tangents by the same names, if there are any."""
+class TensorSignals(Signals):
+    """Tensors of all rows [lanes, times, n], without tangents."""
 
-    def __init__(self, values: Mapping[str, Tensor], tangents: Mapping[str, Tensor | None] | None = None):
+    def __init__(self, values: Mapping[str, Tensor]):
         super().__init__()
-        self._all, self._slopes = dict(values), dict(tangents or {})
+        self._all = dict(values)
         self.lanes, self.times = values["q"].shape[:2]
 
-    def detach(self) -> Given:
+    def detach(self) -> TensorSignals:
         """As of Signals."""
-        return Given({name: x.detach() for name, x in self._all.items()})
+        return TensorSignals({name: x.detach() for name, x in self._all.items()})
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         return self._all[name] if rows is None else self._all[name][..., list(rows)]
 
-    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
-        slopes = self._slopes.get(name)
-        return slopes if slopes is None or rows is None else slopes[..., list(rows), :]
-
 
 class Multipliers(Protocol):
-    """Makes the multipliers [times, rows, pair, lanes] that are shown of those that were integrated."""
+    """Gives the multipliers [times, rows, pair, lanes] of all constraints out of those that were integrated."""
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor: ...
 
 
-class Recorded(Signals):
-    """What an integrator left, as functions of its tensors; chosen rows lie side by side in memory, all of them are views.
+class IntegratedSignals(Signals):
+    """Rows of a history, as functions of its tensors; chosen rows lie side by side in memory, all of them are views.
 
-    settle   makes the multipliers that are shown, of the data; None: they are those that were integrated
-    until    how many times of each lane have numbers [lanes]: what comes after a failure is nan; None: all
+    integration   gives the multipliers of all constraints as a function of the data; None: the history has them
+    valid_times   how many times of each lane have numbers [lanes]: those after a failure are nan; None: all
     """
 
     def __init__(
         self,
         history: History,
-        settle: Multipliers | None = None,
+        integration: Multipliers | None = None,
         data: dict[str, Any] | None = None,
-        until: Tensor | None = None,
+        valid_times: Tensor | None = None,
     ):
         super().__init__()
-        self.history, self.settle, self.data, self.until = history, settle, data or {}, until
+        self.history, self.integration, self.data, self.valid_times = history, integration, data or {}, valid_times
         self.times, _, pair, self.lanes = history.q.shape
-        self.moving = pair > 1
-        self._settled: dict[bool, Tensor] = {}
+        self.has_tangents = pair > 1
+        self._all_multipliers: dict[bool, Tensor] = {}
 
-    def detach(self) -> Recorded:
+    def detach(self) -> IntegratedSignals:
         """As of Signals."""
         h, data = self.history, {name: detached(x) for name, x in self.data.items()}
         expansion = None if h.expansion is None else replace(h.expansion, data=data)
@@ -119,14 +115,14 @@ class Recorded(Signals):
             expansion,
             None if h.times is None else h.times.detach(),
         )
-        return Recorded(plain, self.settle, data, self.until)
+        return IntegratedSignals(plain, self.integration, data, self.valid_times)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
         return x if rows is None else x.contiguous()
 
     def _tangents(self, name: str, rows: Rows) -> Tensor | None:
-        if not self.moving:
+        if not self.has_tangents:
             return None
         x = self._of(name, rows, slice(1, None)).permute(3, 0, 1, 2)
         return x if rows is None else x.contiguous()
@@ -134,16 +130,16 @@ class Recorded(Signals):
     def _multipliers(self) -> Tensor:
         """Kept for each grad mode."""
         mode = torch.is_grad_enabled()
-        if mode not in self._settled:
-            h = self.history
-            self._settled[mode] = h.multipliers if self.settle is None else self.settle.multipliers(h, self.data)
-        return self._settled[mode]
+        if mode not in self._all_multipliers:
+            h, made = self.history, self.integration
+            self._all_multipliers[mode] = h.multipliers if made is None else made.multipliers(h, self.data)
+        return self._all_multipliers[mode]
 
     def _of(self, name: str, rows: Rows, pair: slice) -> Tensor:
         x = self._whole(name, rows, pair)
-        if self.until is None or all_true(self.until >= self.times):
+        if self.valid_times is None or all_true(self.valid_times >= self.times):
             return x
-        lost = torch.arange(self.times)[:, None] >= self.until
+        lost = torch.arange(self.times)[:, None] >= self.valid_times
         return x.masked_fill(lost[:, None, None], torch.nan)
 
     def _whole(self, name: str, rows: Rows, pair: slice) -> Tensor:

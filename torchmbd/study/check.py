@@ -20,7 +20,7 @@ from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
 from torchmbd.design.space import CONSTANT
 from torchmbd.errors import InputError, nearest
 from torchmbd.integrate.arguments import start_of
-from torchmbd.integrate.memory import require_room
+from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.math import units
 from torchmbd.math.plausible_units import check_angles, check_parameter, turn_in_radians
@@ -364,7 +364,7 @@ def _memory_faults(sections: Sections, system: System) -> list[Fault]:
         return []
     tangents = len(labels(sections["design"], system))
     try:
-        require_room(system, 1, simulation.steps, tangents, simulation.gradients != "forward")
+        require_memory(system, 1, simulation.steps, tangents, simulation.gradients != "forward")
     except InputError as error:
         return [Fault(("simulate", "steps"), f": {error}")]
     return []

@@ -13,7 +13,7 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, pendulum, turned
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.integrate import Trajectory
-from torchmbd.results.time_rows import Given
+from torchmbd.results.time_rows import TensorSignals
 
 GROUND = mbd.Ground()
 NAME = "rod.laminate.angles"
@@ -39,7 +39,7 @@ def rotors(hinges: int = 1) -> mbd.System:
 
 def momentum(motion: Trajectory, state: tuple[Tensor, Tensor]) -> Tensor:
     """Angular momentum about the ground's z-axis [lanes] of a state (q, v) [lanes, n]."""
-    there = replace(motion, signals=Given({"q": state[0][:, None], "v": state[1][:, None]}))
+    there = replace(motion, signals=TensorSignals({"q": state[0][:, None], "v": state[1][:, None]}))
     total = torch.zeros(len(state[0]), dtype=torch.float64)
     for name in ("first", "second"):
         body, view = motion.system.body(name), there.body(name)

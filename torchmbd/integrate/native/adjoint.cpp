@@ -11,25 +11,25 @@
 // If factors cannot be relied on, `adjoint` returns 1 and its results mean nothing.
 
 constexpr int MOST = 12;                   // corrections of mu, as in adjoint.py
-constexpr long CHECK = 25;                 // steps between two looks at the factors, as in stepper.py
+constexpr long CHECK = 25;                 // steps between two checks of the factors, as in stepper.py
 constexpr double ENOUGH = 1e-8;            // estimated relative error of mu that gets no other
 constexpr double TINY = 1e-300;
 enum { SHARE, A_FROM_VD, A_FROM_A };       // places among what all lanes share: the first weights of step.py
 
 struct Job {
   long lanes, rows, data, uniform, steps, moving;  // numbers of each; moving: last of the data, which change with the step
-  const double *given;                             // [steps][uniform]
+  const double *shared;                            // [steps][uniform]
   const double *recorded[4];                       // q, v, v', lam [steps + 1][number][1][lanes]
   const double *of_motion[4];                           // what responses take from them [steps + 1][number][rows][lanes], or null
   const double *start;                             // a at the start [block][N_V][LANES]
   double *values;                                  // [block][data][LANES]
   const double *moved;                             // [steps][block][1 + any][moving][LANES]
   const double *row_mask, *diagonal_shift;         // [N], or null
-  const double *nothing;                           // [block][LANES], see stepper.py
+  const double *negligible;                         // [block][LANES], see stepper.py
   double *slopes, *moved_slopes;                   // [block][rows][data][LANES], [steps][block][rows][moving][LANES], zeros
   double *state_slopes;                            // [block][rows][N_X][LANES], in: by the last state, out: by the first
   double *error;                                   // [block][LANES], estimated relative error of mu
-  double *room;                                    // scratch
+  double *scratch;
   long moved_columns, corrections;                 // 1 + any; of mu, at least
   const Mechanism *mechanism;
   long read;                                       // only the signals are wanted: no rows, no strengths
@@ -39,7 +39,7 @@ struct Job {
 };
 
 // Bytes of scratch memory.
-extern "C" long adjoint_room(const Mechanism* m, long rows, long steps) {
+extern "C" long adjoint_scratch(const Mechanism* m, long rows, long steps) {
   const Counts c(*m);
   return sizeof(V) * (m->numbers + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v + 2 * m->called);
 }
@@ -78,7 +78,7 @@ extern "C" long adjoint(const Job* job) {
   const Counts c(m);
   const Parts p(c);
   const long N_ = c.unknowns, n_x = c.n_x;
-  V* w = (V*)J.room;
+  V* w = (V*)J.scratch;
   V *K = w + c.scratch, *entries = K + m.numbers, *mu = entries + c.entries, *goal = mu + N_, *R = goal + N_, *z = R + N_;
   V *x = z + N_, *before_y = x + n_x, *ys = before_y + n_x, *as = ys + S * n_x, *worth = as + (J.steps + 1) * c.n_v;
   In in;
@@ -90,10 +90,10 @@ extern "C" long adjoint(const Job* job) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V *values = (V*)J.values + block * J.data, *slopes = (V*)J.slopes + block * S * J.data;
     V worst = spread(0.0);
-    const V nothing = ((const V*)J.nothing)[block];
+    const V negligible = ((const V*)J.negligible)[block];
     std::memcpy((void*)as, (const V*)J.start + block * c.n_v, c.n_v * sizeof(V));
     for (long i = 0; i < J.steps; i++) {
-      const double* u = J.given + i * J.uniform;
+      const double* u = J.shared + i * J.uniform;
       const double* vd = J.recorded[2] + i * c.n_v * J.lanes + block * LANES;
       for (long n = 0; n < c.n_v; n++) {
         const V before = get(vd + n * J.lanes, valid), after = get(vd + (c.n_v + n) * J.lanes, valid);
@@ -107,7 +107,7 @@ extern "C" long adjoint(const Job* job) {
         const V* from = (const V*)J.moved + (i * blocks + block) * J.moved_columns * J.moving;
         std::memcpy((void*)(values + J.data - J.moving), from, J.moving * sizeof(V));
       }
-      in.u = J.given + i * J.uniform;
+      in.u = J.shared + i * J.uniform;
       point_data(in, values);
       std::memcpy((void*)z, x + p.at[2], c.n_v * sizeof(V));
       std::memcpy((void*)(z + c.n_v), x + p.at[3], c.rows * sizeof(V));
@@ -150,7 +150,7 @@ extern "C" long adjoint(const Job* job) {
           }
           solve_transposed(m, N_, K, R);
           for (long n = 0; n < N_; n++) mu[n] -= share * R[n];
-          const V rates = largest(mu, c.n_v), held = nothing * largest(mu + c.n_v, c.rows), size = rates > held ? rates : held;
+          const V rates = largest(mu, c.n_v), held = negligible * largest(mu + c.n_v, c.rows), size = rates > held ? rates : held;
           const V change = largest(R, c.n_v) / (size > TINY ? size : spread(TINY));
           left = share > 0.0 ? change * change / before : left;  // each leaves the same share of what the one before left
           before = change > TINY ? change : spread(TINY);

@@ -22,16 +22,16 @@ from torchmbd.integrate.native.simd_layout import (
     in_all_lanes,
     lanes_out,
     moving_blocks,
-    shared,
     uniform,
+    without_varied,
 )
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
-_ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
-_ARRAYS += ("row_mask", "diagonal_shift", "nothing", "slopes", "moved_slopes", "state_slopes", "error", "room")
+_ARRAYS = ("shared", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
+_ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes", "state_slopes", "error", "scratch")
 
 
 class _Job(ctypes.Structure):
@@ -55,27 +55,27 @@ def adjoint_solver(grid: Grid) -> AdjointSolver:
 
 
 class NativeAdjointSolver(AdjointSolver):
-    """AdjointSolver by a library. Where its factors cannot be relied on, it goes the eager way."""
+    """AdjointSolver by a library; where its factors cannot be relied on, segments go by operators of torch."""
 
     def __init__(self, library: Library, grid: Grid):
         super().__init__(grid)
         self.code: ctypes.CDLL | None = library.code
         code, self.library = library.code, library
-        code.adjoint_room.restype = code.adjoint.restype = ctypes.c_long
-        code.adjoint_room.argtypes = [ctypes.c_void_p, ctypes.c_long, ctypes.c_long]
+        code.adjoint_scratch.restype = code.adjoint.restype = ctypes.c_long
+        code.adjoint_scratch.argtypes = [ctypes.c_void_p, ctypes.c_long, ctypes.c_long]
         self.values, _ = library.data_blocks(grid.dynamics.values())
-        self.least = blocks(in_all_lanes(self.stepper.nothing[None, None], len(grid.lanes)))
+        self.negligible = blocks(in_all_lanes(self.stepper.negligible[None, None], len(grid.lanes)))
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
 
     @cached_property
     def _known_at_first(self) -> tuple[Sequence[Prescribed], Tensor, Tensor]:
-        """Kept, for most motions are one segment."""
+        """`_known` of the first segment, kept: most motions are one segment."""
         return self._known(0)
 
     def _known(self, number: int) -> tuple[Sequence[Prescribed], Tensor, Tensor]:
-        """What is known at the ends of the steps of a segment, of that what is the same for all lanes, and what moves."""
+        """Drives and known motions at the ends of the steps of a segment; those that all lanes share, and those that vary."""
         T, schedule = self.dynamics.topology, self._schedule(self.segments[number])
-        same = uniform(self.weights, shared(T, schedule))
+        same = uniform(self.weights, without_varied(T, schedule))
         return schedule, same, moving_blocks(T, schedule, len(self.grid.lanes), 0)
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
@@ -88,18 +88,20 @@ class NativeAdjointSolver(AdjointSolver):
         new = self.values.new_zeros
         slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
         state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, LANES)
-        room = torch.empty(self.code.adjoint_room(self.library.address, rows, len(steps)) // 8, dtype=torch.float64)
+        scratch = torch.empty(
+            self.code.adjoint_scratch(self.library.address, rows, len(steps)) // 8, dtype=torch.float64
+        )
         arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
         arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in of_motion]
         arrays += [blocks(in_all_lanes(a, lanes)), self.values, moved]
         arrays += [
             *(self.stepper.diagonal or (None, None)),
-            self.least,
+            self.negligible,
             slopes,
             moved_slopes,
             state_slopes,
             error,
-            room,
+            scratch,
         ]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
         job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
@@ -122,7 +124,7 @@ class NativeAdjointSolver(AdjointSolver):
         job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
         self.code.adjoint(ctypes.byref(job))
         job.rows, job.read = rows, 0
-        data, times = self.grid.dynamics.data, torch.stack([given.t for given in schedule])
+        data, times = self.grid.dynamics.data, torch.stack([prescribed.t for prescribed in schedule])
         wanted = {name for name, x in data.items() if value(x).requires_grad}
         plain = {name: value(x).detach() for name, x in data.items()}
         found = FeedbackSweep(laws, plain, _lanes(signals, lanes), times, wanted)

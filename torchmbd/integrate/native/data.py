@@ -24,13 +24,13 @@ def kind_of(dynamics: Dynamics) -> Kind:
 def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     """Values [n, 1, lanes] and tangents [n, n_b, lanes] of all data.
 
-    Behind them room for what laws with design variables prescribe, `moving`.
+    Behind them zeros for what laws with design variables prescribe, `moving`: it changes from step to step.
     """
     lanes, n_b = dynamics.lanes, dynamics.tangents
     parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]
     T = dynamics.topology
-    room = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
-    parts.append(value(parts[0]).new_zeros(room, 1, 1))
+    varied = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
+    parts.append(value(parts[0]).new_zeros(varied, 1, 1))
 
     def tangents(x: Any) -> Tensor:
         found = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), n_b, 1)

@@ -83,7 +83,7 @@ class _Traced:
         return found
 
     def prescribed(self) -> Prescribed:
-        """What is known at the end of a step."""
+        """Drives and bodies of known motion at the end of a step."""
         C = self.T.known
         A, r, t = self.uniform(3, 3, C, 1, 1), self.uniform(3, C, 1, 1), self.uniform()
         laws: list[tuple | None] = []
@@ -124,8 +124,8 @@ class _Traced:
         tables = sorted(_tables(program))
         lines = [f"struct N {{ long {', '.join(sizes)}; }};", "struct Tables { const int "]
         lines[-1] += ", ".join(f"*{name}" for name in tables or ["none"]) + "; };"
-        given = "|".join(" ".join(names) for names in (sizes, tables, self._constants()))
-        lines.append(f'extern "C" const char* needed() {{ return "{given}"; }}')
+        names = "|".join(" ".join(group) for group in (sizes, tables, self._constants()))
+        lines.append(f'extern "C" const char* needed() {{ return "{names}"; }}')
         lines.append("struct In {\n  N n;\n  Tables tables;\n  V* w;\n  const long* o;\n  const V* slopes;")
         fields = {"lanes": "const V", "uniform": "const double", "output": "V"}
         always = {"x": "lanes", "z": "lanes", "dx": "lanes", "dz": "lanes", "u": "uniform", "signals": "output"}
@@ -252,9 +252,9 @@ class _Step(_Traced):
         T = self.T
         self.sizes = [T.n_q, T.n_v, T.n_v, T.n_v, T.rows]
         weights = Weights(*(self.uniform() for _ in Weights._fields))
-        given = self.prescribed()
+        prescribed = self.prescribed()
         self.model = Model(T, _Saddle(self.blocks), weights, self.data)  # pyright: ignore
-        self.step: Any = self.model.step(State(*self.state(self.sizes)), given)
+        self.step: Any = self.model.step(State(*self.state(self.sizes)), prescribed)
         n = T.n_v + T.rows
         self.z, self.dz = (Array.input(self.program, name, (n, 1, 1)) for name in ("z", "dz"))
 
@@ -343,18 +343,18 @@ def _rates(kind: Kind) -> str:
             jets.append(tuple(parts) if parts else None)
         eye = Array.input(p, "ground_A", (3, 3, T.known, 1, 1), kind="uniform")
         origin = Array.input(p, "ground_r", (3, T.known, 1, 1), kind="uniform")
-        given = Prescribed([d and tuple(jet.value for jet in d) for d in jets], eye, origin, t)
+        prescribed = Prescribed([d and tuple(jet.value for jet in d) for d in jets], eye, origin, t)
         z = Array.input(p, "z", (T.n_v + T.rows, 1, 1))
 
         def residual(z: Any, data: Any, q: Any, v: Any) -> Any:
-            placed = equations.placement(T, data, q, given)  # pyright: ignore[reportArgumentType]
+            placed = equations.placement(T, data, q, prescribed)  # pyright: ignore[reportArgumentType]
             return equations.stabilized_residual(T, data, placed, v, z[: T.n_v], z[T.n_v :], jets, rate)  # pyright: ignore
 
         def signals(data: Any, q: Any, v: Any) -> list[Any]:
-            placed = equations.placement(T, data, q, given)  # pyright: ignore[reportArgumentType]
+            placed = equations.placement(T, data, q, prescribed)  # pyright: ignore[reportArgumentType]
             return T.links.signals(equations.action_states(T, data, placed, v))  # pyright: ignore
 
-        placed = equations.placement(T, s.values, value(q), given)  # pyright: ignore[reportArgumentType]
+        placed = equations.placement(T, s.values, value(q), prescribed)  # pyright: ignore[reportArgumentType]
         blocks = s.blocks(s.values, placed)
         matrix = [blocks[name] for name, _ in s.blocks.shapes()]
         s.module.values = {

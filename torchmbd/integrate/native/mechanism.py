@@ -191,11 +191,11 @@ class Mechanism:
         """The mechanism as a library takes it; what it points to lives as long as it."""
         code.needed.restype = ctypes.c_char_p
         sizes, tables, constants = (part.split() for part in code.needed().decode().split("|"))
-        given = np.array([self.sizes[name] for name in sizes], dtype=np.int64)
+        counts = np.array([self.sizes[name] for name in sizes], dtype=np.int64)
         pointers = np.array([self.tables[name].ctypes.data for name in tables] or [0], dtype=np.uint64)
         numbers = np.array([self.constants[name].ctypes.data for name in constants] or [0], dtype=np.uint64)
         e = self.elimination
-        s = _Struct(given.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, e.numbers)
+        s = _Struct(counts.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, e.numbers)
         for name in ("order", "start", "beside", "near", "base", "head", "places", "row", "column"):
             setattr(s, name, getattr(e, name).ctypes.data)
         s.fills, s.products = len(self.matrix["to"]), len(self.matrix["product_to"])
@@ -204,7 +204,7 @@ class Mechanism:
         s.called, s.pairs = len(self.called.places), len(self.called.pairs)
         pairs = np.array(self.called.pairs, dtype=np.intc).reshape(-1, 2).T.copy()
         s.pair_to, s.pair_from = (x.ctypes.data for x in pairs)
-        s.kept = (self, given, pointers, numbers, pairs)
+        s.kept = (self, counts, pointers, numbers, pairs)
         return s
 
 

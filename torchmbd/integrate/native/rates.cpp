@@ -8,13 +8,13 @@ struct Job {
   const double *uniform, *values, *tangents;  // [], [block][data][LANES], [block][n_b][data_tangents][LANES]
   const double *y;                            // [N_Q + N_V][1 + n_b][lanes]
   double *dy, *lam;                           // the same; [ROWS][1 + n_b][lanes]
-  double *room;
+  double *scratch;
   const Mechanism *mechanism;
   const Feedback *feedback;                   // or null
 };
 
 // Bytes of scratch memory.
-extern "C" long rates_room(const Mechanism* m) {
+extern "C" long rates_scratch(const Mechanism* m) {
   const Counts c(*m);
   return sizeof(V) * (m->numbers + c.scratch + c.entries + 2 * c.unknowns + 3 * (c.n_q + c.n_v));
 }
@@ -25,7 +25,7 @@ extern "C" long rates(const Job* job) {
   const Mechanism& m = *J.mechanism;
   const Counts c(m);
   const long n_z = c.n_q + c.n_v;
-  V* w = (V*)J.room;
+  V* w = (V*)J.scratch;
   V *K = w + c.scratch, *R = K + m.numbers, *z = R + c.unknowns, *entries = z + c.unknowns, *x = entries + c.entries;
   V *dx = x + n_z, *out = dx + n_z;
   In in;

@@ -20,9 +20,9 @@ from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.progress import reach
 
-LOOK = 100  # evaluations between two looks at the factors
+CHECK = 100  # evaluations between two checks of the factors
 _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "check")
-_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room", "mechanism", "feedback")
+_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "scratch", "mechanism", "feedback")
 
 
 class _Job(ctypes.Structure):
@@ -37,10 +37,10 @@ class CompiledRates:
     def __init__(self, library: Library, dynamics: Dynamics):
         code, self.library, self.dynamics = library.code, library, dynamics
         self.code = code
-        code.rates_room.argtypes = [ctypes.c_void_p]
-        code.rates_room.restype = code.rates.restype = ctypes.c_long
+        code.rates_scratch.argtypes = [ctypes.c_void_p]
+        code.rates_scratch.restype = code.rates.restype = ctypes.c_long
         self.values, self.tangents = library.data_blocks(dynamics)
-        self.room = torch.empty(code.rates_room(library.address) // 8, dtype=torch.float64)
+        self.scratch = torch.empty(code.rates_scratch(library.address) // 8, dtype=torch.float64)
         self.count, self.feedback = 0, library.feedback(dynamics)
 
     def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
@@ -56,10 +56,10 @@ class CompiledRates:
             y.shape[1] - 1,
             self.values.shape[2],
             self.tangents.shape[2],
-            int(self.count % LOOK == 0),
+            int(self.count % CHECK == 0),
         )
         self.count += 1
-        arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
+        arrays = (uniform, self.values, self.tangents, y, dy, lam, self.scratch)
         assert y.shape[2] == self.dynamics.lanes
         if self.feedback is not None:
             self.feedback.times = t[None]

@@ -32,13 +32,13 @@ def lanes_out(x: Tensor, lanes: int) -> Tensor:
 
 
 def addresses(arrays: Sequence[Tensor | None]) -> list[int | None]:
-    """Where arrays begin: compiled code believes that they are doubles without gaps."""
+    """Addresses of arrays, which compiled code takes for doubles without gaps."""
     assert all(x is None or (x.is_contiguous() and x.dtype == torch.float64) for x in arrays)
     return [None if x is None else x.data_ptr() for x in arrays]
 
 
 def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
-    """A number that holds for all lanes, once for each."""
+    """A number [..., 1] or [..., lanes] with all lanes."""
     return x.expand(*x.shape[:-1], lanes)
 
 
@@ -54,22 +54,22 @@ def moving(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) ->
     if not T.varied:
         return schedule[0].A.new_zeros(len(schedule), 0, 1 + n_b, lanes)
 
-    def numbers(given: Prescribed) -> Tensor:
-        parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in given.laws[i] or ()]
+    def numbers(prescribed: Prescribed) -> Tensor:
+        parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in prescribed.laws[i] or ()]
         wide = [torch.cat([x, x.new_zeros(len(x), 1 + n_b - x.shape[1], x.shape[2])], 1) for x in parts]
         return torch.cat([in_all_lanes(x, lanes) for x in wide])
 
-    return torch.stack([numbers(given) for given in schedule])
+    return torch.stack([numbers(prescribed) for prescribed in schedule])
 
 
 def uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
-    """What is the same for all lanes at each step [steps, n]."""
+    """Weights and prescribed numbers that all lanes share at each step [steps, n]."""
     steps = [(x.A, x.r, x.t, *(part for law in x.laws if law is not None for part in law)) for x in schedule]
     parts = [torch.stack(part).reshape(len(schedule), -1) for part in zip(*steps, strict=True)]
     return torch.cat([weights.expand(len(schedule), -1), *parts], 1)
 
 
-def shared(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:
-    """What is known at times without what `moving_blocks` has."""
+def without_varied(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:
+    """Prescribed numbers without those of laws with design variables, which `moving_blocks` has."""
     varied = T.varied
-    return [given.shared(varied) for given in schedule] if varied else schedule
+    return [prescribed.shared(varied) for prescribed in schedule] if varied else schedule

@@ -1,4 +1,4 @@
-// Steps of generalized-alpha for LANES lanes at a time: what EagerStepper in stepper.py does, around generated code.
+// Steps of one-step methods for LANES lanes at a time: what EagerStepper in stepper.py does, around generated code.
 //
 // Before this text stand factors.cpp, feedback.cpp and, generated,
 //   signals, residual, finish, matrix, boundary, signal_tangents, residual_tangent, finish_tangent      (functions.py)
@@ -9,16 +9,16 @@ constexpr int MOST = 4;  // as in stepper.py
 
 struct Job {
   long lanes, n_b, data, data_tangents, uniform;                 // numbers of each
-  long first, steps, corrections, most, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
+  long first, steps, corrections, most, refresh, check, fresh;  // check: factors and tangents; fresh: no factors yet
   long moving;                                                   // the last of the data, which change from step to step
-  const double *given;                                           // [steps][uniform]
+  const double *shared;                                          // [steps][uniform]
   double *state;                                                 // [block][1 + n_b][N_X][LANES], in and out
   double *values, *tangents;                                     // [block][data][LANES], [block][n_b][data_tangents][LANES]
   double *factors;                                               // [block][numbers of the matrix][LANES]
   const double *row_mask, *diagonal_shift;                       // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + n_b][lanes]
   double *sizes, *errors;                                        // [steps][2][lanes], [3][n_b][lanes]
-  double *room;                                                  // scratch
+  double *scratch;
   const double *moved;                                           // [steps][block][1 + n_b][moving][LANES]
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
@@ -26,7 +26,7 @@ struct Job {
 };
 
 // Bytes of scratch memory, and of the factors of a block.
-extern "C" long steps_room(const Mechanism* m, long n_b) {
+extern "C" long steps_scratch(const Mechanism* m, long n_b) {
   const Counts c(*m);
   return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + n_b) * c.unknowns + (1 + n_b) * c.n_x);
 }
@@ -55,7 +55,7 @@ extern "C" long run_steps(const Job* job) {
   const Mechanism& m = *J.mechanism;
   const Counts c(m);
   const long N_ = c.unknowns, n_x = c.n_x;
-  V* w = (V*)J.room;
+  V* w = (V*)J.scratch;
   V *trial = w + c.scratch, *R = trial + m.numbers, *z = R + N_, *entries = z + N_, *dz = entries + c.entries, *next = dz + N_ * S;
   In in;
   point(in, m, c, w);
@@ -63,13 +63,13 @@ extern "C" long run_steps(const Job* job) {
   in.z = z;
   in.entries = entries;
   if (m.called) point_feedback(in, *J.feedback);
-  if (J.fresh || J.look) {
+  if (J.fresh || J.check) {
     for (long block = 0; block * LANES < J.lanes; block++) {
       move(J, 0, block);
       const V* d = (const V*)J.values + block * J.data;
       point_data(in, d);
       in.x = (const V*)J.state + block * (1 + S) * n_x;
-      in.u = J.given;
+      in.u = J.shared;
       start(c, in.x, z);
       if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
       if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, trial, R)) return 1;
@@ -84,7 +84,7 @@ extern "C" long run_steps(const Job* job) {
     const V passes = ((const V*)J.passes)[block];
     bool fresh = J.fresh;
     for (long i = 0; i < J.steps; i++) {
-      in.u = J.given + i * J.uniform;
+      in.u = J.shared + i * J.uniform;
       move(J, i, block);
       in.x = state;
       in.next = next;
@@ -120,8 +120,8 @@ extern "C" long run_steps(const Job* job) {
         point_data_tangents(in, tangents + s * J.data_tangents);
         in.dz = ds;
         start(c, in.dx, ds);
-        const bool looks = J.look && i == 0;
-        for (long k = 0; k < J.most + looks + (begins ? MOST : 0); k++) {
+        const bool checks = J.check && i == 0;
+        for (long k = 0; k < J.most + checks + (begins ? MOST : 0); k++) {
           if (m.called) {
             signal_tangents(in);
             strength_tangents(in, m, J.feedback, s);
@@ -130,7 +130,7 @@ extern "C" long run_steps(const Job* job) {
           solve(m, N_, factors, R);
           const V done = spread(k < J.most ? (double)k : -1.0), share = passes > done ? spread(1.0) : spread(0.0);
           for (long n = 0; n < N_; n++) ds[n] -= share * R[n];
-          if (!looks || k != J.most) continue;
+          if (!checks || k != J.most) continue;
           put(J.errors + s * J.lanes + block * LANES, largest(R, c.n_v), valid);
           put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, c.n_v), valid);
           put(J.errors + (2 * S + s) * J.lanes + block * LANES, largest(ds + c.n_v, c.rows), valid);

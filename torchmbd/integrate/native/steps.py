@@ -1,8 +1,7 @@
-"""Steps of generalized-alpha by compiled code (library.py): the same steps as EagerStepper (stepper.py) makes, the same
-numbers.
+"""Steps of one-step methods by compiled code (library.py): the same numbers as by EagerStepper (stepper.py).
 
 Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
-call of the library does all steps between two looks at the tangents.
+call of the library makes all steps between two checks of the tangents.
 Checked in tests/integrate/native/test_steps.py.
 """
 
@@ -22,11 +21,11 @@ from torchmbd.integrate.native.simd_layout import (
     in_all_lanes,
     lanes_out,
     moving_blocks,
-    shared,
     uniform,
+    without_varied,
 )
 from torchmbd.integrate.step import Model, Weights
-from torchmbd.integrate.stepper import CHECK, EagerStepper, Record, between_looks
+from torchmbd.integrate.stepper import CHECK, EagerStepper, Record, check_intervals
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
@@ -34,10 +33,10 @@ from torchmbd.progress import reach
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
-_NUMBERS += ("look", "fresh", "moving")
-_ARRAYS = ("given", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
+_NUMBERS += ("check", "fresh", "moving")
+_ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
 _ARRAYS += ("sizes", "errors")
-_ARRAYS += ("room", "moved", "mechanism", "passes", "feedback")
+_ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback")
 
 
 class _Job(ctypes.Structure):
@@ -55,7 +54,7 @@ def stepper_of(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refr
 
 
 class NativeStepper(EagerStepper):
-    """EagerStepper by a library. Where its factors cannot be relied on, it goes on the eager way."""
+    """EagerStepper by a library; where its factors cannot be relied on, steps go on by operators of torch."""
 
     def __init__(
         self,
@@ -69,41 +68,38 @@ class NativeStepper(EagerStepper):
         self.code: ctypes.CDLL | None = library.code
         code, self.library = library.code, library
         self.lanes, self.n_b, self.fresh = dynamics.lanes, dynamics.tangents, 1
-        code.steps_room.restype = code.steps_factors.restype = code.run_steps.restype = ctypes.c_long
-        code.steps_room.argtypes, code.steps_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
+        code.steps_scratch.restype = code.steps_factors.restype = code.run_steps.restype = ctypes.c_long
+        code.steps_scratch.argtypes, code.steps_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
         self.weights = torch.tensor(w, dtype=torch.float64)
         self.feedback = library.feedback(dynamics)
         self.values, self.tangents = library.data_blocks(dynamics)
         self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
-        self.room = torch.empty(code.steps_room(library.address, self.n_b) // 8, dtype=torch.float64)
+        self.scratch = torch.empty(code.steps_scratch(library.address, self.n_b) // 8, dtype=torch.float64)
 
-    def forget(self) -> None:
-        super().forget()
+    def restart(self) -> None:
+        super().restart()
         self.fresh = 1
 
-    def __call__(self, i: int, x: State, given: Prescribed) -> State:
-        return self.run(x, [given], Record(x, 2), i)
-
-    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, place: int = 1) -> State:
+    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, start: int = 1) -> State:
         if self.code is None:
-            return super().run(x, schedule, record, first, place)
+            return super().run(x, schedule, record, first, start)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
-        table = uniform(self.weights, shared(self.dynamics.topology, schedule))
-        for some in between_looks(len(schedule), first, self.n_b):
-            at = some.start
+        table = uniform(self.weights, without_varied(self.dynamics.topology, schedule))
+        for part in check_intervals(len(schedule), first, self.n_b):
+            done = part.start
             if self.feedback is not None:
-                self.feedback.times = torch.stack([given.t for given in schedule[some]])
-            if not self._some(state, table[some], moved[some], record, first + at, place + at):
-                return super().run(self._state(state), schedule[at:], record, first + at, place + at)
-            reach(value(schedule[some][-1].t))
+                self.feedback.times = torch.stack([prescribed.t for prescribed in schedule[part]])
+            if not self._run_part(state, table[part], moved[part], record, first + done, start + done):
+                return super().run(self._state(state), schedule[done:], record, first + done, start + done)
+            reach(value(schedule[part][-1].t))
         return self._state(state)
 
-    def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
-        """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
+    def _run_part(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, start: int) -> bool:
+        """Make steps without a check in between; False if the factors cannot be relied on, and no step is made."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
         errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
-        look = int(first % CHECK == 0)
+        check = int(first % CHECK == 0)
         numbers = (self.lanes, self.n_b, self.values.shape[2], self.tangents.shape[2])
         numbers += (
             table.shape[1],
@@ -112,13 +108,13 @@ class NativeStepper(EagerStepper):
             self.corrections,
             int(self.passes.max()),
             self.refresh,
-            look,
+            check,
             self.fresh,
             moved.shape[3],
         )
         row_mask, diagonal_shift = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, row_mask, diagonal_shift]
-        arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room, moved]
+        arrays += [part[start:] for part in record.parts] + [sizes, errors, self.scratch, moved]
         arrays.append(blocks(self.passes[None, None]))
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
@@ -130,8 +126,8 @@ class NativeStepper(EagerStepper):
             return False
         self.fresh = 0
         self.sizes += sizes.unbind(0)
-        if look and self.n_b:
-            self.look(*errors)
+        if check and self.n_b:
+            self.check(*errors)
         return True
 
     def _called(self, f: Callable[[], int]) -> int:

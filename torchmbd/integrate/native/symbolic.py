@@ -144,10 +144,10 @@ def _law(shape: Any, numbers: Any) -> Any:
     if shape[0] is Scaled:
         factor = next(numbers)
         return Scaled(factor, _law(shape[1], numbers))
-    given: list[Any] = [next(numbers) for _ in range(numbers_of(shape))]
+    parameters: list[Any] = [next(numbers) for _ in range(numbers_of(shape))]
     if shape[0] is Spring:
-        return Spring(*given)
-    plain: list[Any] = [value(x) for x in given]  # no design varies those of OfTime
+        return Spring(*parameters)
+    plain: list[Any] = [value(x) for x in parameters]  # no design varies those of OfTime
     return OfTime(*plain)
 
 

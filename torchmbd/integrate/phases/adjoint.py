@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
-from torchmbd.integrate.adjoint import POOR, AdjointSolver, Grid, MotionCotangents
+from torchmbd.integrate.adjoint import INACCURATE, AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, pulled, rows_first, shaped, zeros
@@ -80,7 +80,7 @@ class PhaseAdjoint:
     integrator  that made the steps
     wanted      names of data by which gradients are wanted
     failed      lanes whose cotangents are zero
-    sweep       makes a AdjointSolver of a grid
+    adjoint_solver   makes the AdjointSolver of a grid
     error       estimated relative error of the gradients asked for so far [lanes]
     """
 
@@ -112,7 +112,7 @@ class PhaseAdjoint:
             self._steps(record, lanes, cotangents.motion, rows)
             for one in lanes:
                 self._entry(record, one, cotangents, rows)
-        for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
+        for lane in torch.nonzero(self.error > INACCURATE)[:, 0].tolist():
             warn(
                 f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
                 "or gradients='forward'",
@@ -135,7 +135,7 @@ class PhaseAdjoint:
             size = leaf(record.exit[one.lane].t - begin)
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
             end = begin + size if event is not None else self.multiphase.end(phase_model, t)
-            y = self.integrator.sized(leaves.dynamics, base, end - begin if event is None else size, end)
+            y = self.integrator.step_of_size(leaves.dynamics, base, end - begin if event is None else size, end)
             g = None if event is None else event.of(leaves.views.at(0, leaves.dynamics, end, y))[0]
         inputs = [size, t, *base, *leaves.leaves.values()]
         found = pulled([end, *y], one.exit, inputs, rows)
@@ -281,7 +281,7 @@ class PhaseAdjoint:
         if one.arrival is not None:
             end = torch.full_like(t, float(c.times[min(first, c.steps)]))
             direct = record.on_grid[lane]
-            outputs += after if direct else self.integrator.sized(dynamics, after, end - t, end)
+            outputs += after if direct else self.integrator.step_of_size(dynamics, after, end - t, end)
             given += one.arrival
         own = c.number[:first, lane] == record.number
         for k in torch.nonzero(own)[:, 0].tolist():

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.variable_step import determined
+from torchmbd.integrate.variable_step import least_norm_multipliers
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
@@ -26,7 +26,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, OneLane, shape_tangents
 from torchmbd.results.motion_data import OK
 from torchmbd.results.state import State
-from torchmbd.results.time_rows import Given, Rows, Signals
+from torchmbd.results.time_rows import Rows, Signals, TensorSignals
 from torchmbd.results.trajectory import Trajectory
 
 DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
@@ -99,7 +99,7 @@ class Instant(Signals):
 
     @cached_property
     def _lam(self) -> Any:
-        return determined(self.dynamics, self.t, self.x)
+        return least_norm_multipliers(self.dynamics, self.t, self.x)
 
 
 class Leaves:
@@ -161,7 +161,7 @@ class Views:
     ) -> Views:
         T, lanes = dynamics.topology, dynamics.lanes
         sizes = {"q": T.n_q, "v": T.n_v, "a": T.n_v, "lam": T.rows}
-        nothing = Given({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
+        nothing = TensorSignals({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
         whole = Trajectory(
             t=torch.zeros(0, dtype=torch.float64),
             signals=nothing,
@@ -254,7 +254,7 @@ def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x:
             step = torch.zeros(T.n_v + 1, dtype=torch.float64, requires_grad=True)
             q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
             others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
-            signals = Given({"q": q[:, 0].T[None]} | others)
+            signals = TensorSignals({"q": q[:, 0].T[None]} | others)
             there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
             g = event.of(there)[0, 0]
             if not g.requires_grad:

@@ -1,15 +1,15 @@
-"""The loop through the phases of a simulation: regular steps of all lanes, and steps of other sizes at switches.
+"""The loop through the phases of a simulation: regular steps of all lanes, steps of other sizes at switches.
 
     h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
     t_k - t*                        the first step of the next one, back to the grid
 
-Every integrator goes this way: it makes regular steps by its stepper and those of other sizes by `Integrator.sized`. The steps
+An integrator makes regular steps by its stepper, and those of other sizes by `Integrator.step_of_size`. The steps
 are differentiated as they stand: sizes are numbers with design tangents, and h*, while it is iterated, is one more.
 What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
 a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
 terms of the Taylor series from the switch.
 
-All lanes are in one phase together; those that left it, or are not there yet, with numbers that are not used.
+All lanes are stepped together through one phase; the numbers of those that left it, or have not entered it yet, are not used.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 
@@ -35,27 +35,23 @@ _MOST = 40  # iterations for the size of a last step
 
 
 def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
-    """Integrate all lanes through all stages; what the iterations leave, as of Stepper.errors, largest of all stages."""
+    """Integrate all lanes through all phases; errors as of Stepper.errors, the largest of all phases."""
     phase_exit, errors = multiphase.start(), {}
     for number in range(len(multiphase.phase_models)):
-        phase_exit, found = _PhaseLoop(multiphase, number, phase_exit, integrator).run()
-        for name, x in found.items():
-            errors[name] = (torch.minimum if name == "until" else torch.maximum)(errors.get(name, x), x)
+        phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator).run()
+        for name, x in of_phase.items():
+            errors[name] = (torch.minimum if name == "valid_times" else torch.maximum)(errors.get(name, x), x)
     return errors
 
 
 class _PhaseLoop:
-    """All lanes in one stage, from `entry` to where they leave it."""
+    """All lanes in one phase, from `entry` to where they leave it."""
 
     def __init__(self, multiphase: MultiphaseRun, number: int, entry: PhaseExit, integrator: Integrator):
-        self.multiphase, self.number, self.phase_model, self.integrator = (
-            multiphase,
-            number,
-            multiphase.phase_models[number],
-            integrator,
-        )
+        self.multiphase, self.number, self.integrator = multiphase, number, integrator
+        self.phase_model = multiphase.phase_models[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
-        self.short = max(integrator.shortest, _SAME)
+        self.short = max(integrator.shortest_step, _SAME)
         self.dynamics, x = multiphase.enter(number, entry)
         self.ends = multiphase.end(self.phase_model, entry.t)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.arrived(entry)
@@ -67,20 +63,20 @@ class _PhaseLoop:
         multiphase.records.append(self.record)
 
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
-        """Step until every lane has left the phase, or to the end; what the iterations leave, as of Stepper.errors."""
+        """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
         d, x = self.dynamics, self.entry.x
         stepper = self.integrator.stepper(d, self.h)
-        self._put_shortly_after()
+        self._record_shortly_after()
         schedule = d.topology.schedule(self.times, d.data)
         alive, inside = self.alive, torch.zeros_like(self.alive)
-        older, recent, numbers = x, x, []
+        older, recent, indices = x, x, []
         for i in range(int(self.first.min()), len(self.times)):
             if bool(inside.any()):
                 older, recent, x = recent, x, stepper.step(i, x, schedule[i], inside)
-                numbers.append(i)
+                indices.append(i)
             for lane in torch.nonzero(alive & (self.first == i))[:, 0].tolist():
-                x = _placed(x, lane, self._arrival(lane))
-                stepper.forget()
+                x = _with_lane(x, lane, self._arrival(lane))
+                stepper.restart()
                 inside[lane] = True
             passed, g = self._passed(i, x, inside)
             self.multiphase.put(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
@@ -90,7 +86,7 @@ class _PhaseLoop:
             inside, alive = inside & ~passed, alive & ~passed
             if not bool(alive.any()):
                 break
-        errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, numbers) if numbers else {}
+        errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, indices) if indices else {}
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
         staying = torch.nonzero(alive)[:, 0].tolist()
@@ -117,11 +113,11 @@ class _PhaseLoop:
         self.record.on_grid[lane] = self._on_grid(lane, k)
         if not self.record.on_grid[lane]:
             end = t * 0.0 + float(self.times[k])
-            x = self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end)
+            x = self.integrator.step_of_size(lane_of(self.dynamics, lane), x, end - t, end)
         self.record.arrival[lane] = x
         return x
 
-    def _put_shortly_after(self) -> None:
+    def _record_shortly_after(self) -> None:
         """Record the points of the grid that lie between a switch and the first that a lane steps to."""
         t = value(self.entry.t)[0]
         for k in range(len(self.times)):
@@ -161,14 +157,14 @@ class _PhaseLoop:
         """Where a lane leaves between the point i of the grid and the one before, or its entry."""
         points = [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
         share = float(self.g[lane] / (self.g[lane] - g[lane]))
-        skipped = self.event is not None and share < self.integrator.shortest and bool(points)
+        skipped = self.event is not None and share < self.integrator.shortest_step and bool(points)
         k = [*points, None][int(skipped)]
         before = self.entry if k is None else PhaseExit(self._time(k), states[int(skipped)])
         t, x = before.lane(lane)
         self.record.base[lane] = k, x
         if self.event is None:
             end = pick(self.ends, [lane])
-            return PhaseExit(end, self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end))
+            return PhaseExit(end, self.integrator.step_of_size(lane_of(self.dynamics, lane), x, end - t, end))
         return self._located(self.event, lane, PhaseExit(t, x), float(self.times[i] - value(t)[0, 0]), share)
 
     def _time(self, i: int) -> Any:
@@ -186,7 +182,7 @@ class _PhaseLoop:
         sign = math.copysign(1.0, float(self.g[lane]))
         for _ in range(_MOST):
             size = one + h
-            y = self.integrator.sized(wide, x, size, t + size)
+            y = self.integrator.step_of_size(wide, x, size, t + size)
             g, slope = self.multiphase.views.slopes(event, lane, wide, t + size, y)
             low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
             better = h - float(g / slope[-1])
@@ -197,8 +193,8 @@ class _PhaseLoop:
         return PhaseExit(narrowed(t + size, rate), y.map(lambda z: narrowed(z, rate)))
 
 
-def _placed(x: State, lane: int, new: State) -> State:
-    """The state with one lane put in its place."""
+def _with_lane(x: State, lane: int, new: State) -> State:
+    """The state of all lanes with one lane replaced."""
 
     def put(y: Any, z: Any) -> Any:
         full = (y.full if isinstance(y, Pair) else y).clone()

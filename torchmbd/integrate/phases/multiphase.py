@@ -1,6 +1,6 @@
-"""A motion through phases, integrated: attempts, status, and its switches as numbers that `Motion` returns.
+"""A motion through phases, integrated: retries, the status of lanes, and switches as numbers that `Motion` returns.
 
-Shared by the two ways to gradients (forward_integration.py, reverse.py).
+Shared by forward and reverse mode (forward_integration.py, phases/reverse.py).
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 
@@ -13,16 +13,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.attempts import chosen, contact_steps, doubted, has_failed, status_of, warn_unresolved
-from torchmbd.integrate.contacts import ContactWatch, Doubt
+from torchmbd.integrate.contacts import ContactWatch, UnresolvedContact
 from torchmbd.integrate.estimates import StepErrors
 from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.lane_status import mark_unresolved_contacts, status_of_lanes, warn_unresolved
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.step_count import Trial, choose_steps
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
-from torchmbd.results.motion_data import OK, Switch
+from torchmbd.results.motion_data import OK, Switch, has_failed
 
 SIDES = ("q", "v", "a", "lam")
 NUMBERS = 1 + 2 * len(SIDES)  # of a switch
@@ -36,34 +37,34 @@ def integrate(
     steps: int,
     integrator: Integrator,
 ) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
-    """Through all stages, once more and carefully where lanes failed; with statistics and status of the lanes."""
+    """The motion through all phases, with statistics and status of the lanes; all of it once more where lanes failed."""
 
-    def attempt(integrator: Integrator) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
+    def integrate_by(integrator: Integrator) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
         multiphase = MultiphaseRun(dynamics, phase_models, views, duration, steps)
-        stats = integrator.integrate_phases(multiphase)
-        found = status_of(multiphase.history, duration, stats)
-        found = [own if own != OK else other for own, other in zip(multiphase.status, found, strict=True)]
-        doubted(found, _doubts(multiphase, duration, steps, integrator.adjoint))
-        return multiphase, stats, found
+        statistics = integrator.integrate_phases(multiphase)
+        of_steps = status_of_lanes(multiphase.history, duration, statistics)
+        status = [own if own != OK else other for own, other in zip(multiphase.status, of_steps, strict=True)]
+        mark_unresolved_contacts(status, _unresolved_contacts(multiphase, by_steps=integrator.adjoint))
+        return multiphase, statistics, status
 
-    multiphase, stats, status = attempt(integrator)
-    again = integrator.again()
-    if again is not None and again.steps == 1 and any(x != OK for x in status):
-        other, counts, better = attempt(again.integrator)
-        if better.count(OK) > status.count(OK):
+    multiphase, statistics, status = integrate_by(integrator)
+    retry = integrator.retry()
+    if retry is not None and retry.substeps == 1 and any(x != OK for x in status):
+        other, other_statistics, other_status = integrate_by(retry.integrator)
+        if other_status.count(OK) > status.count(OK):
             failed = [lane for lane, reason in enumerate(status) if has_failed(reason)]
-            return other, counts | {"renewed": list(range(len(status))), "failed_first": failed}, better
+            by_retry = {"renewed": list(range(len(status))), "failed_first": failed}
+            return other, other_statistics | by_retry, other_status
     warn_unresolved(status)
-    return multiphase, stats, status
+    return multiphase, statistics, status
 
 
-def _doubts(multiphase: MultiphaseRun, duration: float, steps: int, equal: bool) -> dict[int, Doubt]:
-    """Contacts that the steps do not show; `equal`: as of ContactWatch."""
+def _unresolved_contacts(multiphase: MultiphaseRun, by_steps: bool) -> dict[int, UnresolvedContact]:
+    """Contacts that the steps do not show; by_steps: as of ContactWatch."""
     watch, h = ContactWatch(multiphase.whole), multiphase.history
     if not watch.idle:
-        times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-        watch.see(times, *(h.rows(order, pair=slice(1)) for order in range(2)))
-    return watch.doubts(duration / steps, equal)
+        watch.update(multiphase.times, *(h.rows(order, pair=slice(1)) for order in range(2)))
+    return watch.unresolved(multiphase.duration / multiphase.steps, by_steps)
 
 
 def steps_of_phases(
@@ -73,28 +74,27 @@ def steps_of_phases(
     designs: dict[str, Tensor],
     duration: float,
     integrator: Integrator,
-    room: Callable[[int], None],
+    check_memory: Callable[[int], None],
 ) -> int:
     """How many steps a motion through phases needs, of values alone (step_count.py)."""
     values = dynamics.values()
 
-    def attempt(steps: int) -> tuple[None, dict[str, Any], list[str]]:
+    def integrate_by(steps: int) -> Trial[None]:
         multiphase = MultiphaseRun(values, phase_models, Views.of(system, values, designs), duration, steps)
-        stats = integrator.integrate_phases(multiphase)
-        h, recorded = duration / steps, multiphase.recorded()
+        statistics = integrator.integrate_phases(multiphase)
         constant = abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0)  # pyright: ignore[reportAttributeAccessIssue]
-        errors = StepErrors(values, constant, h)
-        errors.see(recorded, multiphase.number[1:] == multiphase.number[:-1])
-        found = status_of(multiphase.history, duration, stats)
+        errors = StepErrors(values, constant, duration / steps)
+        errors.update(multiphase.recorded(), multiphase.number[1:] == multiphase.number[:-1])
+        status = status_of_lanes(multiphase.history, duration, statistics)
         # A phase that never ends does so with more steps as well.
-        found = [OK if own != OK else other for own, other in zip(multiphase.status, found, strict=True)]
-        wanted = contact_steps(_doubts(multiphase, duration, steps, True), steps, values.lanes)
-        return None, stats | errors.statistics(steps) | wanted, found
+        status = [OK if own != OK else other for own, other in zip(multiphase.status, status, strict=True)]
+        contacts = _unresolved_contacts(multiphase, by_steps=True)
+        return Trial(None, statistics | errors.statistics(steps), status, contacts)
 
-    return chosen(integrator, values, duration, attempt, room)[0]
+    return choose_steps(integrator, values, duration, integrate_by, check_memory)[0]
 
 
-def numbers_of(switch: Switch) -> list[Any]:
+def switch_numbers(switch: Switch) -> list[Any]:
     """Time and states of a switch as numbers [n, 1 + n_b, lanes]."""
 
     def number(x: Tensor, dx: Tensor | None) -> Any:
@@ -108,8 +108,8 @@ def numbers_of(switch: Switch) -> list[Any]:
     return found
 
 
-def switches_of(switches: Sequence[Switch], numbers: Sequence[Tensor]) -> list[Switch]:
-    """The switches with their numbers as differentiable outputs."""
+def switches_with(switches: Sequence[Switch], numbers: Sequence[Tensor]) -> list[Switch]:
+    """The switches with numbers, in the order of `switch_numbers`, that are differentiable outputs of `Motion`."""
 
     def parts(rest: Iterator[Tensor]) -> Iterator[Switch]:
         for switch in switches:

@@ -2,7 +2,7 @@
 
     inputs    the data of the reduced model, then designs [component..., 1, lanes]: events and impact maps may look at these,
               and at the mode shapes that are made of them
-    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (attempts.py), the data that locks change, and of
+    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (lane_status.py), the data that locks change, and of
               every switch its time and the states on both sides
 
 Tangents are integrated when they are asked for, together with the values once more.
@@ -18,7 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.attempts import has_failed, memory_check, validity
+from torchmbd.integrate.lane_status import validity
+from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import resolved
@@ -26,7 +27,7 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotangents
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lane_leaves import Key
-from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, numbers_of, steps_of_phases, switches_of
+from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, steps_of_phases, switch_numbers, switches_with
 from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair, value
@@ -34,7 +35,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes
-from torchmbd.results.motion_data import Switch
+from torchmbd.results.motion_data import Switch, has_failed
 
 
 @dataclass(eq=False)
@@ -82,9 +83,9 @@ class ReversePhaseIntegration:
         """As of `Integration`."""
         data, designs = self._split(inputs)
         model = resolved(replace(self.model, data=data), self.backend, None)
-        room = memory_check(self.system, model, 0, self.integrator)
+        check_memory = memory_check(self.system, model.lanes, 0, self.integrator)
         self.steps = self.steps or steps_of_phases(
-            self.system, model, self.phase_models, designs, self.duration, self.integrator, room
+            self.system, model, self.phase_models, designs, self.duration, self.integrator, check_memory
         )
         views = Views.of(self.system, model, designs)
         self._multiphase, self.stats, self.status = self._through(model, views)
@@ -111,7 +112,7 @@ class ReversePhaseIntegration:
         h, count = multiphase.history, next(x.shape[-2] for x in directions if x is not None)
         numbers: list[Any] = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self.validity]
         numbers += [multiphase.whole.data[name] for name in self.moving]
-        numbers += [x for switch in multiphase.switches for x in numbers_of(switch)]
+        numbers += [x for switch in multiphase.switches for x in switch_numbers(switch)]
         found = (x.tangent if isinstance(x, Pair) else x.new_zeros(*x.shape[:-2], count, x.shape[-1]) for x in numbers)
         return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in found]
 
@@ -138,7 +139,7 @@ class ReversePhaseIntegration:
 
     def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
         """The switches with their numbers as differentiable outputs."""
-        return switches_of(self.switches, numbers)
+        return switches_with(self.switches, numbers)
 
     def _split(self, inputs: Sequence[Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         n = len(self.names)
@@ -160,7 +161,7 @@ class ReversePhaseIntegration:
             h.lam,
             self.validity,
             *marks,
-            *(value(x) for s in multiphase.switches for x in numbers_of(s)),
+            *(value(x) for s in multiphase.switches for x in switch_numbers(s)),
         )
 
     def _adjoint(self, names: Sequence[str]) -> PhaseAdjoint:
