@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.fem.exact_beam.sections import Elements
+from torchmbd.fem.exact_beam.sections import ElementProperties
 from torchmbd.math.module_call import call_module
 from torchmbd.math.rigid_motion import end_wrenches, logarithm
 from torchmbd.math.rotation import rotation_matrix
@@ -102,22 +102,22 @@ class BeamMotion(Summary):
         return torch.einsum("ltji,ltnj->ltni", self.A, apart) - x
 
     @cached_property
-    def _elements(self) -> Elements:
+    def _elements(self) -> ElementProperties:
         """In the designs of the motion [lanes or 1, ...]."""
         designs = {f"system.{name}": x for name, x in self.motion.designs.items()}
-        made: Elements = call_module(_Made(self.motion.system, self.name), designs)
-        return made
+        elements: ElementProperties = call_module(_Made(self.motion.system, self.name), designs)
+        return elements
 
     @cached_property
     def _strains(self) -> tuple[Tensor, Tensor, Tensor]:
         """Screws [lanes, times, m, 6], their parts by strain, and the conjugate forces."""
-        made, (i, j) = self._elements, self.mesh.elements.unbind(1)
-        axes = made.axes.expand(self.motion.lanes, *made.axes.shape[-4:])[:, None]
+        elements, (i, j) = self._elements, self.mesh.elements.unbind(1)
+        axes = elements.axes.expand(self.motion.lanes, *elements.axes.shape[-4:])[:, None]
         A, B = self.rotations[:, :, i] @ axes[..., 0, :, :], self.rotations[:, :, j] @ axes[..., 1, :, :]
         apart = self.nodes[:, :, j] - self.nodes[:, :, i]
         screw = logarithm((A.mT @ apart[..., None])[..., 0], A.mT @ B)
-        strain = screw - _wide(made.screws, 2)
-        return screw, strain, (_wide(made.stiffness, 3) @ strain[..., None])[..., 0]
+        strain = screw - _wide(elements.screws, 2)
+        return screw, strain, (_wide(elements.stiffness, 3) @ strain[..., None])[..., 0]
 
     @property
     def forces(self) -> Float[Tensor, "lanes times m 2 6"]:
@@ -151,5 +151,5 @@ class _Made(nn.Module):
         super().__init__()
         self.system, self.name = system, name
 
-    def forward(self) -> Elements:
+    def forward(self) -> ElementProperties:
         return self.system.body(self.name)._elements()

@@ -12,7 +12,7 @@ from tests.fem.exact_beam.cases import PLANE, coupled, given
 from torchmbd.fem.elements import Assembly, BeamLine, Beams
 from torchmbd.fem.exact_beam.continuation import Continuation
 from torchmbd.fem.exact_beam.data import BeamData, Topology
-from torchmbd.fem.exact_beam.forces import applied, inner, residual, screws, strengths, turned
+from torchmbd.fem.exact_beam.forces import element_forces, load_forces, residual, rotated, screw_forces, screws
 from torchmbd.math.rigid_motion import exponential, hat
 
 TREE = torch.tensor([[0, 1], [1, 2], [1, 3]])
@@ -45,10 +45,10 @@ def test_stiffness_is_the_derivative_of_the_residual(state):
     topology = Topology(TREE, torch.arange(24), True)
 
     def moved(q: torch.Tensor) -> torch.Tensor:
-        return residual(data, topology, x + q[:, :3], turned(R, q[:, 3:]), 0.7)
+        return residual(data, topology, x + q[:, :3], rotated(R, q[:, 3:]), 0.7)
 
     J = torch.func.jacfwd(moved)(torch.zeros(4, 6, dtype=torch.float64)).reshape(24, 24)
-    K, _ = Continuation(topology, 4).stiffness(data, x, R, strengths(data, topology, x, R), 0.7)
+    K, _ = Continuation(topology, 4).stiffness(data, x, R, screw_forces(data, topology, x, R), 0.7)
     torch.testing.assert_close(torch.from_numpy(K.toarray()), -J, rtol=1e-11, atol=1e-11)
 
 
@@ -56,8 +56,8 @@ def test_a_rigid_motion_of_any_size_turns_the_inner_forces_and_no_more(state):
     data, x, R = state
     topology = Topology(TREE, torch.arange(24), True)
     Q, shift = exponential(torch.tensor([2.0, -1.5, 4.0], dtype=torch.float64)), torch.tensor([3.0, -2.0, 7.0])
-    before = inner(data, topology, x, R).unflatten(-1, (4, 3))
-    after = inner(data, topology, x @ Q.T + shift, Q @ R).unflatten(-1, (4, 3))
+    before = element_forces(data, topology, x, R).unflatten(-1, (4, 3))
+    after = element_forces(data, topology, x @ Q.T + shift, Q @ R).unflatten(-1, (4, 3))
     torch.testing.assert_close(after, before @ Q.T, rtol=1e-11, atol=1e-11)
     total = before[:, 0] + before[:, 2]
     assert float(total.abs().max()) < 1e-12 * float(before.abs().max())
@@ -79,7 +79,7 @@ def test_dead_forces_and_inertia_have_a_potential(state):
         return dead + heavy + spun - (arms * (moved @ W)).sum()
 
     found = torch.func.grad(potential)(torch.zeros(4, 6, dtype=torch.float64))
-    torch.testing.assert_close(applied(data, x, R, 1.0), found, rtol=1e-11, atol=1e-11)
+    torch.testing.assert_close(load_forces(data, x, R, 1.0), found, rtol=1e-11, atol=1e-11)
 
 
 def test_small_displacements_are_those_of_the_linear_element():
@@ -113,7 +113,7 @@ def small_displacements(n: int) -> tuple[torch.Tensor, ...]:
 
 
 def test_the_beam_does_not_see_a_turned_world():
-    """The same beam and loads in other axes: the same tip, turned."""
+    """The same beam and loads in other axes: the same tip, rotated."""
     Q = exponential(torch.tensor([0.4, -1.1, 2.0], dtype=torch.float64))
     nodes = torch.tensor([[0.0, 0, 0], [0.4, 0.1, 0], [0.8, 0.3, 0.2], [1.2, 0.3, 0.5]], dtype=torch.float64)
     force, gravity = (torch.tensor(x, dtype=torch.float64) for x in ((1.0, 2.0, -1.0), (0.0, -3.0, 1.0)))
@@ -147,12 +147,12 @@ def test_forces_have_a_potential(state):
     topology = Topology(TREE, torch.arange(24), True)
 
     def energy(q: torch.Tensor) -> torch.Tensor:
-        l, _, _ = screws(data, topology, x + q[:, :3], turned(R, q[:, 3:]))
+        l, _, _ = screws(data, topology, x + q[:, :3], rotated(R, q[:, 3:]))
         d = (l - data.screws)[..., None]
         return 0.5 * (d.mT @ data.stiffness @ d).sum()
 
     found = torch.func.grad(energy)(torch.zeros(4, 6, dtype=torch.float64))
-    wanted = torch.zeros_like(found).index_add(0, TREE.flatten(), inner(data, topology, x, R).reshape(6, 6))
+    wanted = torch.zeros_like(found).index_add(0, TREE.flatten(), element_forces(data, topology, x, R).reshape(6, 6))
     torch.testing.assert_close(found, wanted, rtol=1e-10, atol=1e-10)
 
 

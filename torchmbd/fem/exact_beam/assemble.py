@@ -13,24 +13,24 @@ from torch import Tensor
 
 from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.exact_beam.data import BeamData
-from torchmbd.fem.exact_beam.loads import along, nodal, vector
-from torchmbd.fem.exact_beam.sections import Elements, SpanSections, block
+from torchmbd.fem.exact_beam.loads import line_loads, nodal_loads, read_vector
+from torchmbd.fem.exact_beam.sections import ElementProperties, SpanSections, block
 from torchmbd.math.gradients import untransformed
 
 
 class NodalMass(NamedTuple):
-    """Of particles m on arms a at the nodes, in their axes: sums of m, m a, m a a'."""
+    """Sums of m, m a and m a a' over the particles m on arms a of each node, in the axes of the node."""
 
     mass: Float[Tensor, "*lanes n"]
     first: Float[Tensor, "*lanes n 3"]
     second: Float[Tensor, "*lanes n 3 3"]
 
 
-def nodal_mass(line: BeamLine, sections: SpanSections, made: Elements) -> NodalMass:
-    """Half of each element's mass at each of its ends."""
+def nodal_mass(line: BeamLine, sections: SpanSections, elements: ElementProperties) -> NodalMass:
+    """Masses of the nodes: half of each element's mass at each of its ends."""
     ends = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    own = made.to_line @ sections.mass(made.matrices.length, ends) @ made.to_line.mT
-    points = made.matrices.particles(own)
+    own = elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
+    points = elements.matrices.particles(own)
     n, where = len(line.nodes), points.ends[:, 0]
     m, a = points.mass, points.arm
     first = m[..., None] * a
@@ -41,38 +41,39 @@ def nodal_mass(line: BeamLine, sections: SpanSections, made: Elements) -> NodalM
 def beam_data(
     line: BeamLine,
     sections: SpanSections,
-    made: Elements,
+    elements: ElementProperties,
     nodes: Tensor,
     imposed: Tensor,
     given: dict[str, Any],
     massive: bool,
 ) -> tuple[BeamData, bool]:
-    """Numbers of a beam under loads, arguments of `ExactBeam.equilibrium`; and whether all loads have a potential.
+    """Return the data of a beam under loads, and whether all loads have a potential.
 
-    massive  whether masses are wanted without gravity and spin
+    given    loads by name, the arguments of `ExactBeam.equilibrium`
+    massive  whether masses are computed even without gravity and spin
     """
     n, where = len(line.nodes), line.elements.flatten()
-    q, p = (along(key, line, given[key]) for key in ("line_load", "follower_line_load"))
-    loads, turning = (nodal(key, line, given[key]) for key in ("loads", "follower_loads"))
+    q, p = (line_loads(key, line, given[key]) for key in ("line_load", "follower_line_load"))
+    loads, turning = (nodal_loads(key, line, given[key]) for key in ("loads", "follower_loads"))
     symmetric = not any(bool(untransformed(x).any()) for x in (loads[:, 3:], q[:, 3:], p, turning))
-    half = 0.5 * made.matrices.length[..., None]
-    tangent = made.axes[..., 0]  # [*lanes, m, 2, 3]
+    half = 0.5 * elements.matrices.length[..., None]
+    tangent = elements.axes[..., 0]  # [*lanes, m, 2, 3]
     arm = tangent * (half / 3.0)[..., None, :] * torch.tensor([[1.0], [-1.0]], dtype=torch.float64)
     share = (half * q)[..., None, :].expand(*tangent.shape[:-1], 6)
-    dead = loads + gathered(share, where, n, 1)
-    arms = gathered(arm[..., :, None] * share[..., None, :3], where, n, 2)
-    push = (block(made.axes) @ (half * p)[..., None, :, None])[..., 0]
+    dead = loads + sum_at_nodes(share, where, n, 1)
+    arms = sum_at_nodes(arm[..., :, None] * share[..., None, :3], where, n, 2)
+    push = (block(elements.axes) @ (half * p)[..., None, :, None])[..., 0]
     push = push + torch.cat([torch.zeros_like(arm), torch.linalg.cross(arm, push[..., :3])], -1)
     first = _first_ends(line)
-    axes = made.axes.flatten(-4, -3)[..., first, :, :]
-    follower = (block(axes) @ turning[..., None])[..., 0] + gathered(push, where, n, 1)
-    gravity, spin, center = (vector(key, given[key]) for key in ("gravity", "spin", "center"))
+    axes = elements.axes.flatten(-4, -3)[..., first, :, :]
+    follower = (block(axes) @ turning[..., None])[..., 0] + sum_at_nodes(push, where, n, 1)
+    gravity, spin, center = (read_vector(key, given[key]) for key in ("gravity", "spin", "center"))
     heavy = massive or bool(untransformed(gravity).any()) or bool(untransformed(spin).any())
-    own = nodal_mass(line, sections, made) if heavy else _massless(n)
-    start, end = made.axes.unbind(-3)
+    own = nodal_mass(line, sections, elements) if heavy else _massless(n)
+    start, end = elements.axes.unbind(-3)
     data = BeamData(
-        made.stiffness,
-        made.screws,
+        elements.stiffness,
+        elements.screws,
         start,
         end,
         nodes,
@@ -95,13 +96,13 @@ def _massless(n: int) -> NodalMass:
 
 
 def _first_ends(line: BeamLine) -> Tensor:
-    """For each node the first end of an element that is there: 2 * element + end [n]."""
+    """The first element end at each node: 2 * element + end [n]."""
     flat = line.elements.flatten().tolist()
     return torch.tensor([flat.index(k) for k in range(len(line.nodes))])
 
 
-def gathered(ends: Tensor, where: Tensor, n: int, core: int) -> Tensor:
-    """Sums at the nodes of what belongs to the ends of elements [*lanes, m, 2, *core]."""
+def sum_at_nodes(ends: Tensor, where: Tensor, n: int, core: int) -> Tensor:
+    """Sum values of element ends [*lanes, m, 2, *core axes] at their nodes [*lanes, n, *core axes]."""
     return _sum(ends.flatten(-2 - core, -1 - core), where, n, core)
 
 

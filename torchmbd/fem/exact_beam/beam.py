@@ -22,8 +22,8 @@ from torchmbd.fem.exact_beam.assemble import beam_data
 from torchmbd.fem.exact_beam.continuation import STATUS, Continuation
 from torchmbd.fem.exact_beam.data import BeamData, Topology
 from torchmbd.fem.exact_beam.forces import element_wrenches, residual
-from torchmbd.fem.exact_beam.loads import Loads, Supports, held
-from torchmbd.fem.exact_beam.sections import Elements, SpanSections, elements
+from torchmbd.fem.exact_beam.loads import Loads, Supports, supported_freedoms
+from torchmbd.fem.exact_beam.sections import ElementProperties, SpanSections, element_properties
 from torchmbd.fem.exact_beam.solution import solve
 from torchmbd.fem.exact_beam.vibrations import frequencies
 from torchmbd.math.checked_numbers import is_whole, parameter, reals
@@ -52,7 +52,7 @@ class BeamState(NamedTuple):
     reactions  forces and moments of the supports on the beam at their nodes, in mesh axes [*lanes, n, 6]
     factor     of the loads that was reached: 1 where the status is "ok" [*lanes]
     status     "ok", or why the loads are not borne: a limit point, buckling, no convergence; of the first lane that fails
-    path       the equilibria on the way (of the first lane that fails, else the last): factors [k] and places [k, n, 3]
+    path       equilibria at smaller loads (of the first lane that fails, else the last): factors [k] and places [k, n, 3]
 
     >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
     >>> column = mbd.ExactBeam("column", mbd.BeamLine.straight(1.0, 8), rod)
@@ -174,8 +174,8 @@ class ExactBeam(nn.Module):
             "spin": spin,
             "center": center,
         }
-        search, data, made = self._problem(supports, given, true_or_false("unstable", unstable), massive=False)
-        return self._state(search, data, solve(search, data), made)
+        search, data, elements = self._problem(supports, given, true_or_false("unstable", unstable), massive=False)
+        return self._state(search, data, solve(search, data), elements)
 
     def frequencies(
         self,
@@ -212,7 +212,7 @@ class ExactBeam(nn.Module):
             "spin": spin,
             "center": center,
         }
-        search, data, made = self._problem(supports, given, False, massive=True)
+        search, data, elements = self._problem(supports, given, False, massive=True)
         count = len(search.topology.free)
         if not is_whole(number) or not 1 <= number <= count:
             raise InputError(
@@ -224,34 +224,40 @@ class ExactBeam(nn.Module):
             )
         found = solve(search, data)
         w = frequencies(search, data, *found[:2], number)
-        return w / (2.0 * torch.pi), self._state(search, data, found, made)
+        return w / (2.0 * torch.pi), self._state(search, data, found, elements)
 
     def _problem(
         self, supports: Supports | None, given: dict[str, Any], unstable: bool, massive: bool
-    ) -> tuple[Continuation, BeamData, Elements]:
-        """Numbers under loads, and what finds equilibria."""
-        n, made = len(self.mesh.nodes), self._elements()
-        fixed, imposed = held(self.name, self.mesh, supports)
+    ) -> tuple[Continuation, BeamData, ElementProperties]:
+        """Return the search for equilibria, the data of the beam under loads, and the properties of its elements."""
+        n, elements = len(self.mesh.nodes), self._elements()
+        fixed, imposed = supported_freedoms(self.name, self.mesh, supports)
         free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         if not len(free):
             raise InputError(f"supports of {self.name!r} hold all freedoms; allowed: fewer")
-        data, symmetric = beam_data(self.mesh, self.sections, made, present_nodes(self.mesh), imposed, given, massive)
+        data, symmetric = beam_data(
+            self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, given, massive
+        )
         search = outside_transforms(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
-        return search, data, made
+        return search, data, elements
 
-    def _elements(self) -> Elements:
-        """In the present design."""
+    def _elements(self) -> ElementProperties:
+        """Properties of the elements in the present design."""
         nodes, matrices = present_nodes(self.mesh), self._matrices
         if varying_nodes(self.mesh):
             matrices = matrices.at(nodes)
-        return elements(self.sections, matrices, self.offset, self.twist, nodes)
+        return element_properties(self.sections, matrices, self.offset, self.twist, nodes)
 
     def _state(
-        self, search: Continuation, data: BeamData, found: tuple[Tensor, Tensor, Tensor, Tensor], made: Elements
+        self,
+        search: Continuation,
+        data: BeamData,
+        found: tuple[Tensor, Tensor, Tensor, Tensor],
+        elements: ElementProperties,
     ) -> BeamState:
         x, R, factor, code = found
         ends = element_wrenches(data, search.topology, x, R)
-        forces = (made.recover @ ends[..., None])[..., 0] * _SIDES[:, None]
+        forces = (elements.recover @ ends[..., None])[..., 0] * _SIDES[:, None]
         missing = residual(data, search.topology, x, R)
         held = torch.ones(missing.shape[-2] * 6, dtype=torch.bool).index_fill(0, search.topology.free, False)
         reactions = torch.where(held.reshape(-1, 6), -missing, 0.0)

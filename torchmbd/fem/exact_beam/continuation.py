@@ -4,12 +4,14 @@
 
 K is that of the mixed equations in displacements and forces: where rotations stretch slender elements, the forces f(q)
 between two iterations are far off, f* are not (D. Magisano, L. Leonetti, G. Garcea, Int. J. Numer. Methods Eng. 109 (2017)
-1237-1262). At the end f* = f(q). The first increment of a step is its predictor.
+1237-1262). At convergence f* = f(q). The first increment of a step is its predictor.
 
-A step turns no node by more than TURN by its predictor. It is halved where Newton's method fails, where it ends elsewhere than
-the rates at both ends say (another branch), and where the equilibrium there is unstable: the number of negative pivots
-of K is that of its negative eigenvalues; where loads have no potential, an odd number says that the determinant has
-changed its sign. The factor at which steps end is known to SHORTEST.
+The predictor of a step turns no node by more than LARGEST_TURN. A step is halved
+- where Newton's method fails,
+- where its increment differs from what the rates at both ends predict (it reached another branch),
+- where the equilibrium at its end is unstable: K has negative eigenvalues, as many as negative pivots; where loads have no
+  potential, an odd number of negative pivots, which means that the determinant changed its sign.
+The factor at which the search ends is known to SMALLEST_STEP.
 Checked in tests/fem/exact_beam/test_continuation.py.
 """
 
@@ -25,28 +27,34 @@ import torch
 from torch import Tensor
 
 from torchmbd.fem.exact_beam.data import BeamData, Topology
-from torchmbd.fem.exact_beam.forces import element_tangents, load_tangents, residual, screws, strengths
+from torchmbd.fem.exact_beam.forces import element_tangents, load_tangents, residual, screw_forces, screws
 from torchmbd.math.rigid_motion import LARGEST, exponential
 from torchmbd.math.sparse import Pattern
 
-TURN = 1.0  # largest rotation of a node in a step [rad]
+LARGEST_TURN = 1.0  # largest rotation of a node in a step [rad]
 ITERATIONS = 15
-SETTLED = 1e-9  # increment after which another one is below rounding, of the size of the beam and in rad
-# What a step may differ, as a part of it, from the rate at its start and from the mean of the rates at both ends; together they
-# exclude a jump to a branch that hardly moves, where the mean is half of the rate at the start.
-START, MEAN = 0.5, 0.2
-SHORTEST = 1e-5  # of the loads
-STEEP = 20.0  # displacement per load over its mean from the start: a limit point is near
-NEAR = 0.75 * LARGEST  # rotation of an element at which its limit is the likely reason of a failure [rad]
+INCREMENT_TOLERANCE = (
+    1e-9  # last increment, relative to the size of the beam, and in rad: the next one is below rounding
+)
+# Largest relative difference between the increment of a step and that of the rate at its start, or of the mean of the rates at
+# both ends. Both together exclude a jump to a branch that hardly moves, where the mean is half of the rate at the start.
+START_RATE_TOLERANCE, MEAN_RATE_TOLERANCE = 0.5, 0.2
+SMALLEST_STEP = 1e-5  # of the factor of the loads
+LIMIT_POINT_RATE = 20.0  # displacement per load over its mean since the start: beyond this a limit point is near
+LARGE_ELEMENT_TURN = 0.75 * LARGEST  # rotation of an element at which its limit is the likely reason of a failure [rad]
 STATUS = ("ok", "limit point", "unstable", "not converged", "turned too far")
 
 
 @dataclass
 class Path:
-    """Where the search ended: code into STATUS, the last factor in equilibrium, the state there, and all states before.
+    """Result of the search of one design.
 
-    x, R       [n, 3], [n, 3, 3];  K: stiffness of the free freedoms there
-    factors    of the loads, and places of the nodes there [n, 3]
+    code       index into STATUS
+    factor     of the loads at the last equilibrium
+    x, R       positions [n, 3] and rotations [n, 3, 3] of the nodes at that equilibrium
+    K          stiffness of its free freedoms
+    factors    of the loads at all equilibria, first 0
+    places     positions of the nodes at these [n, 3]
     """
 
     code: int
@@ -59,8 +67,8 @@ class Path:
 
 
 @dataclass
-class _Balance:
-    """An equilibrium: factor of the loads, state, forces of the elements, stiffness of all freedoms."""
+class _Equilibrium:
+    """An equilibrium: factor of the loads, positions, rotations, forces of the elements, stiffness of all freedoms."""
 
     factor: float
     x: Tensor
@@ -72,8 +80,8 @@ class _Balance:
 class Continuation:
     """Finds equilibria of beams of one topology.
 
-    follow  whether unstable equilibria are followed
-    paths   of the last search, one for each lane
+    follow  whether the search goes on past unstable equilibria
+    paths   results of the last search, one for each lane
     """
 
     paths: list[Path]
@@ -87,18 +95,18 @@ class Continuation:
         self._pattern, self._slot = Pattern.gather(torch.cat(rows), torch.cat(cols), 6 * nodes)
 
     def stiffness(self, data: BeamData, x: Tensor, R: Tensor, f: Tensor, factor: float) -> tuple[Any, Tensor]:
-        """K of all freedoms of one design whose elements bear f, and df by motions of their nodes [m, 6, 12]."""
+        """Return K of all freedoms of one design under element forces f, and df by motions of the nodes [m, 6, 12]."""
         elements, B = element_tangents(data, self.topology, x, R, f)
         blocks = torch.cat([elements.flatten(), load_tangents(data, x, R, factor).flatten()])
         values = blocks.new_zeros(self._pattern.nnz).index_add(0, self._slot, blocks)
         return self._pattern.to_scipy(values), B
 
     def run(self, data: BeamData) -> Path:
-        """From the unloaded beam to the whole loads."""
+        """Increase the loads from zero to their given size, as far as equilibria exist."""
         n = len(data.nodes)
         size = float((data.nodes.amax(0) - data.nodes.amin(0)).norm())
         self._scale = np.tile([size] * 3 + [1.0] * 3, n)
-        state = _Balance(
+        state = _Equilibrium(
             0.0, data.nodes, torch.eye(3, dtype=torch.float64).expand(n, 3, 3), torch.zeros_like(data.screws)
         )
         state.K, _ = self.stiffness(data, state.x, state.R, state.f, 0.0)
@@ -107,16 +115,16 @@ class Continuation:
         while state.factor < 1.0:
             rate = self._rate(data, state)  # of increments by the factor
             fast = float(np.abs(rate.reshape(n, 6)[:, 3:]).max()) if np.isfinite(rate).all() else np.inf
-            step, why, found = min(1.0 - state.factor, largest, TURN / max(fast, 1e-300)), 3, None
-            while step >= SHORTEST:
+            step, why, found = min(1.0 - state.factor, largest, LARGEST_TURN / max(fast, 1e-300)), 3, None
+            while step >= SMALLEST_STEP:
                 found, why, increment = self._step(data, state, step, rate)
                 if found is not None:
                     break
                 step = 0.5 * step
             if found is None:
-                steep = self._size(rate) * state.factor > STEEP * self._size(moved)
+                steep = self._size(rate) * state.factor > LIMIT_POINT_RATE * self._size(moved)
                 turned = float(screws(data, self.topology, state.x, state.R)[0][..., 3:].norm(dim=-1).max())
-                path.code = 2 if why == 2 else 4 if turned > NEAR else 1 if steep else 3
+                path.code = 2 if why == 2 else 4 if turned > LARGE_ELEMENT_TURN else 1 if steep else 3
                 break
             state, moved, largest = found, moved + increment, 2.0 * step
             path.factors.append(state.factor)
@@ -126,10 +134,10 @@ class Continuation:
         return path
 
     def _step(
-        self, data: BeamData, old: _Balance, step: float, rate: np.ndarray
-    ) -> tuple[_Balance | None, int, np.ndarray]:
-        """The equilibrium that follows, or None and a code; and the increment."""
-        at = 1.0 if old.factor + step > 1.0 - SHORTEST else old.factor + step
+        self, data: BeamData, old: _Equilibrium, step: float, rate: np.ndarray
+    ) -> tuple[_Equilibrium | None, int, np.ndarray]:
+        """Return the next equilibrium and code 0, or None and the code of a failure; and the increment of all freedoms."""
+        at = 1.0 if old.factor + step > 1.0 - SMALLEST_STEP else old.factor + step
         x, R, f, K, predicted = old.x, old.R, old.f, old.K, 0.0
         B = element_tangents(data, self.topology, x, R, f)[1]
         total = np.zeros(6 * len(x))
@@ -142,33 +150,33 @@ class Continuation:
                 break
             move, total = torch.from_numpy(increment).reshape(-1, 6), total + increment
             df = (B @ move[self.topology.elements].flatten(1)[..., None])[..., 0]
-            f = strengths(data, self.topology, x, R) + df
+            f = screw_forces(data, self.topology, x, R) + df
             x, R = x + move[:, :3], exponential(move[:, 3:]) @ R
-            settled = np.abs(increment / self._scale).max() <= SETTLED
-            f = strengths(data, self.topology, x, R) if settled else f
+            settled = np.abs(increment / self._scale).max() <= INCREMENT_TOLERANCE
+            f = screw_forces(data, self.topology, x, R) if settled else f
             K, B = self.stiffness(data, x, R, f, at)
             if not np.isfinite(K.data).all():
                 break
             if settled:
-                new = _Balance(at, x, R, f, K)
+                new = _Equilibrium(at, x, R, f, K)
                 if not self._smooth(total, (at - old.factor) * rate, (at - old.factor) * self._rate(data, new)):
                     break
                 return (None, 2, total) if self._unstable(K) else (new, 0, total)
         return None, 3, total
 
     def _smooth(self, total: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
-        """Whether an increment is that of its rates at both ends."""
+        """Whether an increment agrees with the rates at both ends."""
         size = self._size(total)
         apart = self._size(total - 0.5 * (before + after))
-        return self._size(total - before) <= START * size and apart <= MEAN * size
+        return self._size(total - before) <= START_RATE_TOLERANCE * size and apart <= MEAN_RATE_TOLERANCE * size
 
-    def _rate(self, data: BeamData, state: _Balance) -> np.ndarray:
-        """Increment for loads that grow by 1."""
+    def _rate(self, data: BeamData, state: _Equilibrium) -> np.ndarray:
+        """Increment of all freedoms for an increase of the factor by 1."""
         more = [residual(data, self.topology, state.x, state.R, state.factor + step) for step in (1.0, 0.0)]
         return self._solve(state.K, data.imposed, more[0] - more[1])
 
     def _solve(self, K: Any, change: Tensor, missing: Tensor) -> np.ndarray:
-        """Increment of all freedoms: `change` where they are held."""
+        """Increment of all freedoms that balances the forces `missing`; held freedoms move by `change`."""
         free = self.topology.free.numpy()
         result = change.flatten().numpy().copy()
         result[free] = 0.0

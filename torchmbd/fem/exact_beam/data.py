@@ -1,7 +1,7 @@
-"""What the equilibrium of an exact beam depends on, as tensors with or without leading lanes.
+"""The data of an exact beam under loads: tensors with or without leading lanes.
 
-Axes: space is that of the mesh; a node's axes are those of the mesh before it turned; an element's end has those of its
-section there, which turn with the node.
+Axes: those of space are the axes of the mesh. The axes of a node coincide with them without load and turn with the node.
+The end of an element has the axes of its section there, which turn with the node.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from torch import Tensor
 
 
 class BeamData(NamedTuple):
-    """Numbers of a beam of n nodes and m elements and of its loads; each may have leading lanes.
+    """Tensors of a beam of n nodes and m elements and of its loads; each may have leading lanes.
 
-    stiffness  of the elements, by their screws [m, 6, 6]
+    stiffness  of the elements: forces by screws (forces.py) [m, 6, 6]
     screws     of the elements without load: from the frame at the start to that at the end [m, 6]
-    start, end axes of the sections there in the axes of the nodes, columns [m, 3, 3]
-    nodes      places without load [n, 3], m
+    start, end axes of the sections at the ends of the elements in the axes of their nodes, columns [m, 3, 3]
+    nodes      positions without load [n, 3], m
     dead       forces and moments that keep their directions, at the nodes [n, 6], N, N m
-    arms       of dead forces on arms: arm times force [n, 3, 3], N m
+    arms       sum of arm times force over dead forces that act on arms [n, 3, 3], N m
     follower   forces and moments that turn with the nodes, in their axes [n, 6]
-    mass, first, second   of the nodes: m, m a, m a a' of particles on arms a [n], [n, 3], [n, 3, 3]
+    mass, first, second   NodalMass (assemble.py) [n], [n, 3], [n, 3, 3]
     gravity    [3], m/s2
     spin, center  angular velocity [3], rad/s, about an axis through a point [3], m
     imposed    displacements and rotation vectors of held freedoms [n, 6]
@@ -48,11 +48,11 @@ class BeamData(NamedTuple):
 
     @property
     def lanes(self) -> torch.Size:
-        """Leading axes of all."""
+        """Shape of the leading axes, broadcast over all fields."""
         return torch.broadcast_shapes(*(x.shape[: x.dim() - k] for x, k in zip(self, RANKS, strict=True)))
 
-    def flat(self, lanes: torch.Size | None = None) -> list[BeamData]:
-        """The lanes one by one."""
+    def split_lanes(self, lanes: torch.Size | None = None) -> list[BeamData]:
+        """Return the data of each lane, expanded to `lanes` (default: its own)."""
         lanes = self.lanes if lanes is None else lanes
         cores = [x.shape[x.dim() - k :] for x, k in zip(self, RANKS, strict=True)]
         wide = [x.expand(*lanes, *core).reshape(-1, *core) for x, core in zip(self, cores, strict=True)]
@@ -64,15 +64,21 @@ RANKS = (3, 2, 3, 3, 2, 2, 3, 2, 1, 2, 3, 1, 1, 1, 2)
 
 
 class Topology(NamedTuple):
-    """Which nodes the elements join [m, 2], and which freedoms 6 * node + i are free [f]."""
+    """Nodes of the elements [m, 2] and free freedoms 6 * node + i [f]."""
 
     elements: Int[Tensor, "m 2"]
     free: Int[Tensor, " f"]
     symmetric: bool  # whether all loads have a potential
 
 
-def widened(size: int, in_dims: Sequence[int | None], given: Sequence[Tensor], ranks: Sequence[int]) -> list[Tensor]:
-    """Tensors of a batch of torch.func.vmap with the batch as the first of equally many leading lanes."""
+def batch_as_lane(
+    size: int, in_dims: Sequence[int | None], given: Sequence[Tensor], ranks: Sequence[int]
+) -> list[Tensor]:
+    """Move the batch dimension of torch.func.vmap to the front of each tensor, and pad leading axes to the same number.
+
+    in_dims  batch dimension of each tensor, or None
+    ranks    number of its axes that are neither batch nor lanes
+    """
     inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(given, in_dims, ranks, strict=True))
     wide = []
     for x, dim, k in zip(given, in_dims, ranks, strict=True):

@@ -26,19 +26,19 @@ from torch import Tensor
 from torchmbd.fem.exact_beam.data import BeamData, Topology
 from torchmbd.math.rigid_motion import end_map, end_wrenches, hat, logarithm, wrench_slopes
 
-# curl(a b') = a cross b
-_CURL = torch.zeros(3, 3, 3, dtype=torch.float64)
+# The permutation symbol: eps_ijk a_j b_k = a cross b
+_PERMUTATION = torch.zeros(3, 3, 3, dtype=torch.float64)
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _CURL[_i, _j, _k], _CURL[_i, _k, _j] = 1.0, -1.0
+    _PERMUTATION[_i, _j, _k], _PERMUTATION[_i, _k, _j] = 1.0, -1.0
 
 
 def curl(Y: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3"]:
-    """eps_ijk Y_jk."""
-    return torch.einsum("ijk,...jk->...i", _CURL, Y)
+    """Return eps_ijk Y_jk: a cross b of Y = a b'."""
+    return torch.einsum("ijk,...jk->...i", _PERMUTATION, Y)
 
 
-def turned(R: Float[Tensor, "*n 3 3"], by: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
-    """Rotations after small ones about axes of space: exact in the first derivative at by = 0."""
+def rotated(R: Float[Tensor, "*n 3 3"], by: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
+    """Rotate R by the small rotation vectors `by` [rad] in space: the first derivative at by = 0 is exact."""
     return R + hat(by) @ R
 
 
@@ -50,19 +50,19 @@ def screws(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> tuple[Te
 
 
 def element_wrenches(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 2 6"]:
-    """Forces and moments on the elements at their ends, in the axes of their sections."""
+    """Forces and moments on both ends of the elements, in the axes of their sections."""
     screw, _, _ = screws(data, topology, x, R)
-    return torch.stack(end_wrenches(screw, _strength(data, screw)), -2)
+    return torch.stack(end_wrenches(screw, _screw_force(data, screw)), -2)
 
 
-def inner(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 12"]:
-    """Forces and moments on the elements at both ends, in space."""
+def element_forces(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 12"]:
+    """Forces and moments on both ends of the elements, in space."""
     screw, first, second = screws(data, topology, x, R)
-    return _in_space(screw, _strength(data, screw), first, second)
+    return _in_space(screw, _screw_force(data, screw), first, second)
 
 
-def applied(data: BeamData, x: Tensor, R: Tensor, factor: Tensor | float) -> Float[Tensor, "*lanes n 6"]:
-    """Forces and moments of the loads at the nodes, `factor` times the given ones (spin: square)."""
+def load_forces(data: BeamData, x: Tensor, R: Tensor, factor: Tensor | float) -> Float[Tensor, "*lanes n 6"]:
+    """Forces and moments of the loads at the nodes, times `factor`; centrifugal ones, too, so the spin grows with its root."""
     W = hat(data.spin) @ hat(data.spin)
     first = (R @ data.first[..., None])[..., 0]
     field = data.gravity[..., None, :] - (x - data.center[..., None, :]) @ W  # W is symmetric
@@ -74,22 +74,22 @@ def applied(data: BeamData, x: Tensor, R: Tensor, factor: Tensor | float) -> Flo
 
 
 def residual(data: BeamData, topology: Topology, x: Tensor, R: Tensor, factor: Tensor | float = 1.0) -> Tensor:
-    """Forces and moments at the nodes that are not balanced [*lanes, n, 6]."""
-    outer = applied(data, x, R, factor)
-    ends = inner(data, topology, x, R).unflatten(-1, (2, 6)).flatten(-3, -2)
+    """Unbalanced forces and moments at the nodes, loads less element forces [*lanes, n, 6]."""
+    outer = load_forces(data, x, R, factor)
+    ends = element_forces(data, topology, x, R).unflatten(-1, (2, 6)).flatten(-3, -2)
     lanes = torch.broadcast_shapes(outer.shape[:-2], ends.shape[:-2])
     return outer.expand(*lanes, -1, -1).index_add(-2, topology.elements.flatten(), -ends.expand(*lanes, -1, -1))
 
 
-def strengths(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 6"]:
-    """Forces f of the elements, conjugate to their screws."""
-    return _strength(data, screws(data, topology, x, R)[0])
+def screw_forces(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 6"]:
+    """Forces f of the elements, conjugate to their screws l (module header)."""
+    return _screw_force(data, screws(data, topology, x, R)[0])
 
 
 def element_tangents(
     data: BeamData, topology: Topology, x: Tensor, R: Tensor, f: Tensor
 ) -> tuple[Float[Tensor, "m 12 12"], Float[Tensor, "m 6 12"]]:
-    """Stiffness of the elements under forces f, by displacements and rotations of the nodes in space, and df of these."""
+    """Return the stiffness of the elements under forces f by motions of their nodes in space, and the derivative of f."""
     screw, first, second = screws(data, topology, x, R)
     o = torch.zeros_like(first)
     turn = torch.cat([torch.cat([first, o, o, o], -1), torch.cat([o, first, o, o], -1)], -2)
@@ -105,15 +105,15 @@ def element_tangents(
 
 
 def load_tangents(data: BeamData, x: Tensor, R: Tensor, factor: float) -> Float[Tensor, "n 6 6"]:
-    """What loads lose by displacements and rotations of the nodes: minus the derivatives of `applied`."""
+    """Minus the derivatives of `load_forces` by displacements and rotations of the nodes."""
     W = hat(data.spin) @ hat(data.spin)
     first = hat((R @ data.first[..., None])[..., 0])
     field = hat(data.gravity[..., None, :] - (x - data.center[..., None, :]) @ W)
     force, moment = (hat((R @ v[..., None])[..., 0]) for v in data.follower.split(3, -1))
     second = R @ data.second @ R.mT
     E = hat(torch.eye(3, dtype=torch.float64))  # [axis, 3, 3]
-    turned_second = E @ second[..., None, :, :] + second[..., None, :, :] @ E.mT
-    couples = curl(E @ (R @ data.arms)[..., None, :, :] - turned_second @ W).mT
+    rotated_second = E @ second[..., None, :, :] + second[..., None, :, :] @ E.mT
+    couples = curl(E @ (R @ data.arms)[..., None, :, :] - rotated_second @ W).mT
     upper = torch.cat([data.mass[..., None, None] * W, force - W @ first], -1)
     lower = torch.cat([first @ W, moment - couples - field @ first], -1)
     return factor * torch.cat([upper, lower], -2)
@@ -123,7 +123,7 @@ def _screw(apart: Tensor, first: Tensor, second: Tensor) -> Tensor:
     return logarithm((first.mT @ apart[..., None])[..., 0], first.mT @ second)
 
 
-def _strength(data: BeamData, screw: Tensor) -> Tensor:
+def _screw_force(data: BeamData, screw: Tensor) -> Tensor:
     return (data.stiffness @ (screw - data.screws)[..., None])[..., 0]
 
 

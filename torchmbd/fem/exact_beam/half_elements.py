@@ -1,6 +1,7 @@
-"""The mass of a beam at its nodes: each node carries the halves of its elements, as rigid bodies.
+"""Mass of a beam at its nodes: each node carries the adjacent halves of its elements as rigid bodies.
 
-    h / 2 of an element, of mass m, first moment S and second moment P per length about the line, tangent t away from the node:
+Half an element has the length h / 2, the mass m, first moment S and second moment P about the line per length, and the tangent
+t that points away from the node. Its mass and moments about the node are
 
     mass    m h/2        first   h/2 (S + m h/4 t)        second   h/2 (P + h/4 (t S' + S t') + m h^2/12 t t')
 
@@ -13,16 +14,18 @@ from __future__ import annotations
 import torch
 
 from torchmbd.fem.elements import BeamLine
-from torchmbd.fem.exact_beam.assemble import NodalMass, gathered
-from torchmbd.fem.exact_beam.sections import Elements, SpanSections
+from torchmbd.fem.exact_beam.assemble import NodalMass, sum_at_nodes
+from torchmbd.fem.exact_beam.sections import ElementProperties, SpanSections
 
 
-def rigid_halves(line: BeamLine, sections: SpanSections, made: Elements) -> NodalMass:
-    """Moments of the nodes, in mesh axes about the nodes."""
+def half_element_masses(line: BeamLine, sections: SpanSections, elements: ElementProperties) -> NodalMass:
+    """Masses, first and second moments of the nodes, about them, in mesh axes."""
     ends = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    W = made.to_line @ sections.mass(made.matrices.length, ends) @ made.to_line.mT  # in the axes of the line
-    Q = made.matrices.frames(ends).mT
-    m, b = W[..., 0, 0], 0.5 * made.matrices.length[..., None].expand(W.shape[:-2])
+    W = (
+        elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
+    )  # in the axes of the line
+    Q = elements.matrices.frames(ends).mT
+    m, b = W[..., 0, 0], 0.5 * elements.matrices.length[..., None].expand(W.shape[:-2])
     S = (Q @ torch.stack([W[..., 1, 5], W[..., 2, 3], W[..., 0, 4]], -1)[..., None])[..., 0]
     J = W[..., 3:, 3:]
     P = 0.5 * J.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] * torch.eye(3, dtype=torch.float64) - J
@@ -34,4 +37,4 @@ def rigid_halves(line: BeamLine, sections: SpanSections, made: Elements) -> Noda
     second = wide * (Q @ P @ Q.mT + 0.5 * wide * (both + both.mT) + (m / 3.0)[..., None, None] * wide**2 * along)
     n, where = len(line.nodes), line.elements.flatten()
     parts = ((m * b, 0), (first, 1), (second, 2))
-    return NodalMass(*(gathered(x, where, n, k) for x, k in parts))
+    return NodalMass(*(sum_at_nodes(x, where, n, k) for x, k in parts))

@@ -22,7 +22,7 @@ Supports = Mapping[Any, str | Sequence[float | None]]
 
 
 def nodes_of(line: BeamLine, given: Any) -> list[int]:
-    """Nodes of a name, a number, or a tuple of these."""
+    """Return the nodes that a name, a number, or a tuple of these stands for."""
     if isinstance(given, str):
         return list(line.node_set(given))
     if isinstance(given, tuple | list):
@@ -32,31 +32,31 @@ def nodes_of(line: BeamLine, given: Any) -> list[int]:
     return [int(given)]
 
 
-def wrench(name: str, given: Any) -> Float[Tensor, "*lanes 6"]:
-    """A force, or force and moment, with its gradient; InputError names the argument."""
+def read_wrench(name: str, given: Any) -> Float[Tensor, "*lanes 6"]:
+    """Read a force, or force and moment, with its gradient; InputError names the argument."""
     x = differentiable_reals(name, given, "3 or 6 finite numbers")
     if x.dim() == 0 or x.shape[-1] not in (3, 6) or not all_true(torch.isfinite(x)):
         raise InputError(f"{name} is {given!r}; allowed: 3 or 6 finite numbers")
     return x if x.shape[-1] == 6 else torch.cat([x, torch.zeros_like(x)], -1)
 
 
-def vector(name: str, given: Any) -> Float[Tensor, " 3"]:
-    """Three numbers, with their gradient."""
+def read_vector(name: str, given: Any) -> Float[Tensor, " 3"]:
+    """Read three numbers with their gradient."""
     x = differentiable_reals(name, given, "three finite numbers")
     if x.shape != (3,) or not all_true(torch.isfinite(x)):
         raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
     return x
 
 
-def nodal(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor, "n 6"]:
-    """Loads of nodes; a set shares its load evenly."""
+def nodal_loads(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor, "n 6"]:
+    """Return the loads of all nodes; the nodes of a set share its load evenly."""
     total = torch.zeros(len(line.nodes), 6, dtype=torch.float64)
     if loads is None:
         return total
     if not isinstance(loads, Mapping):
         raise InputError(f"{name} is {loads!r}; allowed: nodes -> force, or force and moment")
     for where, given in loads.items():
-        own = wrench(f"{name}[{where!r}]", given)
+        own = read_wrench(f"{name}[{where!r}]", given)
         if own.shape != (6,):
             raise InputError(f"{name}[{where!r}] has shape {tuple(own.shape)}; allowed: 3 or 6 numbers")
         nodes = nodes_of(line, where)
@@ -64,12 +64,12 @@ def nodal(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor, "n 6"
     return total
 
 
-def along(name: str, line: BeamLine, given: Any) -> Float[Tensor, "m 6"]:
-    """Loads per length of the elements."""
+def line_loads(name: str, line: BeamLine, given: Any) -> Float[Tensor, "m 6"]:
+    """Return the loads per length of all elements."""
     m = len(line.elements)
     if given is None:
         return torch.zeros(m, 6, dtype=torch.float64)
-    own = wrench(name, given)
+    own = read_wrench(name, given)
     if own.shape not in ((6,), (m, 6)):
         raise InputError(
             f"{name} has shape {tuple(own.shape)}; allowed: 3 or 6 numbers, or as many for each of {m} elements"
@@ -77,8 +77,8 @@ def along(name: str, line: BeamLine, given: Any) -> Float[Tensor, "m 6"]:
     return own.expand(m, 6)
 
 
-def held(name: str, line: BeamLine, supports: Supports | None) -> tuple[list[int], Float[Tensor, "n 6"]]:
-    """Freedoms 6 * node + i that are held, and where [n, 6]; default: all of the node "start"."""
+def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> tuple[list[int], Float[Tensor, "n 6"]]:
+    """Return the held freedoms 6 * node + i, and the imposed displacements and rotations [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
         raise InputError(f"supports of {name!r} is {supports!r}; allowed: nodes -> freedoms, at least one")

@@ -18,7 +18,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamSection, GivenSection
 from torchmbd.math.checked_numbers import reals
 
-#: Places of our axes (x along the beam, y, z) among those of BeamDyn (z along the blade, x, y): of forces and moments.
+#: Indices of our forces and moments (x along the beam, y, z) among those of BeamDyn (z along the blade, x, y).
 _BEAMDYN = [2, 0, 1, 5, 3, 4]
 
 
@@ -114,7 +114,7 @@ def _section(position: float, given: Any) -> Any:
 
 
 def _stations(file: Path) -> list[np.ndarray]:
-    """Position, stiffness and mass of each station: 73 numbers."""
+    """Read position, stiffness and mass of each station: 73 numbers."""
     if not file.is_file():
         raise InputError(f"file is {str(file)!r}; allowed: a BeamDyn blade file that exists")
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()

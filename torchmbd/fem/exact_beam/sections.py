@@ -1,4 +1,4 @@
-"""The sections of an exact beam along its line, and what its elements are made of.
+"""The sections of an exact beam along its line, and the properties of its elements.
 
 Checked in tests/fem/exact_beam/test_section_table.py.
 """
@@ -21,9 +21,9 @@ from torchmbd.math.rigid_motion import LARGEST, logarithm
 
 
 class SpanSections:
-    """One section, one for each element, or a table along a chain.
+    """The sections along a beam: one for all elements, one for each, or a table along a chain.
 
-    modules   by the names of their parameters: "section", or "section0", ...
+    modules   the sections by name: "section", or "section0", "section1", ...
     tapered   whether the section varies within an element
     """
 
@@ -51,7 +51,7 @@ class SpanSections:
         self.modules = dict(zip(names, self._own, strict=True))
 
     def stiffness(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
-        """Of the sections at parts t of the elements; InputError where one is not positive definite."""
+        """Stiffness at parts t of the elements; InputError where it is not positive definite."""
         at = positions(length, t)
         found = self._at("stiffness", at)
         good = torch.linalg.cholesky_ex(untransformed(found))[1] == 0
@@ -80,16 +80,20 @@ class SpanSections:
 
 
 def positions(length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g"]:
-    """Parts of the whole length of a chain, at parts t of its elements."""
+    """Return the positions of parts t of the elements, as parts of the whole length of a chain."""
     end = length.cumsum(-1)
     return ((end - length)[..., None] + t * length[..., None]) / end[..., -1:, None]
 
 
-class Elements(NamedTuple):
-    """Elements in the present design: stiffness by screws, screws without load, axes at the ends, and what recovers forces.
+class ElementProperties(NamedTuple):
+    """Properties of the elements in the present design.
 
-    recover  (N, V_y, V_z, T, M_y, M_z) of the section from force and moment in the axes of the end [m, 2, 6, 6]
-    matrices, to_line   of the linear element, and W of its sections at its ends [m, 2, 6, 6]
+    stiffness  forces by screws (forces.py) [m, 6, 6]
+    screws     without load [m, 6]
+    axes       of the sections at both ends, in mesh axes, columns [m, 2, 3, 3]
+    recover    maps force and moment in the axes of an end to (N, V_y, V_z, T, M_y, M_z) of its section [m, 2, 6, 6]
+    matrices   the linear elements
+    to_line    W (beam_section.py) of the sections at both ends [m, 2, 6, 6]
     """
 
     stiffness: Float[Tensor, "*lanes m 6 6"]
@@ -103,8 +107,13 @@ class Elements(NamedTuple):
 _ENDS = torch.tensor([0.0, 1.0], dtype=torch.float64)
 
 
-def elements(sections: SpanSections, matrices: BeamMatrices, offset: Tensor, twist: Tensor, nodes: Tensor) -> Elements:
-    """Of matrices at the present nodes; offset [2] or [m, 2]; twist [], [m], [m, 2].
+def element_properties(
+    sections: SpanSections, matrices: BeamMatrices, offset: Tensor, twist: Tensor, nodes: Tensor
+) -> ElementProperties:
+    """Return the properties of the elements.
+
+    matrices       the linear elements at the present nodes
+    offset, twist  of the sections [2] or [m, 2]; [], [m] or [m, 2]
 
     Raises InputError where an element turns by more than LARGEST, or a section is not positive definite.
     """
@@ -130,16 +139,16 @@ def elements(sections: SpanSections, matrices: BeamMatrices, offset: Tensor, twi
     screws = logarithm((first.mT @ apart[..., None])[..., 0], relative)
     to_line = line_transform(offset, ends)
     recover = torch.linalg.inv(to_line) @ block(turn)
-    return Elements(balanced_inverse(compliance), screws, axes, recover, matrices, to_line)
+    return ElementProperties(balanced_inverse(compliance), screws, axes, recover, matrices, to_line)
 
 
 def _turn(twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 3 3"]:
-    """Axes of sections in those of the beam, columns."""
+    """Axes of sections that are twisted [rad], in the axes of the beam, columns."""
     c, s, o = torch.cos(twist), torch.sin(twist), torch.zeros_like(twist)
     return torch.stack([o + 1.0, o, o, o, c, -s, o, s, c], -1).unflatten(-1, (3, 3))
 
 
 def block(A: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:
-    """A for forces and for moments."""
+    """Return diag(A, A), which maps forces and moments."""
     o = torch.zeros_like(A)
     return torch.cat([torch.cat([A, o], -1), torch.cat([o, A], -1)], -2)

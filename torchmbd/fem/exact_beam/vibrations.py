@@ -25,23 +25,23 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.exact_beam.continuation import Continuation
-from torchmbd.fem.exact_beam.data import RANKS, BeamData, Topology, widened
-from torchmbd.fem.exact_beam.forces import element_tangents, load_tangents, strengths
+from torchmbd.fem.exact_beam.data import RANKS, BeamData, Topology, batch_as_lane
+from torchmbd.fem.exact_beam.forces import element_tangents, load_tangents, screw_forces
 from torchmbd.math.rigid_motion import hat
 
-SMALL = 240  # freedoms; below, a dense method costs no more
-GUARD = 4  # frequencies beyond those asked for, so that the members of a cluster are known
-CLOSE = 1e-6  # frequencies that coincide
+SMALL = 240  # freedoms; up to this number a dense method costs no more
+GUARD = 4  # additional frequencies, so that all members of a cluster are known
+CLOSE = 1e-6  # relative distance of frequencies that count as coinciding
 
 
 def frequencies(
     search: Continuation, data: BeamData, x: Tensor, R: Tensor, number: int
 ) -> Float[Tensor, "*lanes number"]:
-    """The lowest w [rad/s] at equilibria x, R; nan where there is none."""
+    """Return the lowest circular frequencies w [rad/s] at equilibria x, R; nan where there is none."""
     with torch.no_grad():
         w, real, imaginary = _Modes.apply(search, number, *data, x, R)
     topology = search.topology
-    elements = element_tangents(data, topology, x, R, strengths(data, topology, x, R))[0][..., None, :, :, :]
+    elements = element_tangents(data, topology, x, R, screw_forces(data, topology, x, R))[0][..., None, :, :, :]
     loads = load_tangents(data, x, R, 1.0)[..., None, :, :, :]
     M, G = (A[..., None, :, :, :] for A in inertia(data, R))
     bending, weight = 0.0, 0.0
@@ -58,7 +58,7 @@ def frequencies(
 
 
 def inertia(data: BeamData, R: Tensor) -> tuple[Float[Tensor, "*lanes n 6 6"], Float[Tensor, "*lanes n 6 6"]]:
-    """M and G at the nodes."""
+    """Return M and G of the nodes."""
     one = torch.eye(3, dtype=torch.float64)
     S = hat((R @ data.first[..., None])[..., 0])
     J = R @ data.second @ R.mT
@@ -81,7 +81,7 @@ def _form(A: Tensor, u: Tensor, v: Tensor) -> Float[Tensor, "*lanes number"]:
 
 
 class _Modes(torch.autograd.Function):
-    """w [*lanes, k], and real and imaginary parts of the modes [*lanes, k, n, 6]: numbers without a derivative."""
+    """w [*lanes, k], and real and imaginary parts of the modes [*lanes, k, n, 6]; not differentiable."""
 
     @staticmethod
     def forward(search: Continuation, number: int, *given: Tensor) -> tuple[Tensor, ...]:
@@ -89,7 +89,7 @@ class _Modes(torch.autograd.Function):
         own = BeamData(*data)
         lanes = torch.broadcast_shapes(own.lanes, x.shape[:-2])
         x, R = (y.expand(*lanes, *y.shape[-k:]).reshape(-1, *y.shape[-k:]) for y, k in ((x, 2), (R, 3)))
-        rows = [_modes(search, *one, number) for one in zip(own.flat(lanes), x, R, strict=True)]
+        rows = [_modes(search, *one, number) for one in zip(own.split_lanes(lanes), x, R, strict=True)]
         return tuple(torch.stack(y).reshape((*lanes, *y[0].shape)) for y in zip(*rows, strict=True))
 
     @staticmethod
@@ -106,19 +106,19 @@ class _Modes(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, search: Continuation, number: int, *given: Tensor) -> Any:
-        wide = widened(info.batch_size, in_dims[2:], given, (*RANKS, 2, 3))
+        wide = batch_as_lane(info.batch_size, in_dims[2:], given, (*RANKS, 2, 3))
         return _Modes.apply(search, number, *wide), (0,) * 3
 
 
 def _modes(search: Continuation, data: BeamData, x: Tensor, R: Tensor, number: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Of one lane."""
+    """Return w, and real and imaginary parts of the modes, of one lane."""
     topology, n = search.topology, len(x)
     k = min(number + GUARD, len(topology.free))
     shape = np.zeros((k, 6 * n), dtype=complex)
     w = np.full(k, np.nan)
     if bool(torch.isfinite(x).all()):
         free = topology.free.numpy()
-        K = search.stiffness(data, x, R, strengths(data, topology, x, R), 1.0)[0][free][:, free]
+        K = search.stiffness(data, x, R, screw_forces(data, topology, x, R), 1.0)[0][free][:, free]
         M, G = (_sparse(A, topology) for A in inertia(data, R))
         w, vectors = _lowest(0.5 * (K + K.T), M, G, k)
         shape[:, free] = vectors.T
@@ -132,7 +132,7 @@ def _sparse(A: Float[Tensor, "n 6 6"], topology: Topology) -> Any:
 
 
 def _lowest(K: Any, M: Any, G: Any, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """w B y = -i S y with y = (q', q), B = diag(M, K), S = [[-G, -K], [K, 0]]: the k lowest w > 0, and q [N, k]."""
+    """Solve w B y = -i S y, y = (q', q), B = diag(M, K), S = [[-G, -K], [K, 0]]: the k lowest w > 0, and q [N, k]."""
     N = M.shape[0]
     unit = float(np.sqrt((K.diagonal() / M.diagonal()).min()))  # of w: B has entries of one size
     K, G = K / unit**2, G / unit

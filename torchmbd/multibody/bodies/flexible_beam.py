@@ -19,8 +19,8 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.elements.beam_nodes import varying_nodes
 from torchmbd.fem.exact_beam import ExactBeam
-from torchmbd.fem.exact_beam.half_elements import rigid_halves
-from torchmbd.fem.exact_beam.sections import Elements
+from torchmbd.fem.exact_beam.half_elements import half_element_masses
+from torchmbd.fem.exact_beam.sections import ElementProperties
 from torchmbd.math.checked_numbers import nonnegative
 from torchmbd.multibody.bodies.frame import Frame, identifier, put, rotation, vector
 from torchmbd.multibody.bodies.rigid import RigidBody
@@ -55,7 +55,7 @@ class Structure(NamedTuple):
     first: Float[Tensor, "*lanes n 3"]
     second: Float[Tensor, "*lanes n 3 3"]
     data: dict[str, Tensor]
-    elements: Elements
+    elements: ElementProperties
 
     def inertia(self, node: int) -> dict[str, Tensor]:
         """Of a node, keys as of RigidBody."""
@@ -138,14 +138,14 @@ class FlexibleBeam(ExactBeam):
         >>> float(beam.structure().mass.sum())  # [kg]
         0.785
         """
-        made = self._elements()
-        nodal = rigid_halves(self.mesh, self.sections, made)
+        elements = self._elements()
+        nodal = half_element_masses(self.mesh, self.sections, elements)
         data = {
-            "beam_stiffness": made.stiffness,
-            "beam_rest": made.screws,
-            "beam_start": made.axes[..., 0, :, :],
-            "beam_end": made.axes[..., 1, :, :],
+            "beam_stiffness": elements.stiffness,
+            "beam_rest": elements.screws,
+            "beam_start": elements.axes[..., 0, :, :],
+            "beam_end": elements.axes[..., 1, :, :],
         }
         if self.damping:
             data["beam_damping"] = torch.full((len(self.mesh.elements),), self.damping, dtype=torch.float64)
-        return Structure(*nodal, data, made)
+        return Structure(*nodal, data, elements)

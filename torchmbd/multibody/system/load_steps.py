@@ -18,7 +18,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.fem.exact_beam.continuation import ITERATIONS, MEAN, SETTLED, SHORTEST, START, STEEP, TURN
+from torchmbd.fem.exact_beam.continuation import (
+    INCREMENT_TOLERANCE,
+    ITERATIONS,
+    LARGEST_TURN,
+    LIMIT_POINT_RATE,
+    MEAN_RATE_TOLERANCE,
+    SMALLEST_STEP,
+    START_RATE_TOLERANCE,
+)
 from torchmbd.math.pair import Pair, matvec, matvec_t
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.system import beams, equations
@@ -72,8 +80,13 @@ class LoadSteps:
         while point.factor < 1.0:
             rate = self._rate(point.q, point.rest)
             turn = float(rate[self.rotations].abs().max())
-            step, why, found, total = min(1.0 - point.factor, largest, TURN / max(turn, 1e-300)), _FAILED, None, moved
-            while step >= SHORTEST:
+            step, why, found, total = (
+                min(1.0 - point.factor, largest, LARGEST_TURN / max(turn, 1e-300)),
+                _FAILED,
+                None,
+                moved,
+            )
+            while step >= SMALLEST_STEP:
                 found, why, total = self._step(point, step, rate)
                 if found is not None:
                     break
@@ -84,7 +97,7 @@ class LoadSteps:
         return LoadPath(point.q, 1.0, "")
 
     def _failure(self, point: _Point, why: str, rate: Tensor, moved: Tensor) -> str:
-        steep = self._size(rate) * point.factor > STEEP * self._size(moved)
+        steep = self._size(rate) * point.factor > LIMIT_POINT_RATE * self._size(moved)
         where = f"at {point.factor:.4g} of the loads"
         if why == _UNSTABLE:
             return f"the mechanism buckles {where}"
@@ -92,7 +105,7 @@ class LoadSteps:
 
     def _step(self, old: _Point, step: float, rate: Tensor) -> tuple[_Point | None, str, Tensor]:
         """The equilibrium that follows, or None and why; and the increment."""
-        at = 1.0 if old.factor + step > 1.0 - SHORTEST else old.factor + step
+        at = 1.0 if old.factor + step > 1.0 - SMALLEST_STEP else old.factor + step
         q, predicted, total = old.q, 0.0, torch.zeros_like(self.forces)
         rest = self._rest(q, at)
         for _ in range(ITERATIONS):
@@ -103,7 +116,7 @@ class LoadSteps:
                 break
             forces, total = self._extrapolated(q, move), total + move
             q = equations.advance(self.dynamics.topology, q[:, None, None], move[:, None, None])[:, 0, 0]
-            settled = float((move / self.scale).abs().max()) <= SETTLED
+            settled = float((move / self.scale).abs().max()) <= INCREMENT_TOLERANCE
             rest = self._rest(q, at, None if settled else forces)
             if not bool(torch.isfinite(rest.K).all()):
                 break
@@ -112,7 +125,7 @@ class LoadSteps:
             new = _Point(at, q, rest)
             before, after = ((at - old.factor) * x for x in (rate, self._rate(q, rest)))
             size, apart = self._size(total), self._size(total - 0.5 * (before + after))
-            if self._size(total - before) > START * size or apart > MEAN * size:
+            if self._size(total - before) > START_RATE_TOLERANCE * size or apart > MEAN_RATE_TOLERANCE * size:
                 break
             return (None, _UNSTABLE, total) if _unstable(rest) else (new, "", total)
         return None, _FAILED, total
