@@ -1,4 +1,4 @@
-"""The slider-crank of experiments/benchmark_beams.py in Exudyn: its geometrically exact beam, or its ANCF cable, as rod.
+"""The slider-crank of experiments/benchmark/beams.py in Exudyn: its geometrically exact beam, or its ANCF cable, as rod.
 
 Everything is chosen in Exudyn's favor: its fast binary, one thread, a crank and a slider of one coordinate each, nodes with
 Euler parameters, the sparse solver, modified Newton, a tolerance of 1e-6 (with its default of 1e-8 small steps fail). Only the

@@ -1,4 +1,4 @@
-"""The same mechanisms in Exudyn, a C++ multibody code: what experiments/benchmark.py compares with.
+"""The same mechanisms in Exudyn, a C++ multibody code: what experiments/benchmark/ compares with.
 
 A flexible body is an ObjectFFRFreducedOrder whose mode shapes, reduced stiffness and nodal masses come from torchmbd's
 structure stage. Exudyn has translations of nodes only: the rotary inertia of the nodes enters the modal mass (the modes
@@ -295,7 +295,7 @@ def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Call
 
 
 def chain(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
-    """The same for the pendulum chains of experiments/benchmark_cases.py."""
+    """The same for the pendulum chains of experiments/benchmark/cases.py."""
     names = [body.name for body in system.bodies]
     bodies = [reduced(system, name, designs) for name in names]
     lanes = max(len(lane) for lane in bodies)

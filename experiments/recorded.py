@@ -24,7 +24,7 @@ from pathlib import Path
 
 import torch
 
-from experiments.benchmark import machine
+from experiments.benchmark.report import machine
 
 ROOT = Path(__file__).parents[1]
 _MARK = re.compile(r"<!-- recorded: (?P<command>.+?) -->\n(?P<text>.*?)<!-- end -->", re.DOTALL)

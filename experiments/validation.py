@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 
 from experiments import recorded
-from experiments.benchmark import machine
+from experiments.benchmark.report import machine
 from experiments.paper.part import Finding, Row
 from experiments.paper.parts import chosen, run
 from experiments.paper.report import number_text

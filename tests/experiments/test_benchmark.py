@@ -10,16 +10,13 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments import (
-    benchmark,
-    benchmark_costs,
-    benchmark_motion,
-    benchmark_multistart,
-    exudyn_peer,
-    slider_crank,
-)
-from experiments.benchmark_cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
-from experiments.benchmark_report import Settings
+from experiments import exudyn_peer, slider_crank
+from experiments.benchmark import __main__ as benchmark
+from experiments.benchmark import costs as benchmark_costs
+from experiments.benchmark import motion as benchmark_motion
+from experiments.benchmark import multistart as benchmark_multistart
+from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
+from experiments.benchmark.report import Settings
 
 
 @pytest.fixture(autouse=True)

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.benchmark_beams import DURATION, deflection, off_the_chord, peer, slider_crank
-from experiments.benchmark_cases import motion, motion_backwards
+from experiments.benchmark.beams import DURATION, deflection, off_the_chord, peer, slider_crank
+from experiments.benchmark.cases import motion, motion_backwards
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

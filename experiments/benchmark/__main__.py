@@ -36,33 +36,31 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 from rich.console import Console
 
 import torchmbd as mbd
-from experiments import benchmark_chains, benchmark_motion, exudyn_peer
-from experiments import benchmark_costs as costs
-from experiments.benchmark_adjoint import adjoint
-from experiments.benchmark_angles import many_angles
-from experiments.benchmark_batches import batches
-from experiments.benchmark_beams import beams
-from experiments.benchmark_integrators import work_precision
-from experiments.benchmark_load_cases import load_cases
-from experiments.benchmark_multistart import multistart
-from experiments.benchmark_report import Result, Settings
-from experiments.benchmark_stiffening import stiffening
+from experiments import exudyn_peer
+from experiments.benchmark import chains, costs, motion
+from experiments.benchmark.adjoint import adjoint
+from experiments.benchmark.angles import many_angles
+from experiments.benchmark.batches import batches
+from experiments.benchmark.beams import beams
+from experiments.benchmark.integrators import work_precision
+from experiments.benchmark.load_cases import load_cases
+from experiments.benchmark.multistart import multistart
+from experiments.benchmark.report import Result, Settings, machine
+from experiments.benchmark.stiffening import stiffening
 
 PARTS: dict[str, Callable[[Settings], Result]] = {
-    "motion": benchmark_motion.slider_crank_part,
-    "motion8": benchmark_motion.eight_part,
-    "pendulum": benchmark_motion.pendulum_part,
+    "motion": motion.slider_crank_part,
+    "motion8": motion.eight_part,
+    "pendulum": motion.pendulum_part,
     "multistart": multistart,
     "structure": costs.structure,
     "variables": costs.variables,
@@ -73,10 +71,10 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "stiffening": stiffening,
     "mesh": costs.mesh,
     "chain": costs.chain,
-    "chains": benchmark_chains.chains,
-    "loops": benchmark_chains.closed,
+    "chains": chains.chains,
+    "loops": chains.closed,
     "beams": beams,
-    "build": benchmark_chains.build,
+    "build": chains.build,
     "gradients": costs.gradient_error,
     "start": costs.start,
     "memory": costs.memory,
@@ -130,15 +128,6 @@ FIGURES = (
     "pendulum_6x32",
     "pendulum_values_x32",
 )
-
-
-def machine() -> str:
-    """Processor and number of cores."""
-    name = platform.processor() or platform.machine()
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
-    return f"{name}, {os.cpu_count()} cores"
 
 
 def versions(peer: bool) -> dict[str, str | None]:

@@ -1,9 +1,13 @@
-"""What a part of the benchmark returns: figures for the JSON object, and tables for people."""
+"""What a part of the benchmark returns: figures for the JSON object, and tables for people; the machine that ran it."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -58,3 +62,12 @@ def _text(cell: Cell) -> str:
 def ratio(a: float | None, b: float | None) -> float | None:
     """a / b, None where one of them was not measured."""
     return None if a is None or b is None else a / b
+
+
+def machine() -> str:
+    """Processor and number of cores."""
+    name = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
+    return f"{name}, {os.cpu_count()} cores"

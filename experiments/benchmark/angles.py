@@ -1,7 +1,7 @@
 """Many design variables: `backward()` of one response by the ply angles of every zone of a rod, in simulations.
 
 Structure stage included, one design. The rod of the slider-crank in 24x4 cells, each a zone of three plies: 288 angles; and in
-82x20 cells, 1,000 zones: 3,000 angles. `python -m experiments.benchmark_angles 24 4 24 4` is the fresh process of a case.
+82x20 cells, 1,000 zones: 3,000 angles. `python -m experiments.benchmark.angles 24 4 24 4` is the fresh process of a case.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 
 import torchmbd as mbd
-from experiments.benchmark_cases import compilation, interleaved
-from experiments.benchmark_report import Grid, Result, Settings
+from experiments.benchmark.cases import compilation, interleaved
+from experiments.benchmark.report import Grid, Result, Settings
 from experiments.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
 from torchmbd.fem.elements import Plates
 from torchmbd.math.codegen.compiler import unavailable
@@ -92,8 +92,8 @@ def many_angles(settings: Settings) -> Result:
 
 def _fresh(*sizes: str) -> dict[str, float]:
     """Of a fresh process, whose memory is that of the case alone."""
-    command = [sys.executable, "-W", "ignore", "-m", "experiments.benchmark_angles", *sizes]
-    root = Path(__file__).parent.parent
+    command = [sys.executable, "-W", "ignore", "-m", "experiments.benchmark.angles", *sizes]
+    root = Path(__file__).parents[2]
     found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
     return json.loads(found.stdout.splitlines()[-1])
 

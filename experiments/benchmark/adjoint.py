@@ -11,8 +11,8 @@ import time
 import torch
 
 import torchmbd as mbd
-from experiments.benchmark_cases import compilation, compiled_ready, crank3, differentiable_motion, interleaved
-from experiments.benchmark_report import Cell, Grid, Result, Settings
+from experiments.benchmark.cases import compilation, compiled_ready, crank3, differentiable_motion, interleaved
+from experiments.benchmark.report import Cell, Grid, Result, Settings
 from torchmbd.integrate.native import library
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from experiments.benchmark_cases import (
+from experiments.benchmark.cases import (
     Case,
     compilation,
     compiled_ready,
@@ -26,7 +26,7 @@ from experiments.benchmark_cases import (
     motion_backwards,
     pendulum,
 )
-from experiments.benchmark_report import Grid, Result, Settings, ratio
+from experiments.benchmark.report import Grid, Result, Settings, ratio
 
 ACCURACY = 5e-4
 LADDER = (200, 300, 400, 500, 600, 800, 1000, 1400, 2000)

@@ -12,8 +12,8 @@ from typing import Any
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.benchmark_cases import Case, compilation, crank3
-from experiments.benchmark_report import Cell, Grid, Result, Settings
+from experiments.benchmark.cases import Case, compilation, crank3
+from experiments.benchmark.report import Cell, Grid, Result, Settings
 
 OUTPUTS = 50
 GIVEN_STEPS = {"generalized_alpha": (50, 100, 200, 400), "rk4": (150, 300), "heun3": (200, 400)}

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 
 import torchmbd as mbd
-from experiments.benchmark_cases import compilation, compiled_ready, measures
-from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
+from experiments.benchmark.cases import compilation, compiled_ready, measures
+from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
 from experiments.slider_crank import DURATION, build
 from torchmbd.optimization import Evaluation
 from torchmbd.process import use_one_thread

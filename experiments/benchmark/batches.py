@@ -14,8 +14,8 @@ import torch
 
 import torchmbd as mbd
 from experiments import slider_crank
-from experiments.benchmark_cases import compilation, crank3, interleaved
-from experiments.benchmark_report import Cell, Grid, Result, Settings
+from experiments.benchmark.cases import compilation, crank3, interleaved
+from experiments.benchmark.report import Cell, Grid, Result, Settings
 from torchmbd.design.response import Measure
 from torchmbd.math.codegen.compiler import unavailable
 

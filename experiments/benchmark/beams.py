@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 import torchmbd as mbd
-from experiments.benchmark_cases import (
+from experiments.benchmark.cases import (
     Case,
     compilation,
     compiled_ready,
@@ -29,8 +29,8 @@ from experiments.benchmark_cases import (
     motion,
     motion_backwards,
 )
-from experiments.benchmark_motion import accuracy
-from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
+from experiments.benchmark.motion import accuracy
+from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
 from experiments.exudyn_beams import CRANK, INERTIA, ROD, SLIDER, TORQUE, Rod, simulations
 from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.multibody.system import Dynamics

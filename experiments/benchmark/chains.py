@@ -5,7 +5,7 @@ chain_N, closed_loops   how many times as fast as Exudyn at equal accuracy, per 
 build_s, cached_s       from nothing in the cache, and from libraries in the cache, to native steps: the slowest of the chain of
                         50 and the closed loops, in fresh processes
 
-Accuracy as in benchmark_motion.py, of one design. A gradient costs the peer n + 1 simulations; here it is that by the numbers
+Accuracy as in motion.py, of one design. A gradient costs the peer n + 1 simulations; here it is that by the numbers
 of the reduced models, as the structure stage is counted for neither.
 """
 
@@ -17,7 +17,7 @@ from functools import partial
 
 import torch
 
-from experiments.benchmark_cases import (
+from experiments.benchmark.cases import (
     Case,
     compilation,
     compiled_ready,
@@ -28,8 +28,8 @@ from experiments.benchmark_cases import (
     motion_backwards,
     pendulum,
 )
-from experiments.benchmark_motion import accuracy
-from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
+from experiments.benchmark.motion import accuracy
+from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
 from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair
 
@@ -113,7 +113,7 @@ def _varying() -> tuple[str, ...]:
 
 def build(settings: Settings) -> Result:
     """build_s and cached_s."""
-    from experiments.benchmark_costs import fresh
+    from experiments.benchmark.costs import fresh
 
     figures: dict[str, float | None] = dict.fromkeys(("build_s", "cached_s"))
     if settings.quick or unavailable() is not None:

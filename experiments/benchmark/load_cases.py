@@ -14,9 +14,9 @@ import torch
 
 import torchmbd as mbd
 from experiments import exudyn_peer, slider_crank
-from experiments.benchmark_cases import Case, compilation, interleaved
-from experiments.benchmark_motion import Row, measured
-from experiments.benchmark_report import Grid, Result, Settings
+from experiments.benchmark.cases import Case, compilation, interleaved
+from experiments.benchmark.motion import Row, measured
+from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.math.codegen.compiler import unavailable
 
 DURATION, STEPS = 0.4, 200

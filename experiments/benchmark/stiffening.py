@@ -8,8 +8,8 @@ import torch
 
 import torchmbd as mbd
 from experiments import slider_crank
-from experiments.benchmark_cases import compilation, interleaved
-from experiments.benchmark_report import Grid, Result, Settings
+from experiments.benchmark.cases import compilation, interleaved
+from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.math.codegen.compiler import unavailable
 
 LANES, FEW, MANY = 32, 400, 4400

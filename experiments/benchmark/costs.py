@@ -1,6 +1,6 @@
 """What things cost: structure stage, one more variable, a finer mesh, a longer chain, the start, memory, compilation.
 
-`python -m experiments.benchmark_costs first-step` and `... memory LANES` are the fresh processes that `start` and
+`python -m experiments.benchmark.costs first-step` and `... memory LANES` are the fresh processes that `start` and
 `memory` measure.
 """
 
@@ -22,7 +22,7 @@ import torch
 
 import torchmbd as mbd
 from experiments import exudyn_peer, gradients, slider_crank
-from experiments.benchmark_cases import (
+from experiments.benchmark.cases import (
     Case,
     compilation,
     compiled_ready,
@@ -33,8 +33,8 @@ from experiments.benchmark_cases import (
     motion_backwards,
     pendulum,
 )
+from experiments.benchmark.report import Cell, Grid, Result, Settings
 from experiments.benchmark_modes import rod
-from experiments.benchmark_report import Cell, Grid, Result, Settings
 from torchmbd.integrate.native import library
 from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair
@@ -164,8 +164,8 @@ def gradient_error(settings: Settings) -> Result:
 
 def fresh(*arguments: str, **environment: str) -> dict[str, Any]:
     """Run this file in a fresh process; what it printed."""
-    command = [sys.executable, "-m", "experiments.benchmark_costs", *arguments]
-    root = Path(__file__).parent.parent
+    command = [sys.executable, "-m", "experiments.benchmark.costs", *arguments]
+    root = Path(__file__).parents[2]
     found = subprocess.run(command, cwd=root, env=os.environ | environment, capture_output=True, text=True, check=True)
     return json.loads(found.stdout.splitlines()[-1])
 
