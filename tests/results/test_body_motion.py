@@ -49,3 +49,7 @@ def test_points_that_do_not_exist(motion):
         motion.body("arm").at("left")
     with pytest.raises(mbd.InputError, match=r"'lefft'.*did you mean 'left'"):
         motion.body("rod").at("lefft")
+    frame = motion.system.body("rod").at("left")
+    assert_close(motion.body("rod").at(frame).position, motion.body("rod").at("left").position, rtol=0, atol=0)
+    with pytest.raises(mbd.InputError, match=r"frame is on 'rod'; allowed: a frame on 'arm'"):
+        motion.body("arm").at(frame)

@@ -129,8 +129,18 @@ def test_the_door_names_what_is_missing(motions):
         PlyFailure("arm").check(motions[0].system)
     with pytest.raises(InputError, match=r"a ply of body 'rod' has no strength"):
         PlyFailure("rod").check(pendulum())
-    with pytest.raises(InputError, match=r"criterion 'x' does not exist"):
-        PlyHistory(motions[0], "rod").failure("x")
+    plies = PlyHistory(motions[0], "rod")
+    for criterion in ("x", ["tsai_wu"]):
+        with pytest.raises(InputError, match=r"criterion .* does not exist"):
+            plies.failure(criterion)
+        with pytest.raises(InputError, match=r"criterion of modes .* does not exist"):
+            plies.modes(criterion)
+    with pytest.raises(InputError, match=r"lane is 9; allowed: 0 to"):
+        plies.modes(lane=9)
+    with pytest.raises(InputError, match=r"component is -1; allowed: 0 to 4"):
+        plies.extreme(-1)
+    with pytest.raises(InputError, match=r"layer is 2; allowed: 0 to 1"):
+        plies.extreme(0, layer=2)
 
 
 @pytest.mark.parametrize(("layers", "thickness"), [(2, 8e-3), (4, 8e-3), (4, 1e-3)])

@@ -270,6 +270,8 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 def _frame(view: BodyMotion, where: Where) -> Frame | None:
     """The frame of a point of a body, None for its origin."""
     body = view.motion.system.body(view.name)
+    if isinstance(where, Frame) and where.body.name != view.name:
+        raise InputError(f"frame is on {where.body.name!r}; allowed: a frame on {view.name!r}")
     if where is None or isinstance(where, Frame):
         return where
     if view.mesh is not None:

@@ -19,9 +19,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, one_of
 from torchmbd.fem.elements import PlyBasis, ply_basis, ply_points
-from torchmbd.fem.materials import CRITERIA, MODES, FailureForms
+from torchmbd.fem.materials import CRITERIA, MODES, PLY_COMPONENTS, FailureForms
 from torchmbd.math.module_call import call_module
 
 if TYPE_CHECKING:
@@ -92,34 +92,38 @@ class PlyHistory:
     def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:
         """Index of the point nearest to failure at each time: below one nothing fails."""
         rule, strength = self._rule(criterion)
-        place = self.critical(criterion)
-        lane = torch.arange(len(place))[:, None]
-        stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, place], self.w)
-        return rule(stress, strength[lane, place])
+        point = self.critical(criterion)
+        lane = torch.arange(len(point))[:, None]
+        stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, point], self.w)
+        return rule(stress, strength[lane, point])
 
     def modes(self, criterion: str = "hashin", lane: int = 0) -> list[str]:
         """Mode of failure that is nearest at each time, at the critical point; criteria: those with modes, as "puck"."""
-        if criterion not in MODES:
-            raise unknown("criterion of modes", criterion, MODES)
-        place = self.critical(criterion)[lane]
+        criterion = one_of("criterion of modes", criterion, MODES)
+        if lane not in range(len(self.w)):
+            raise InputError(f"lane is {lane!r}; allowed: 0 to {len(self.w) - 1}")
+        point = self.critical(criterion)[lane]
         _, strength = self._rule(criterion)
-        stress = torch.einsum("tcm,tm->tc", self.basis.stress[lane, place], self.w[lane])
-        largest = MODES[criterion].indices(stress, strength[lane, place]).argmax(-1)
+        stress = torch.einsum("tcm,tm->tc", self.basis.stress[lane, point], self.w[lane])
+        largest = MODES[criterion].indices(stress, strength[lane, point]).argmax(-1)
         return [MODES[criterion].names[k] for k in largest.tolist()]
 
     def extreme(self, component: int, layer: int | None = None, sign: float = 1.0) -> Float[Tensor, "lanes times"]:
         """Largest value of `sign` times a stress component [Pa] over all points, or those of one layer, at each time."""
+        layers = int(self.points[:, 1].max()) + 1
+        for name, x, count in (("component", component, len(PLY_COMPONENTS)), ("layer", layer or 0, layers)):
+            if x not in range(count):
+                raise InputError(f"{name} is {x!r}; allowed: 0 to {count - 1}")
         basis = sign * self.basis.stress[:, :, component]
         if layer is not None:
             basis = basis[:, self.points[:, 1] == layer]
         rows = zip(basis.detach(), self.w.detach(), strict=True)
-        place = torch.stack([(w @ one.mT).argmax(-1) for one, w in rows])
-        lane = torch.arange(len(place))[:, None]
-        return (basis[lane, place] * self.w).sum(-1)
+        point = torch.stack([(w @ own.mT).argmax(-1) for own, w in rows])
+        lane = torch.arange(len(point))[:, None]
+        return (basis[lane, point] * self.w).sum(-1)
 
     def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
-        if criterion not in CRITERIA:
-            raise unknown("criterion", criterion, CRITERIA)
+        criterion = one_of("criterion", criterion, CRITERIA)
         if self.strength is None:
             raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
         return CRITERIA[criterion], self.strength

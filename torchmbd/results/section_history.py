@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.sections import Section
@@ -119,8 +119,8 @@ class SectionHistory:
             for some in w.split(max(1, _CHUNK // (ends * points))):
                 loads = torch.einsum("esm,tm->tes", forces, some).flatten(0, 1)
                 rows.append(index(loads).unflatten(0, (-1, ends)).flatten(1).argmax(-1))
-        place = torch.cat(rows).unflatten(0, (len(self.w), -1))
-        return torch.stack([torch.div(place, points, rounding_mode="floor"), place % points], dim=-1)
+        largest = torch.cat(rows).unflatten(0, (len(self.w), -1))
+        return torch.stack([torch.div(largest, points, rounding_mode="floor"), largest % points], dim=-1)
 
     def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:
         """Index of the point nearest to failure of all parts at each time: below one nothing fails."""
@@ -193,9 +193,7 @@ def _strengths(section: Section) -> Float[Tensor, "*lanes points 8"] | None:
 
 
 def _rule(criterion: str) -> Any:
-    if criterion not in CRITERIA:
-        raise unknown("criterion", criterion, CRITERIA)
-    return CRITERIA[criterion]
+    return CRITERIA[one_of("criterion", criterion, CRITERIA)]
 
 
 class _Recovery(nn.Module):

@@ -192,6 +192,10 @@ def test_a_phase_that_never_ends_is_the_status_of_its_lane():
         "failed: phase 'fall' never ends: its event does not occur before the simulation ends at t = 0.05 s"
     )
     assert torch.isfinite(motion.q[deeper]).all()
+    motion = mbd.simulate(rotors(), 0.1, steps=5, phases=[mbd.Phase(lasting=0.2), mbd.Phase()])
+    assert motion.status == [
+        "failed: phase '1' never ends: it lasts beyond the end of the simulation at t = 0.1 s",
+    ]
 
 
 @pytest.mark.thorough("eager")
@@ -262,10 +266,17 @@ class TestDoor:
     def test_event(self):
         with pytest.raises(mbd.InputError, match="function of an event is 3; allowed"):
             mbd.Event(3)
-        with pytest.raises(mbd.InputError, match="direction of an event is 'up'; allowed: falling, rising, either"):
-            mbd.Event(tip, "up")
+        for direction in ("up", ["falling"]):
+            with pytest.raises(mbd.InputError, match=r"direction of an event is .*; allowed: falling, rising, either"):
+                mbd.Event(tip, direction)
         phases = [mbd.Phase(until=mbd.Event(lambda motion: motion.t)), mbd.Phase()]
         self.refused(r"the function of an event returned shape \(1,\); allowed", phases)
+
+    @pytest.mark.parametrize(("velocities", "words"), [(lambda m: m.v[..., :2], "shape"), (lambda m: 3.0, "3.0")])
+    def test_impact(self, velocities, words):
+        """The tip passes zero height at once: the map is called."""
+        phases = [mbd.Phase(until=mbd.Event(lambda m: m.t.expand(m.lanes, -1) - 0.01), impact=velocities), mbd.Phase()]
+        self.refused(rf"the impact of a phase returned {words}.*allowed: a tensor \[lanes, times, n_v\]", phases)
 
     def test_options(self):
         with pytest.raises(mbd.InputError, match="halvings"):

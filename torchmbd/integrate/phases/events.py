@@ -55,7 +55,7 @@ class Event:
                 f"function of an event is {self.function!r}; allowed: a function motion -> [lanes, times] or a history"
             )
         refuse_lost_gradients("function of an event", self.function, "constant tensors")
-        if self.direction not in DIRECTIONS:
+        if not isinstance(self.direction, str) or self.direction not in DIRECTIONS:
             raise InputError(f"direction of an event is {self.direction!r}; allowed: {', '.join(DIRECTIONS)}")
 
     def of(self, motion: Trajectory) -> Tensor:

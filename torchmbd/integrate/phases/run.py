@@ -281,10 +281,11 @@ class MultiphaseRun:
 
     def never_ends(self, phase_model: PhaseModel, lane: int) -> None:
         """Note that a lane stays in a phase until the simulation ends."""
-        what = "its event does not occur" if phase_model.phase.lasting is None else "it lasts longer than"
-        self.fail(
-            lane, f"phase {phase_model.name!r} never ends: {what} before the simulation ends at t = {self.duration:g} s"
-        )
+        if phase_model.phase.lasting is None:
+            reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
+        else:
+            reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
+        self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
 
     def put(self, phase_model: PhaseModel, i: int, lanes: Tensor, x: State) -> None:
         """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""

@@ -23,6 +23,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.integrate.phases.events import Event, Views, normal
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
@@ -31,6 +32,7 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
+from torchmbd.results.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,12 +185,21 @@ def restitution(dynamics: Dynamics, t: Tensor, q: Any, v: Any, gap: tuple[Any, A
     return (v + response * size,)
 
 
+def _velocities(impact: Callable, motion: Trajectory) -> Tensor:
+    """Velocities [lanes, times, n_v] by a user's map; InputError if it returns anything else."""
+    v, shape = impact(motion), tuple(motion.v.shape)
+    if not isinstance(v, Tensor) or v.shape != shape:
+        returned = f"shape {tuple(v.shape)}" if isinstance(v, Tensor) else repr(v)
+        raise InputError(f"the impact of a phase returned {returned}; allowed: a tensor [lanes, times, n_v], {shape}")
+    return v
+
+
 def mapped(
     impact: float | Callable, event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State
 ) -> Any:
     """Velocities [n_v, ...] of one lane after the impact that ends a phase: a restitution, or a map motion -> v."""
     if callable(impact):
-        return views.number(lambda motion: impact(motion)[0, 0], lane, dynamics, t, x)
+        return views.number(lambda motion: _velocities(impact, motion)[0, 0], lane, dynamics, t, x)
     slope, rate = normal(event, views, lane, dynamics, t, x)
 
     def rebound(one: Dynamics, now: Tensor, q: Any, v: Any, slope: Any, rate: Any) -> tuple:
