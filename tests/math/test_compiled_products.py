@@ -100,10 +100,10 @@ def test_lanczos(p: int) -> None:
     G = random(3, 55, 1).abs() + 0.5
     H = G * inverse * G.mT
     ours, torchs = started(p), started(p)
-    torchs.make_room(4)
-    torchs.go_on(lambda X: H @ X, 4)
+    torchs.reserve(4)
+    torchs.extend(lambda X: H @ X, 4)
     for end in (1, 4):
-        ours.make_room(end)
+        ours.reserve(end)
         code().lanczos(factor, G, ours.steps, end, ours.Q, ours.T, ours.X, ours.R)
         ours.steps = end
     T = ours.T.triu()
@@ -118,7 +118,7 @@ def test_lanczos_stays_orthonormal_where_nothing_new_is_left() -> None:
     one = torch.ones(1, 55, 1, dtype=torch.float64)
     factor = Factor((0, 55), torch.eye(55, dtype=torch.float64).reshape(1, -1))
     found = started(8, lanes=1)
-    found.make_room(3)
+    found.reserve(3)
     code().lanczos(factor, one, 0, 3, found.Q, found.T, found.X, found.R)
     assert far(found.Q) < 1e-13
     assert far(found.X) < 1e-13

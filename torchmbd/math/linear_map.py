@@ -15,6 +15,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from torchmbd.math.vmap import batch_first
+
 
 class LinearMap(Protocol):
     """What is asked of a map."""
@@ -52,7 +54,7 @@ class _Mapped(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
-        wide = [_wide(own, dim, info.batch_size) for own, dim in zip(x, in_dims[1:], strict=True)]
+        wide = [batch_first(own, dim, info.batch_size) for own, dim in zip(x, in_dims[1:], strict=True)]
         return apply_linear(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (info.batch_size, -1)), 0
 
 
@@ -75,9 +77,5 @@ class _Adjoint(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
-        found: Any = _Adjoint.apply(linear, _wide(y, in_dims[1], info.batch_size).flatten(0, 1))
+        found: Any = _Adjoint.apply(linear, batch_first(y, in_dims[1], info.batch_size).flatten(0, 1))
         return tuple(x.unflatten(0, (info.batch_size, -1)) for x in found), (0,) * len(found)
-
-
-def _wide(x: Tensor, dim: int | None, size: int) -> Tensor:
-    return x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)

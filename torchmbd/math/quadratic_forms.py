@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchmbd.math.compiled_products import compiled_products
 from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.vmap import batch_first
 
 GROUP = 64  # points
 
@@ -134,10 +135,7 @@ def _symmetric(y: Tensor) -> Tensor:
 def _vmapped(function: Any, info: Any, in_dims: tuple, x: tuple[Tensor, ...]) -> Any:
     """More lanes."""
     size = info.batch_size
-    wide = [
-        own.expand(size, *own.shape) if dim is None else own.movedim(dim, 0)
-        for own, dim in zip(x, in_dims, strict=True)
-    ]
+    wide = [batch_first(own, dim, size) for own, dim in zip(x, in_dims, strict=True)]
     found = function.apply(*(own.flatten(0, 1) for own in wide))
     if isinstance(found, tuple):
         return tuple(own.unflatten(0, (size, -1)) for own in found), (0,) * len(found)

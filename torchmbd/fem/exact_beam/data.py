@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchmbd.math.vmap import batch_first
+
 
 class BeamData(NamedTuple):
     """Tensors of a beam of n nodes and m elements and of its loads; each may have leading lanes.
@@ -82,7 +84,7 @@ def batch_as_lane(
     inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(given, in_dims, ranks, strict=True))
     wide = []
     for x, dim, k in zip(given, in_dims, ranks, strict=True):
-        own = x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)
+        own = batch_first(x, dim, size)
         missing = inner - (own.dim() - 1 - k)
         wide.append(own.reshape(len(own), *(1,) * missing, *own.shape[1:]))
     return wide

@@ -6,7 +6,7 @@ from torchmbd.fem.reduction.constraint_modes import constraint_modes
 from torchmbd.fem.reduction.craig_bampton import craig_bampton
 from torchmbd.fem.reduction.eigenpairs import Eigenpairs, eigenpairs
 from torchmbd.fem.reduction.invariants import inertia_invariants
-from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes, uncut
+from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes, with_whole_clusters
 from torchmbd.fem.reduction.spectral import eigenvalues, spectral_function
 from torchmbd.fem.reduction.static import StaticLoads
 
@@ -29,5 +29,5 @@ __all__ = [
     "inertia_invariants",
     "modal_basis",
     "spectral_function",
-    "uncut",
+    "with_whole_clusters",
 ]

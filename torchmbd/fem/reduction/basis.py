@@ -8,8 +8,7 @@ Kr       reduced stiffness                         [..., n, n]
 
 Only the retained *subspace* enters a motion; transport.py derives the derivative that follows from this, and why
 eigenvalues may cross or repeat inside the retained set. The one gap that matters is the gap to the first discarded
-mode. A cluster is therefore never cut there: the basis has as many modes as were asked for (the same number for each
-lane of a batch), or is refused.
+mode. A cluster of eigenvalues is therefore never cut there: the basis has n modes in each lane, or InputError is raised.
 
 Differentiable once, forward and reverse, under vmap and jacfwd, in the values of K and M. All directions share one
 factorization. Assumed: K symmetric (it may be singular: a free body), M symmetric and positive definite, and so are
@@ -34,18 +33,19 @@ from torchmbd.fem.reduction.signs import signs
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import Cotangent, Pencil, Tangent
 from torchmbd.math.sparse import SparseMatrix
+from torchmbd.math.vmap import batch_first
 
 Matrix = Tensor | SparseMatrix
 CLUSTER = 1e-6
-ROUNDING = 16 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii
-SMALL = 150  # freedoms; below, all modes by a dense method cost no more
+ROUNDING = 16 * torch.finfo(torch.float64).eps  # error of an eigenvalue, relative to the largest K_ii / M_ii
+SMALL = 150  # freedoms; up to this number all modes by a dense method cost no more
 
 
 class CutCluster(InputError):
-    """n cuts a cluster.
+    """n cuts a cluster of eigenvalues.
 
-    lanes   where, leading dimensions flattened; the others can be reduced
-    beyond  the least n, as far as is known, that may not cut it
+    lanes   in which it does, leading dimensions flattened; the other lanes can be reduced
+    beyond  the least larger n that does not cut the cluster, as far as eigenvalues are known
     """
 
     def __init__(self, message: str, lanes: tuple[int, ...], beyond: int) -> None:
@@ -79,13 +79,13 @@ def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated:
     """
     if not updated:
         return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster))
-    pencil, K_values, M_values, lanes = open_pencil(K, M, n)
+    pencil, K_values, M_values, lanes = parse_pencil(K, M, n)
     vectors, stiffness = _Basis.apply(pencil, n, cluster, K_values, M_values)
     return ModalBasis(vectors.reshape(*lanes, *vectors.shape[1:]), stiffness.reshape(*lanes, n, n))
 
 
 def fixed_modes(K: Matrix, M: Matrix, reduce: Callable[[Matrix, Matrix], ModalBasis]) -> ModalBasis:
-    """The basis that `reduce` finds, held fixed: only Kr has a derivative, Psi' dK Psi (eq. 36)."""
+    """Return the basis of `reduce` without derivatives of the modes: only Kr has one, Psi' dK Psi (eq. 36)."""
     with torch.no_grad():
         vectors = reduce(_detached(K), _detached(M)).vectors
     return ModalBasis(vectors, vectors.mT @ (K @ vectors))
@@ -99,8 +99,8 @@ def _detached(matrix: Matrix) -> Matrix:
     )
 
 
-def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:
-    """Recognize the forms and flatten all leading dimensions into one lane dimension."""
+def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:
+    """Return the forms and values of K and M with all leading dimensions flattened to one, and these dimensions."""
     K_form, K_values = recognize("K", K)
     M_form, M_values = recognize("M", M, K_form.size)
     if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= K_form.size:
@@ -119,7 +119,7 @@ def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, t
 
 
 def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
-    """Check the numbers, solve, refuse to cut a cluster: eigenvalues [lane, n], vectors [lane, N, n] with their signs."""
+    """Return the n lowest eigenvalues [lane, n] and vectors [lane, N, n]; InputError for bad values or a cut cluster."""
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal("M", pencil.M_form, M)
@@ -130,7 +130,7 @@ def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple
 
 
 def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
-    """How well an eigenvalue can be known at all [...]."""
+    """Return the error of eigenvalues by rounding of K and M [...]."""
     return ROUNDING * (pencil.K_form.diagonal(K).abs() / pencil.M_form.diagonal(M)).amax(-1)
 
 
@@ -179,10 +179,7 @@ class _Basis(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple:
-        K, M = (
-            v.expand(info.batch_size, *v.shape) if dim is None else v.movedim(dim, 0)
-            for v, dim in ((K, in_dims[3]), (M, in_dims[4]))
-        )
+        K, M = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[3]), (M, in_dims[4])))
         vectors, stiffness = _Basis.apply(pencil, n, cluster, K.flatten(0, 1), M.flatten(0, 1))
         lanes = (info.batch_size, K.shape[1])
         return (vectors.unflatten(0, lanes), stiffness.unflatten(0, lanes)), (0, 0)

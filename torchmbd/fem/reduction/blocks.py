@@ -20,7 +20,7 @@ from torchmbd.fem.reduction.forms import Form
 from torchmbd.fem.reduction.partition import Partition, form_sums
 from torchmbd.math.compiled_products import Factor, compiled_products
 
-SMALL = 64  # rows of blocks that compiled code eliminates; larger ones are better off with LAPACK
+SMALL = 64  # largest number of rows of blocks that compiled code eliminates; LAPACK is faster for larger ones
 
 
 def storage(layout: Partition, form: Form, values: Tensor) -> Tensor:
@@ -38,9 +38,11 @@ def views(layout: Partition, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
 
 
 class BlockFactor:
-    """S_i^-1 and E_i of a symmetric positive definite matrix, in the place of D_i and B_i; `pivot` tells how safely it is so.
+    """S_i^-1 and E_i of a symmetric positive definite matrix.
 
-    flat: its storage, which is used up
+    pivot  smallest pivot of each lane relative to its diagonal entry; <= 0 where the matrix is not positive definite
+
+    flat: storage of the matrix, which is overwritten
     """
 
     def __init__(self, layout: Partition, flat: Tensor) -> None:
@@ -53,12 +55,12 @@ class BlockFactor:
             self.pivot = torch.stack([self._eliminate(i) for i in range(len(self.S_inverse))]).amin(0)
 
     def _eliminate(self, i: int) -> Tensor:
-        """One block; its smallest pivot relative to the diagonal."""
+        """Eliminate block i; return its smallest pivot relative to the diagonal."""
         D = self.S_inverse[i]
         S = torch.baddbmm(D, self.E[i - 1], self._before.mT, alpha=-1) if i else D
         L, info = torch.linalg.cholesky_ex(S)
         smallest = (L.diagonal(dim1=-2, dim2=-1) ** 2 / D.diagonal(dim1=-2, dim2=-1)).amin(-1)
-        if info.any():  # what cannot be factorized must not stop the other lanes: `pivot` tells
+        if info.any():  # a lane that cannot be factorized must not stop the others; its `pivot` is negative
             L = torch.where((info == 0)[:, None, None], L, torch.eye(L.shape[-1], dtype=L.dtype, device=L.device))
         D.copy_(torch.cholesky_inverse(L))
         if i < len(self.E):

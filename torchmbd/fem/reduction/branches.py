@@ -1,15 +1,14 @@
 """Individual modes along one direction of the design space, also where eigenvalues repeat: Dailey's method.
 
-Along a line b + t d through a design where K and M are analytic, eigenvalues and modes are analytic in t, if within
-each cluster the right basis is taken (Rellich). This basis is found order by order:
+K and M are analytic along a line b + t d through a design. Then so are eigenvalues and modes, with the right basis within
+each cluster (Rellich). This basis is found order by order:
 
 1. series.py gives Kr(t) = Kr_0 + t Kr_1 + t^2 Kr_2 + ... of the retained span.
 2. A cluster of Kr_0 is again a span that moves: the same series inside the n x n problem gives its block
    B(t) = lambda 1 + t B_1 + t^2 B_2 + ...
-3. (B(t) - lambda) / t = B_1 + t B_2 + ... is a problem of the same kind. Its eigenvalues are the slopes of the
-branches, its
-   eigenvectors the right basis. Where slopes are equal it has clusters itself, to which 2. and 3. apply again: the
-   second derivative splits what the first leaves together, and so on.
+3. (B(t) - lambda) / t = B_1 + t B_2 + ... is a problem of the same kind. Its eigenvalues are the slopes of the branches,
+   its eigenvectors the right basis. Where slopes are equal it has clusters itself, to which 2. and 3. apply again: the
+   second derivative splits what the first does not, and so on.
 
 A basis that is split by the derivative of order s moves at a rate that needs the derivative of order s + 1: so K''
 (here by torch.func.jvp of jvp) enters already where K' splits the cluster, as in Dailey's paper. What the available
@@ -33,16 +32,14 @@ from torch import Tensor
 from torch.func import jvp
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.basis import CLUSTER, open_pencil, rounding, solve
-from torchmbd.fem.reduction.eigenpairs import clusters
+from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, rounding, solve
+from torchmbd.fem.reduction.eigenpairs import same_cluster
 from torchmbd.fem.reduction.forms import Dense, Diagonal
-from torchmbd.fem.reduction.near_modes import Sharpen
+from torchmbd.fem.reduction.near_modes import ModeSeparation
 from torchmbd.fem.reduction.series import retained_series
 from torchmbd.fem.reduction.signs import signs
 from torchmbd.fem.reduction.transport import Pencil
-from torchmbd.math.sparse import SparseMatrix
 
-Matrix = Tensor | SparseMatrix
 UNSPLIT = -1
 
 
@@ -84,16 +81,16 @@ def eigenpair_branches(
     """
     if orders < 1:
         raise InputError(f"orders = {orders!r}; at least 1 is needed")
-    pencil, K, M, lanes = open_pencil(*matrices(b), n)
+    pencil, K, M, lanes = parse_pencil(*matrices(b), n)
     if lanes:
         raise InputError(f"matrices(b) has lanes {tuple(lanes)}; one design at a time is allowed")
 
     def along(t: Tensor) -> tuple[Tensor, Tensor]:
-        _, K, M, _ = open_pencil(*matrices(b + t * direction), n)
+        _, K, M, _ = parse_pencil(*matrices(b + t * direction), n)
         return K, M
 
     values, psi = solve(pencil, n, K, M, cluster)
-    psi = psi @ Sharpen.apply(pencil, K, M, psi, ~clusters(values, rounding(pencil, K, M), cluster))
+    psi = psi @ ModeSeparation.apply(pencil, K, M, psi, ~same_cluster(values, rounding(pencil, K, M), cluster))
     series = taylor(along, orders)
     Psi, Kr = retained_series(pencil, values, psi, [K for K, _ in series], [M for _, M in series])
     found = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)
@@ -109,7 +106,7 @@ def eigenpair_branches(
 
 
 def taylor(function: Callable[[Tensor], tuple[Tensor, Tensor]], orders: int) -> list[tuple[Tensor, Tensor]]:
-    """Taylor coefficients of a pair of tensors in a scalar at zero, from the constant to the order asked for."""
+    """Return the Taylor coefficients at zero of a pair of tensors that depend on a scalar, orders 0 to `orders`."""
     zero, one = torch.zeros((), dtype=torch.float64), torch.ones((), dtype=torch.float64)
     coefficients = []
     for m in range(orders + 1):
@@ -124,7 +121,7 @@ def _derivative(function: Callable, one: Tensor) -> Callable:
 
 
 class _Branch(NamedTuple):
-    """Series of an eigenvalue and its vector, the order that split it, and its place among eigenvalues, slopes, ..."""
+    """Series of an eigenvalue and its vector, the order that split it, and its ranks among eigenvalues, slopes, ..."""
 
     value: list[Tensor]
     vector: list[Tensor]
@@ -133,7 +130,7 @@ class _Branch(NamedTuple):
 
 
 def _split(A: list[Tensor], cluster: float, scale: float, depth: int) -> list[_Branch]:
-    """Branches of the symmetric family A_0 + t A_1 + ...; `scale`: what small distances are compared with."""
+    """Return the branches of the symmetric matrix A_0 + t A_1 + ...; `scale`: size to which distances are relative."""
     values, Q = torch.linalg.eigh((A[0] + A[0].T) / 2)
     A = [Q.T @ a @ Q for a in A]
     tolerance = cluster * max(scale, values.abs().max().item())
@@ -166,25 +163,22 @@ def _cluster_branches(U: list[Tensor], B: list[Tensor], cluster: float, scale: f
     return branches
 
 
-class _Others:
-    """The deflated solve of a diagonal problem for the chosen eigenvalues, wherever they are in the spectrum."""
+class _DiagonalSolver:
+    """Deflated solves of a diagonal problem for chosen eigenvalues, which need not be the lowest."""
 
     def __init__(self, values: Tensor, chosen: Tensor) -> None:
         gaps = values[:, None] - values[chosen]
         self.weight = torch.where(chosen[:, None], 0.0, 1 / torch.where(chosen[:, None], 1.0, gaps))
-
-    def lowest(self) -> tuple[Tensor, Tensor]:
-        raise NotImplementedError
 
     def deflated_solve(self, F: Tensor) -> Tensor:
         return F * self.weight[None, :, None, :]
 
 
 def _cluster_series(A: list[Tensor], values: Tensor, chosen: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """How the span of the chosen eigenvectors of the diagonal A_0 moves, and its block of the family."""
+    """Return the series of the span of the chosen eigenvectors of the diagonal A_0, and of its block."""
     n = len(values)
     pencil = Pencil(Dense(n), Diagonal(n))
-    pencil.modes = _Others(values, chosen)
+    pencil.modes = _DiagonalSolver(values, chosen)
     identity = [torch.full((1, n), float(m == 0), dtype=values.dtype) for m in range(len(A))]
     start = torch.eye(n, dtype=values.dtype)[None, :, chosen]
     return retained_series(pencil, values[None, chosen], start, [a[None] for a in A], identity)

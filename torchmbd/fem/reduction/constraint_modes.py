@@ -1,4 +1,4 @@
-"""Constraint modes: how a body follows when one interface freedom moves by one and all others are held.
+"""Constraint modes: static displacements where one interface freedom is one and all others are zero.
 
     K = | K_ii  K_io |        T = |         1        |        S = T' K T = K_ii - K_io K_oo^-1 K_oi
         | K_oi  K_oo |            | -K_oo^-1 K_oi    |
@@ -30,25 +30,26 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.basis import Matrix, open_pencil
+from torchmbd.fem.reduction.basis import Matrix, parse_pencil
 from torchmbd.fem.reduction.blocks import BlockFactor, storage
 from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, check, check_positive_diagonal, lane_name
+from torchmbd.fem.reduction.operator_call import call_as_operator
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT
-from torchmbd.fem.reduction.slices import by_slices
-from torchmbd.fem.reduction.transport import Pencil, batched
+from torchmbd.fem.reduction.transport import Pencil, apply_batched
 from torchmbd.math.checked_numbers import indices
 from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.sparse import Pattern, SparseMatrix
+from torchmbd.math.vmap import batch_first
 
 
 def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Tensor, Tensor]:
     """T [..., N, i] and S [..., i, i] of the interface freedoms, in their order.
 
-    M is checked only, with the numbers of its rows in the whole matrix. Raises InputError: entries not finite, K or M not
+    M is only checked, so that messages name its rows in the whole matrix. Raises InputError: entries not finite, K or M not
     symmetric, a diagonal entry of M not positive, interface freedoms out of range or repeated, K_oo not positive definite.
     """
-    pencil, K_values, M_values, lanes = open_pencil(K, M, 1)
+    pencil, K_values, M_values, lanes = parse_pencil(K, M, 1)
     size = pencil.K_form.size
     split = Split(pencil, interface_freedoms(interface, size))
     T, S = _ConstraintModes.apply(split, K_values, M_values)
@@ -92,7 +93,7 @@ def interior(matrix: Matrix, interface: tuple[int, ...], size: int) -> Matrix:
 
 
 class Split:
-    """The static part: the form of K, which freedoms are interior; and, once it is solved, the factor of K_oo."""
+    """The form of K and its interior freedoms; and, after `factorize`, the factor of K_oo."""
 
     factor: BlockFactor
 
@@ -151,10 +152,7 @@ class _ConstraintModes(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, K: Tensor, M: Tensor) -> tuple:
-        K, M = (
-            v.expand(info.batch_size, *v.shape) if dim is None else v.movedim(dim, 0)
-            for v, dim in ((K, in_dims[1]), (M, in_dims[2]))
-        )
+        K, M = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[1]), (M, in_dims[2])))
         outputs = _ConstraintModes.apply(split, K.flatten(0, 1), M.flatten(0, 1))
         return tuple(o.unflatten(0, (info.batch_size, K.shape[1])) for o in outputs), (0, 0)
 
@@ -181,11 +179,11 @@ class _Tangent(FirstDerivative):
 
     @staticmethod
     def forward(split: Split, T: Tensor, dK: Tensor) -> tuple[Tensor, Tensor]:
-        return by_slices(partial(_tangent, split), T, dK)
+        return call_as_operator(partial(_tangent, split), T, dK)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
-        return batched(_Tangent, info, in_dims, split, tensors, state=1)
+        return apply_batched(_Tangent, info, in_dims, split, tensors, state=1)
 
 
 class _Cotangent(FirstDerivative):
@@ -195,11 +193,11 @@ class _Cotangent(FirstDerivative):
 
     @staticmethod
     def forward(split: Split, T: Tensor, G: Tensor, H: Tensor) -> Tensor:
-        return by_slices(partial(_cotangent, split), T, G, H)[0]
+        return call_as_operator(partial(_cotangent, split), T, G, H)[0]
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
-        (K_bar,), (dim,) = batched(_Cotangent, info, in_dims, split, tensors, state=1)
+        (K_bar,), (dim,) = apply_batched(_Cotangent, info, in_dims, split, tensors, state=1)
         return K_bar, dim
 
 

@@ -22,7 +22,7 @@ the interface, T' K T = diag(S, Lambda_o): no cancellation between the two famil
     A       modal_basis of (1) with all m modes: none is discarded, so no gap, dA = -1/2 A A' d(T' M T) A
 
 dPsi = dT A + T dA has a part inside the span, the skew part of Psi' M dT A: it turns the basis in itself at a bounded
-rate, and the derivative of Kr turns with it. All responses are those of the span and do not notice. Crossings among
+rate, and the derivative of Kr turns with it. Responses depend on the span alone and do not change by that. Crossings among
 fixed-interface modes, among the modes of (1), or between both need no special case; a cluster of *fixed-interface*
 modes is not cut at n. Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_craig_bampton.py.
 

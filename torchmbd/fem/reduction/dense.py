@@ -11,7 +11,7 @@ The deflated solve of the derivatives, (K - lambda_i M) z = f within the discard
     z = L^-T U_d diag(1 / (1 - (lambda_i - sigma) mu_d)) U_d' L^-1 f
 
 in which no small number is divided by a small one: only gaps to discarded modes appear.
-Works on [lane, ...] tensors, no autograd inside. Checked in tests/reduction and tests/sensitivity.
+Works on [lane, ...] tensors, no autograd inside. Checked in tests/fem/reduction and tests/sensitivity.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.forms import Form, lane_name
-from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, too_near
+from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
 
 
 class DenseModes:
-    """Modes of a batch of problems [lane, N, N], and what the deflated solve needs."""
+    """Modes of a batch of problems [lane, N, N], with the factors for deflated solves."""
 
     def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
         K_dense, M_dense = K_form.dense(K), M_form.dense(M)
@@ -37,7 +37,7 @@ class DenseModes:
         self.n = n
         self.shift, self.L = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
         self._decompose(M_dense)
-        if (near := too_near(self.shift, self.mu[:, : n + 1])).any():
+        if (near := loses_digits(self.shift, self.mu[:, : n + 1])).any():
             self.shift = comparable_shift(near, self.shift, self._values(n + 1))
             self.L, _ = factorize(self.shift)
             self._decompose(M_dense)

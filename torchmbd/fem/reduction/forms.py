@@ -1,8 +1,8 @@
-"""The forms in which a symmetric matrix may arrive: dense, diagonal, or values on a fixed pattern.
+"""The forms of a symmetric matrix: dense, diagonal, or sparse values on a fixed pattern.
 
-A form is the static part (size, pattern); the numbers are a tensor `values` [..., *entry]. All that modes
-and their derivatives need from a matrix is here: multiply columns, the transpose of that with respect to the
-values (`pair`), the dense matrix, and a check that names the offending entry.
+A form holds size and pattern; the numbers are a tensor `values` [..., *entry]. It has the operations that modes and their
+derivatives need: multiply columns, the transpose of that with respect to the values (`pair`), the dense matrix; and a check
+that names the offending entry.
 
     multiply(values, X) = A X            [..., N, k]
     pair(Y, X)          = the values of sum_k y_k x_k', so that <pair(Y, X), dA> = sum_k y_k' dA x_k
@@ -45,7 +45,7 @@ class Dense:
     def diagonal(self, values: Tensor) -> Tensor:
         return values.diagonal(dim1=-2, dim2=-1)
 
-    def mirrored(self, values: Tensor) -> Tensor:
+    def transposed(self, values: Tensor) -> Tensor:
         return values.mT
 
     def entry(self, index: tuple[int, ...]) -> str:
@@ -71,7 +71,7 @@ class Diagonal:
     def diagonal(self, values: Tensor) -> Tensor:
         return values
 
-    def mirrored(self, values: Tensor) -> Tensor:
+    def transposed(self, values: Tensor) -> Tensor:
         return values
 
     def entry(self, index: tuple[int, ...]) -> str:
@@ -124,7 +124,7 @@ class Sparse:
         zeros = values.new_zeros((*values.shape[:-1], self.size))
         return zeros.index_add(-1, self.pattern.rows[on].to(values.device), values[..., on])
 
-    def mirrored(self, values: Tensor) -> Tensor:
+    def transposed(self, values: Tensor) -> Tensor:
         return values[..., self.pattern.transposed]
 
     def entry(self, index: tuple[int, ...]) -> str:
@@ -159,16 +159,16 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
 def check(name: str, form: Form, values: Tensor) -> None:
     """Raise InputError naming lane and entry where a matrix [lane, *entry] is not finite or not symmetric."""
     if not torch.isfinite(values.sum()) and (wrong := ~torch.isfinite(values)).any():
-        raise InputError(f"{_place(name, form, wrong)} = {values[wrong][0].item()}; finite numbers are needed")
+        raise InputError(f"{_entry_name(name, form, wrong)} = {values[wrong][0].item()}; finite numbers are needed")
     if isinstance(form, Sparse) and form.symmetric:
         return
-    skew = (values - form.mirrored(values)).abs()
+    skew = (values - form.transposed(values)).abs()
     scale = values.abs().amax(dim=tuple(range(1, values.dim())), keepdim=True)
     wrong = skew > SYMMETRY_TOLERANCE * scale
     if wrong.any():
         difference = skew[wrong][0].item()
         raise InputError(
-            f"{_place(name, form, wrong)} differs by {difference:.3g} from its mirror image; symmetric needed"
+            f"{_entry_name(name, form, wrong)} differs by {difference:.3g} from its mirror image; symmetric needed"
         )
 
 
@@ -187,6 +187,6 @@ def lane_name(lane: int, lanes: int) -> str:
     return f" of lane {lane}" if lanes > 1 else ""
 
 
-def _place(name: str, form: Form, wrong: Tensor) -> str:
+def _entry_name(name: str, form: Form, wrong: Tensor) -> str:
     lane, *index = (int(i) for i in wrong.nonzero()[0])
     return f"{name}{form.entry(tuple(index))}{lane_name(lane, len(wrong))}"

@@ -1,4 +1,4 @@
-"""Inertia invariants: the sums over all nodes that the motion needs, made once per design.
+"""Inertia invariants: the sums over all nodes in the equations of motion of a body, computed once per design.
 
 Node k sits at x_k in the body frame and moves by the modes: displacement t_k w, small rotation r_k w. Where masses lie
 off the nodes of the mesh, at middles of sides or on rigid arms, "node" means such a mass point (fem/elements/assembly.py).

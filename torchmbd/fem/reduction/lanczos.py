@@ -23,15 +23,17 @@ import torch
 from torch import Tensor
 
 BLOCK = 8  # columns, which fill the registers of a processor
-CLOSE = 0.1  # relative distance of as many eigenvalues as the block has columns at which one more may be there
+CLOSE = (
+    0.1  # within this relative distance of as many eigenvalues as the block has columns, one more may have been missed
+)
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
-SAMPLE = 4  # lanes that are looked at first: where these have not converged the others need not be asked
+SAMPLE = 4  # lanes whose convergence is checked first: where these have not converged the others are not checked
 
 
 @dataclass(frozen=True)
 class Ritz:
-    """Ritz values `mu` [lane, m], basis `Q`, its eigenvectors `V`, and the rest `X`, `R` of the recurrence."""
+    """Ritz values `mu` [lane, m], basis `Q`, eigenvectors `V` of T, and the remainder `X`, `R` (module header)."""
 
     mu: Tensor
     Q: Tensor
@@ -45,7 +47,10 @@ class Ritz:
 
 
 class Recurrence:
-    """What `steps` steps have found: columns of Q [lane, N, room], of T [lane, room, room] above the diagonal, X, R."""
+    """Block Lanczos after `steps` steps: Q [lane, N, columns], T [lane, columns, columns] above the diagonal, X and R.
+
+    Q and T may have more columns than the steps have filled.
+    """
 
     def __init__(self, X: Tensor) -> None:
         lanes, size, p = X.shape
@@ -53,14 +58,14 @@ class Recurrence:
         self.Q, self.T = X.new_zeros(lanes, size, 0), X.new_zeros(lanes, 0, 0)
         self.steps = 0
 
-    def make_room(self, steps: int) -> None:
-        """For more columns."""
+    def reserve(self, steps: int) -> None:
+        """Allocate the columns of so many steps."""
         if (missing := steps * self.X.shape[2] - self.Q.shape[2]) > 0:
             self.Q = torch.nn.functional.pad(self.Q, (0, missing))
             self.T = torch.nn.functional.pad(self.T, (0, missing, 0, missing))
 
-    def go_on(self, apply: Callable[[Tensor], Tensor], steps: int) -> None:
-        """Up to so many steps."""
+    def extend(self, apply: Callable[[Tensor], Tensor], steps: int) -> None:
+        """Continue to so many steps in all."""
         p = self.X.shape[2]
         for k in range(self.steps * p, steps * p, p):
             self.Q[..., k : k + p] = self.X
@@ -71,11 +76,11 @@ class Recurrence:
             self.X = _repair(X, self.R, basis, taken)
         self.steps = steps
 
-    def ritz(self, every: int) -> Ritz:
-        """Of every so many lanes."""
+    def ritz(self, stride: int) -> Ritz:
+        """Return the Ritz pairs of each `stride`-th lane."""
         k = self.steps * self.X.shape[2]
-        mu, V = torch.linalg.eigh(self.T[::every, :k, :k], UPLO="U")
-        return Ritz(mu.flip(-1), self.Q[::every, :, :k], V.flip(-1), self.X[::every], self.R[::every])
+        mu, V = torch.linalg.eigh(self.T[::stride, :k, :k], UPLO="U")
+        return Ritz(mu.flip(-1), self.Q[::stride, :, :k], V.flip(-1), self.X[::stride], self.R[::stride])
 
 
 def lanczos(
@@ -85,22 +90,22 @@ def lanczos(
     n: int,
     tolerance: float,
     device: torch.device | None = None,
-    go_on: Callable[[Recurrence, int], None] | None = None,
+    extend: Callable[[Recurrence, int], None] | None = None,
 ) -> Ritz | None:
     """Iterate until n pairs in every lane have residuals below tolerance, relative to mu.
 
-    go_on: does the same as Recurrence.go_on with `apply`
-    Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
+    extend: a faster implementation of `Recurrence.extend` with `apply`
+    Returns None when the Krylov space fills half of the whole space before that: a dense method is faster then.
     """
-    go_on = go_on or (lambda found, steps: found.go_on(apply, steps))
-    ritz = _iterate(go_on, _random(lanes, size, BLOCK, device), n, tolerance)
-    if ritz is not None and _crowded(ritz.mu[:, : n + 1]) and misses_a_copy(apply, ritz, n):
-        ritz = _iterate(go_on, _random(lanes, size, n + 2, device), n, tolerance)
+    extend = extend or (lambda recurrence, steps: recurrence.extend(apply, steps))
+    ritz = _iterate(extend, _random(lanes, size, BLOCK, device), n, tolerance)
+    if ritz is not None and _crowded(ritz.mu[:, : n + 1]) and misses_eigenvector(apply, ritz, n):
+        ritz = _iterate(extend, _random(lanes, size, n + 2, device), n, tolerance)
     return ritz
 
 
 def _random(lanes: int, size: int, columns: int, device: torch.device | None) -> Tensor:
-    """The same orthonormal columns in every lane, and in every run."""
+    """Return orthonormal columns, the same ones in every lane and in every run."""
     start = np.random.default_rng(columns).standard_normal((size, columns))  # torch's may not be drawn under vmap
     return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1).to(device)
 
@@ -111,25 +116,25 @@ def _crowded(mu: Tensor) -> bool:
     return bool((first - last <= CLOSE * first).any())
 
 
-def _iterate(go_on: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
+def _iterate(extend: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
     lanes, size, p = X.shape
-    found, look = Recurrence(X), max(4 * (n + 2) // p, 2)
-    while look <= size // (2 * p):
-        found.make_room(look)
-        go_on(found, look)
-        for every in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
-            ritz = found.ritz(every)
+    recurrence, steps = Recurrence(X), max(4 * (n + 2) // p, 2)
+    while steps <= size // (2 * p):
+        recurrence.reserve(steps)
+        extend(recurrence, steps)
+        for stride in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
+            ritz = recurrence.ritz(stride)
             excess = _excess(ritz, n, tolerance)
             if excess > 1:
                 break
         else:
             return ritz
-        look += _steps_to_go(excess, tolerance, look - n // p)
+        steps += _steps_to_go(excess, tolerance, steps - n // p)
     return None
 
 
 def _excess(ritz: Ritz, n: int, tolerance: float) -> float:
-    """The largest residual of the wanted pairs as a multiple of what is asked for."""
+    """The largest residual of the wanted pairs as a multiple of its limit."""
     mu = ritz.mu[:, : n + 1]
     limit = torch.full_like(mu, tolerance)
     limit[:, n] = NEXT
@@ -138,15 +143,15 @@ def _excess(ritz: Ritz, n: int, tolerance: float) -> float:
 
 
 def _steps_to_go(excess: float, tolerance: float, steps: int) -> int:
-    """Residuals fall about geometrically, faster at the end: continue the line from one to where they are now."""
+    """Estimate the number of further steps (1 to 3): residuals fall about geometrically, from one at the start to `excess`."""
     fallen = math.log(excess * tolerance) / max(steps, 1)
     return min(max(math.floor(math.log(excess) / -fallen), 1), 3) if fallen < 0 else 3
 
 
 def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
-    """Take the components along the basis out of W in place and return them.
+    """Remove the components along the basis from W in place, and return them.
 
-    But for rounding all of them lie in the last two blocks: those first, then once more everything.
+    But for rounding they lie in the last two blocks: these are removed first, then all once more.
     """
     near = basis[..., -recent:]
     first = near.mT @ W
@@ -158,9 +163,9 @@ def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
 
 
 def _repair(X: Tensor, R: Tensor, basis: Tensor, taken: Tensor) -> Tensor:
-    """Where nothing new was left in a column, qr has put rounding in its place: make that orthogonal, too.
+    """Orthogonalize columns of X against the basis where the new block was zero but for rounding.
 
-    taken: what was taken out before, whose rounding it is
+    taken: components that `_orthogonalize` removed, whose rounding such columns are
     """
     new = R.diagonal(dim1=-2, dim2=-1).abs()
     if bool((new.amin(-1) > torch.maximum(1e-8 * new.amax(-1), 1e-12 * taken.abs().amax((-2, -1)))).all()):
@@ -171,8 +176,8 @@ def _repair(X: Tensor, R: Tensor, basis: Tensor, taken: Tensor) -> Tensor:
     return X
 
 
-def misses_a_copy(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
-    """Whether H has an eigenvector orthogonal to Q that belongs to the n wanted ones."""
+def misses_eigenvector(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
+    """Whether one of the n wanted eigenvectors of H is orthogonal to Q, and so was missed."""
     lanes, size, _ = ritz.Q.shape
     X = _random(lanes, size, 2, ritz.Q.device)
     growth = torch.zeros_like(ritz.mu[:, 0])

@@ -1,4 +1,4 @@
-"""Inertia invariants from a mass matrix from outside, consistent or lumped.
+"""Inertia invariants of a given mass matrix, consistent or lumped.
 
 The sums of invariants.py are integrals over the body. Of a mass matrix M [6 n, 6 n] over displacements and rotations of
 all nodes they are products with nodal values of fields that are constant or linear in x,
@@ -59,8 +59,8 @@ def rigid_motions(x: Float[Tensor, "n 3"]) -> Float[Tensor, "6n 6"]:
     return torch.cat([T, torch.einsum("ikj,nij->nk", epsilon(), X)], dim=1)
 
 
-def isotropic(M: SparseMatrix, tolerance: float = 1e-9) -> bool:
-    """Whether all rotary inertias of M are the same about all axes, without first moments: they need no arms."""
+def has_isotropic_inertia(M: SparseMatrix, tolerance: float = 1e-9) -> bool:
+    """Whether all rotary inertias of M are the same about all axes and M has no first moments: its masses need no arms."""
     i, j = M.pattern.rows % 6, M.pattern.cols % 6
     values = M.values.detach().reshape(-1, M.pattern.nnz).abs()
     rotary = values * ((i >= 3) & (j >= 3))
@@ -86,7 +86,7 @@ def mass_invariants(
     x     nodes from the origin of the body frame [m]
     M     of all freedoms 6 * node + i, symmetric; freedoms that do not exist have no entries
     psi   modes at the nodes: three displacements, three rotations
-    arms  whether rotary inertia is that of masses on arms; False where it is `isotropic`
+    arms  whether rotary inertia is that of masses on arms; False where `has_isotropic_inertia`
     """
     columns = psi.flatten(-3, -2)
     T, X = linear_fields(x)
@@ -119,7 +119,7 @@ def mass_invariants(
 
 
 def _first_moments(M: SparseMatrix, psi: Tensor) -> Tensor:
-    """sum over mass of u_ia arm_j [..., i, j, a]: what C0 has from the arms, whose place is node + arm."""
+    """sum over mass of u_ia arm_j [..., i, j, a]: the part of C0 by the arms, as mass is at node + arm."""
     nodes, eps = psi.shape[-3], epsilon()
     turned = torch.zeros(nodes, 6, 3, dtype=psi.dtype)
     turned[:, 3:] = torch.eye(3, dtype=psi.dtype)

@@ -1,6 +1,6 @@
-"""Near neighbors separated: the retained modes turned among themselves by what rounding has mixed.
+"""Separation of modes of near eigenvalues, which rounding in the solver has mixed.
 
-    G = Psi' K Psi,     H = Psi' M Psi       in extended precision, from the modes as they were found
+    G = Psi' K Psi,     H = Psi' M Psi       in extended precision, from the modes of the solver
     A = 1 - (H - 1) / 2 + Theta,     Theta_ij = (G_ij - (H - 1)_ij (lambda_i + lambda_j) / 2) / (lambda_j - lambda_i)
 
 to first order A' H A = 1 and A' G A is diagonal; Theta is skew. The second order is that of rounding squared.
@@ -10,9 +10,9 @@ a relative gap of 1e-4, more where the norm of K is large. Psi A has what the nu
 in these numbers: K rounded to double precision has modes that are mixed by the same order, and no method can undo it.
 Derivatives of vectors, measured on matrices without rounding: 4e-10 at a relative gap of 6e-5, 6e-8 to 2e-7 at 8e-6, by
 processor.
-The span, hence every response, is not touched: this is for those who ask for single modes.
+The span, hence every response, does not change: only individual modes do.
 
-Pairs nearer than `apart` are left as they are. Where the platform has no extended precision nothing is gained or lost.
+Pairs that are not `apart` stay as they are. Where the platform has no extended precision nothing is gained or lost.
 A is a constant: the derivatives follow from it (eigenpairs.py). Checked in tests/sensitivity/test_eigen_near_gaps.py.
 """
 
@@ -27,12 +27,13 @@ from torch import Tensor
 
 from torchmbd.fem.reduction.forms import Diagonal, Form, Sparse
 from torchmbd.fem.reduction.transport import Pencil
+from torchmbd.math.vmap import batch_first
 
 Array = np.ndarray
 
 
-class Sharpen(torch.autograd.Function):
-    """A [lane, n, n] from K, M [lane, *entry], Psi [lane, N, n] and apart [lane, n, n]."""
+class ModeSeparation(torch.autograd.Function):
+    """A [lane, n, n] from K, M [lane, *entry], Psi [lane, N, n] and `apart`, the pairs to separate [lane, n, n]."""
 
     @staticmethod
     def forward(pencil: Pencil, K: Tensor, M: Tensor, psi: Tensor, apart: Tensor) -> Tensor:
@@ -51,11 +52,8 @@ class Sharpen(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor) -> tuple[Tensor, int]:
-        wide = [
-            x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
-            for x, dim in zip(tensors, in_dims[1:], strict=True)
-        ]
-        turns = Sharpen.apply(pencil, *(x.flatten(0, 1) for x in wide))
+        wide = [batch_first(x, dim, info.batch_size) for x, dim in zip(tensors, in_dims[1:], strict=True)]
+        turns = ModeSeparation.apply(pencil, *(x.flatten(0, 1) for x in wide))
         return turns.unflatten(0, (info.batch_size, -1)), 0
 
 

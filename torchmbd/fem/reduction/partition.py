@@ -1,9 +1,9 @@
-"""A block-tridiagonal view of a sparse pattern: an order of the rows and where to cut it into blocks.
+"""Block-tridiagonal partition of a sparse pattern: an order of its rows, and the first row of each block.
 
 After reordering, rows of block i are coupled with those of blocks i - 1, i and i + 1 only. A plate numbered along its
-long side falls into one block for each line of nodes, without a single zero row of padding. Blocks are what makes a
-factorization fast here: small dense products over all designs and all right-hand sides at once. Made once per pair of
-patterns (of K and M) and kept. Checked in tests/fem/reduction/test_sparse_modes.py.
+long side has one block for each line of nodes, without padding. Blocks make factorizations fast: small dense products over
+all designs and all right-hand sides at once. Computed once per pair of patterns (of K and M) and cached.
+Checked in tests/fem/reduction/test_sparse_modes.py.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _cost(bounds: list[int]) -> float:
 
 
 def _cut(rows: np.ndarray, cols: np.ndarray, size: int) -> list[int]:
-    """The best bounds for this order: each block reaches just as far as its forerunner is coupled."""
+    """Return the cheapest bounds for this order: each block ends at the last row with which the block before is coupled."""
     reach = np.arange(size)
     np.maximum.at(reach, rows, cols)
     reach = np.maximum.accumulate(reach) + 1
@@ -105,7 +105,7 @@ def _cut(rows: np.ndarray, cols: np.ndarray, size: int) -> list[int]:
 
 @lru_cache(maxsize=64)
 def form_sums(layout: Partition, form: Form) -> Sums:
-    """From the values of a form, flattened to one dimension, to the storage: `Partition.positions`."""
+    """Return the map from the values of a form, flattened, to block storage (`Partition.positions`)."""
     if isinstance(form, Sparse):
         rows, cols = form.pattern.rows, form.pattern.cols
     else:

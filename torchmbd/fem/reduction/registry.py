@@ -1,10 +1,10 @@
-"""The family of reductions that a flexible body chooses from by name.
+"""The reductions of flexible bodies by name.
 
     name               span                                                                          modes
     "vibration"        the n lowest modes of the body fixed at its reference (basis.py)              n
     "craig-bampton"    constraint modes of interface freedoms, n fixed-interface modes               i + n
 
-A member maps K and M of the free freedoms to a basis that is orthonormal in M and a full reduced stiffness, with exact
+A reduction maps K and M of the free freedoms to a basis that is orthonormal in M and a full reduced stiffness, with exact
 derivatives. `updated=False` holds the basis fixed while the stiffness is differentiated (eq. 36): the fixed-mode approach
 of section 4.2, for comparison only; its gradients are wrong in general. True: updated modes, eqs. (34)-(35).
 Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_fixed_modes.py.
@@ -24,7 +24,7 @@ from torchmbd.fem.reduction.craig_bampton import craig_bampton
 
 
 class Reduction(Protocol):
-    """What a flexible body asks of a reduction."""
+    """A reduction of a flexible body."""
 
     @property
     def size(self) -> int:
@@ -76,8 +76,10 @@ class CraigBampton:
         return craig_bampton(K, M, self.n, self.interface, updated=self.updated)
 
 
-def uncut(reduction: VibrationModes | CraigBampton, K: Matrix, M: Matrix) -> VibrationModes | CraigBampton:
-    """The same reduction with as many modes more as it takes to cut no cluster of equal frequencies of K and M."""
+def with_whole_clusters(
+    reduction: VibrationModes | CraigBampton, K: Matrix, M: Matrix
+) -> VibrationModes | CraigBampton:
+    """Return the reduction with the least number of additional modes that cuts no cluster of equal frequencies of K and M."""
     with torch.no_grad():
         while True:
             try:

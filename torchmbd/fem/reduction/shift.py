@@ -1,10 +1,10 @@
-"""A shift below the spectrum, so that K - sigma M can be factorized by Cholesky even when K is singular.
+"""A shift sigma below the spectrum, so that K - sigma M has a Cholesky factorization even when K is singular.
 
-sigma = 0 where K is safely positive definite. Otherwise (a free body: rigid-body modes; or K indefinite)
-sigma < 0 grows tenfold from a tiny part of the highest frequency until the factorization succeeds with
-pivots that stand clear of rounding. Each lane has its own sigma; nothing that leaves the reduction depends on it.
-Such a first sigma is so near to zero that digits are lost in K - sigma M, so once the eigenvalues are roughly known,
-a second one of their own size takes its place; so it does where K passed for definite and has modes next to zero.
+sigma = 0 where K is safely positive definite. Otherwise (a free body: rigid-body modes; or K indefinite) sigma < 0 is
+multiplied by ten, from a tiny part of the highest frequency, until all pivots are well above rounding. Each lane has its own
+sigma; results of the reduction do not depend on it.
+This first sigma is so near to zero that K - sigma M loses digits. So once the eigenvalues are roughly known, it is replaced by
+one of their size; and so is sigma = 0 where K has modes near zero that its pivots did not show.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ def choose_shift(
     return shift, factor
 
 
-def too_near(shift: Tensor, mu: Tensor) -> Tensor:
-    """Which shifts [lane] are so near the spectrum that digits are lost: negative ones as they were found first, and zero
-    where mu [lane, n], 1 / (lambda - sigma), are of very different size.
+def loses_digits(shift: Tensor, mu: Tensor) -> Tensor:
+    """Return which shifts [lane] are so near the spectrum that digits are lost.
 
-    With several modes next to zero each pivot is rounding divided by the one before, and looks sound.
+    These are all negative first shifts, and zero where the mu [lane, n] = 1 / (lambda - sigma) differ much in size: with
+    several modes near zero, each pivot is rounding divided by the one before, and seems large enough.
     """
     return (shift < 0) | (mu[:, 0] > LOST * mu[:, -1])
 
 
 def comparable_shift(near: Tensor, shift: Tensor, values: Tensor) -> Tensor:
-    """Shifts [lane]; those `near` the spectrum become as far below the lowest of `values` [lane, n] as the highest is above."""
+    """Replace shifts that are `near` the spectrum: as far below the lowest of `values` [lane, n] as the highest is above."""
     span = torch.maximum(values[:, -1].abs(), values[:, 0].abs())
     below = values[:, 0].clamp_max(0.0) - torch.maximum(span, shift.abs())
     return torch.where(near, below, shift)

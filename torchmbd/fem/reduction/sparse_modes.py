@@ -10,8 +10,8 @@ G'^-1 y,
     (1 - H / mu_i) y = c,      c = G' (K - sigma M)^-1 f,      y and c orthogonal to the retained u
 
 Its eigenvalues 1 - mu_j / mu_i lie in (0, 1] for the discarded modes j > n and crowd at 1: conjugate gradients
-converge in a few steps, faster still from the solution in those discarded modes that the eigenproblem has come to
-know on its way. All directions and all modes are columns of the same products with the same H.
+converge in a few steps. They start from the solution in the discarded modes whose Ritz pairs have nearly converged.
+All directions and all modes are columns of the same products with the same H.
 Works on [lane, ...] tensors, no autograd inside. Checked in tests/fem/reduction/test_sparse_modes.py.
 """
 
@@ -26,13 +26,13 @@ from torchmbd.fem.reduction.forms import Form
 from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
 from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.fem.reduction.partition import partition
-from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, too_near
+from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
 from torchmbd.math.compiled_products import compiled_products
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
-KNOWN = 1e-2  # residual of a discarded mode that is worth starting from
-STAYS = 1e-2  # of what is asked: a column that has so little left goes on no more, for only rounding would be divided
+KNOWN = 1e-2  # largest residual of discarded Ritz pairs in which conjugate gradients start from the solution
+
 MOST_STEPS = 300
 NO_CONVERGENCE = f"derivatives of modes did not converge in {MOST_STEPS} steps; is K nearly singular?"
 
@@ -53,7 +53,7 @@ class SparseModes:
 
         self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
         ritz = self._iterate(len(K), 1e-3 if self.shift.any() else TOLERANCE)
-        if ritz is not None and (near := too_near(self.shift, ritz.mu[:, : n + 1])).any():
+        if ritz is not None and (near := loses_digits(self.shift, ritz.mu[:, : n + 1])).any():
             self.shift = comparable_shift(near, self.shift, self.shift[:, None] + 1 / ritz.mu[:, : n + 1])
             self.factor, _ = factorize(self.shift)
             ritz = self._iterate(len(K), TOLERANCE)
@@ -64,14 +64,23 @@ class SparseModes:
             self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device, self._go_on)
+        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device, self._extend)
 
-    def _go_on(self, found: Recurrence, steps: int) -> None:
-        """`Recurrence.go_on`, by compiled code where there is some."""
-        if isinstance(self.root, BlockRoot) or (code := compiled_products(found.X)) is None:
-            return found.go_on(self._apply, steps)
-        code.lanczos(self.factor.compiled, self.root.G, found.steps, steps, found.Q, found.T, found.X, found.R)
-        found.steps = steps
+    def _extend(self, recurrence: Recurrence, steps: int) -> None:
+        """Extend as `Recurrence.extend`, by compiled code where it exists."""
+        if isinstance(self.root, BlockRoot) or (code := compiled_products(recurrence.X)) is None:
+            return recurrence.extend(self._apply, steps)
+        code.lanczos(
+            self.factor.compiled,
+            self.root.G,
+            recurrence.steps,
+            steps,
+            recurrence.Q,
+            recurrence.T,
+            recurrence.X,
+            recurrence.R,
+        )
+        recurrence.steps = steps
 
     def _apply(self, X: Tensor) -> Tensor:
         return self.root.upper(self.factor.solve(self.root.lower(X)))
@@ -90,11 +99,11 @@ class SparseModes:
         return self.root.upper_inverse(y)[:, self.layout.inverse].unflatten(2, F.shape[2:])
 
     def _discard(self, X: Tensor) -> Tensor:
-        """Take the components along the retained modes out, in place."""
+        """Remove the components along the retained modes in place."""
         return X.baddbmm_(self.U, self.U.mT @ X, alpha=-1)
 
     def _known_solution(self, c: Tensor, inverse_mu: Tensor) -> tuple[Tensor, Tensor]:
-        """The Galerkin solution in the discarded modes that the eigenproblem has come to know, and its residual."""
+        """Return the Galerkin solution in the discarded modes whose Ritz pairs are known, and its residual."""
         ritz, W, p = self.ritz, self.known, self.ritz.R.shape[-1]
         here = slice(self.n, self.n + W.shape[2])
         inside = W.mT @ c
@@ -105,7 +114,7 @@ class SparseModes:
 
     def _conjugate_gradients(self, c: Tensor, inverse_mu: Tensor) -> Tensor:
         rounding = 4 * torch.finfo(c.dtype).eps * torch.linalg.vector_norm(c, dim=1, keepdim=True)
-        c = self._discard(self._discard(c))  # once more, for columns of which nearly nothing is left
+        c = self._discard(self._discard(c))  # twice, for columns that are nearly all retained modes
         target = DERIVATIVE_TOLERANCE * torch.linalg.vector_norm(c, dim=1, keepdim=True) + rounding
         y, r = self._known_solution(c, inverse_mu)
         if isinstance(self.root, DiagonalRoot) and (code := compiled_products(y)) is not None:
@@ -119,7 +128,7 @@ class SparseModes:
         d, square = r.clone(), (r * r).sum(1, keepdim=True)
         for _ in range(MOST_STEPS):
             open_ = (square.sqrt() > target).any(0)[0].nonzero().squeeze(-1)
-            if len(open_) <= 0.75 * len(columns):  # columns that are done in all lanes leave the products
+            if len(open_) <= 0.75 * len(columns):  # drop the columns that have converged in all lanes
                 result[:, :, columns] = y
                 columns = columns[open_]
                 y, r, d, square, target, inverse_mu = (v[..., open_] for v in (y, r, d, square, target, inverse_mu))
@@ -129,7 +138,7 @@ class SparseModes:
             step = square / (d * Hd).sum(1, keepdim=True).clamp_min(tiny)
             step = torch.where(
                 square.sqrt() > target, step, 0.0
-            )  # what is done stays: there is only rounding to divide
+            )  # converged columns do not change: the quotient would be that of rounding
             y.addcmul_(step, d)
             r.addcmul_(step, Hd, value=-1)
             before, square = square, (r * r).sum(1, keepdim=True)

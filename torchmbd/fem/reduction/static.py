@@ -20,16 +20,17 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.blocks import BlockFactor, storage
 from torchmbd.fem.reduction.forms import Diagonal, Sparse, check, lane_name
+from torchmbd.fem.reduction.operator_call import call_as_operator
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT
-from torchmbd.fem.reduction.slices import by_slices
-from torchmbd.fem.reduction.transport import batched
+from torchmbd.fem.reduction.transport import apply_batched
 from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.sparse import Pattern, SparseMatrix
+from torchmbd.math.vmap import batch_first
 
 
 class StaticLoads:
-    """Solves for loads of all matrices of one pattern."""
+    """Static solutions for all stiffness matrices of one pattern."""
 
     def __init__(self, pattern: Pattern) -> None:
         self.form = Sparse(pattern, symmetric=True)
@@ -45,7 +46,7 @@ class StaticLoads:
 
 
 class _Solver:
-    """K^-1 of one call, once it is factorized."""
+    """K^-1 of one call of `StaticLoads`, after `factorize`."""
 
     factor: BlockFactor
 
@@ -87,10 +88,7 @@ class _Displacements(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, solver: _Solver, K: Tensor, F: Tensor) -> tuple[Tensor, int]:
-        K, F = (
-            x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
-            for x, dim in ((K, in_dims[1]), (F, in_dims[2]))
-        )
+        K, F = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[1]), (F, in_dims[2])))
         found: Any = _Displacements.apply(solver, K.flatten(0, 1), F.flatten(0, 1))
         return found.unflatten(0, (info.batch_size, -1)), 0
 
@@ -115,11 +113,11 @@ class _Tangent(FirstDerivative):
 
     @staticmethod
     def forward(solver: _Solver, U: Tensor, dK: Tensor | None, dF: Tensor | None) -> Tensor:
-        return by_slices(partial(_tangent, solver), U, dK, dF)[0]
+        return call_as_operator(partial(_tangent, solver), U, dK, dF)[0]
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, solver: _Solver, *tensors: Tensor | None) -> tuple:
-        (dU,), (dim,) = batched(_Tangent, info, in_dims, solver, tensors, state=1)
+        (dU,), (dim,) = apply_batched(_Tangent, info, in_dims, solver, tensors, state=1)
         return dU, dim
 
 
@@ -130,11 +128,11 @@ class _Cotangent(FirstDerivative):
 
     @staticmethod
     def forward(solver: _Solver, U: Tensor, G: Tensor) -> tuple[Tensor, Tensor]:
-        return by_slices(partial(_cotangent, solver), U, G)
+        return call_as_operator(partial(_cotangent, solver), U, G)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, solver: _Solver, *tensors: Tensor | None) -> tuple:
-        return batched(_Cotangent, info, in_dims, solver, tensors, state=1)
+        return apply_batched(_Cotangent, info, in_dims, solver, tensors, state=1)
 
 
 def _tangent(solver: _Solver, U: Tensor, dK: Tensor | None, dF: Tensor | None, *_: None) -> tuple[Tensor, Tensor]:

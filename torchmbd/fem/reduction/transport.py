@@ -1,4 +1,4 @@
-"""How a retained set of modes moves with the design: the derivatives behind `modal_basis` and `eigenpairs`.
+"""Derivatives of the span of the retained modes in the design, on which `modal_basis` and `eigenpairs` are built.
 
 **The problem.** K Psi = M Psi Kr and Psi' M Psi = 1, with K, M depending on the design, M positive definite, and Psi
 the n lowest modes. At the design at hand Kr = diag(lambda_1 ... lambda_n). The other modes, phi_j with j > n, are
@@ -37,9 +37,8 @@ place of -f_i, and W = Psi' G + Kr H + H Kr:
 
     <G, dPsi> + <H, dKr> = sum_i -y_i' (dK - lambda_i dM) psi_i + <Psi H Psi', dK> - 1/2 <Psi W Psi', dM>  (6)
 
-The numbers run once through these two Functions, whatever wraps them: `vmap` over tangents adds columns to the one
-deflated solve, `vmap` over designs adds lanes. Second derivatives of modes are not provided: asking for them raises
-NotImplementedError.
+Under transforms of torch.func each of the two Functions runs once: `vmap` over tangents adds columns to the one deflated
+solve, `vmap` over designs adds lanes. Second derivatives of modes raise NotImplementedError.
 
 Source: Dailey (AIAA J. 27 (1989) 486-491) and Nelson (AIAA J. 14 (1976) 1201-1205) for the individual modes; (1)-(6)
 are derived here. Checked in tests/sensitivity/test_eigen_subspace.py.
@@ -54,26 +53,23 @@ import torch
 from torch import Tensor
 
 from torchmbd.fem.reduction.forms import Form
-from torchmbd.fem.reduction.slices import by_slices
+from torchmbd.fem.reduction.operator_call import call_as_operator
 from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.vmap import batch_first
 
 
-class Modes(Protocol):
-    """What solves an eigenproblem for a batch of lanes and keeps its factorization for the derivatives."""
-
-    def lowest(self) -> tuple[Tensor, Tensor]:
-        """Eigenvalues [lane, n + 1 or more, where there are more], and the vectors [lane, N, n] of the lowest."""
-        ...
+class DeflatedSolver(Protocol):
+    """A solved eigenproblem of a batch of lanes, with its factorization for the derivatives."""
 
     def deflated_solve(self, F: Tensor) -> Tensor:
-        """(K - lambda_i M) z_i = f_i within the discarded modes; F and Z [lane, N, T, n]."""
+        """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F and Z [lane, N, T, n]."""
         ...
 
 
 class Pencil:
-    """The static part of one eigenproblem: the forms of K and M; and, once it is solved, its factorization."""
+    """The forms of K and M of one eigenproblem; and, once it is solved, `modes`, its factorization."""
 
-    modes: Modes
+    modes: DeflatedSolver
 
     def __init__(self, K_form: Form, M_form: Form) -> None:
         self.K_form, self.M_form = K_form, M_form
@@ -88,11 +84,11 @@ class Tangent(FirstDerivative):
     def forward(
         pencil: Pencil, values: Tensor, psi: Tensor, dK: Tensor | None, dM: Tensor | None
     ) -> tuple[Tensor, Tensor]:
-        return by_slices(partial(_tangent, pencil), values, psi, dK, dM)
+        return call_as_operator(partial(_tangent, pencil), values, psi, dK, dM)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
-        return batched(Tangent, info, in_dims, pencil, tensors)
+        return apply_batched(Tangent, info, in_dims, pencil, tensors)
 
 
 class Cotangent(FirstDerivative):
@@ -102,11 +98,11 @@ class Cotangent(FirstDerivative):
 
     @staticmethod
     def forward(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
-        return by_slices(partial(_cotangent, pencil), values, psi, G, H)
+        return call_as_operator(partial(_cotangent, pencil), values, psi, G, H)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
-        return batched(Cotangent, info, in_dims, pencil, tensors)
+        return apply_batched(Cotangent, info, in_dims, pencil, tensors)
 
 
 def _tangent(
@@ -137,27 +133,26 @@ def _cotangent(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor
     return K_bar, M_bar
 
 
-def batched(
+def apply_batched(
     function: Any, info: Any, in_dims: tuple, static: Any, tensors: tuple[Tensor | None, ...], state: int = 2
 ) -> tuple:
-    """vmap: over designs (one of the `state` first tensors has the dimension) new lanes in front; else more T."""
+    """Apply a Function under vmap: over designs as more lanes, over tangents alone as more T of the same lanes.
+
+    static   the first argument of the Function, without a batch
+    state    number of first tensors that belong to the design; vmap is over designs where one of them has a batch dimension
+    """
     dims = in_dims[1:]
-    wide = [_wide(tensor, dim, info.batch_size) for tensor, dim in zip(tensors, dims, strict=True)]
+    size = info.batch_size
+    wide = [None if x is None else batch_first(x, dim, size) for x, dim in zip(tensors, dims, strict=True)]
     if all(dim is None for dim in dims[:state]):
         # [B, lane, T, ...] -> [lane, B T, ...]: one solve with more columns
         merged = [None if w is None else w.movedim(0, 1).flatten(1, 2) for w in wide[state:]]
         outputs = _several(function.apply(static, *tensors[:state], *merged))
-        return tuple(o.unflatten(1, (info.batch_size, -1)) for o in outputs), (1,) * len(outputs)
+        return tuple(o.unflatten(1, (size, -1)) for o in outputs), (1,) * len(outputs)
     lanes = next(w for w in wide if w is not None).shape[1]
     outputs = _several(function.apply(static, *(None if w is None else w.flatten(0, 1) for w in wide)))
-    return tuple(o.unflatten(0, (info.batch_size, lanes)) for o in outputs), (0,) * len(outputs)
+    return tuple(o.unflatten(0, (size, lanes)) for o in outputs), (0,) * len(outputs)
 
 
 def _several(outputs: Tensor | tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     return outputs if isinstance(outputs, tuple) else (outputs,)
-
-
-def _wide(tensor: Tensor | None, dim: int | None, size: int) -> Tensor | None:
-    if tensor is None:
-        return None
-    return tensor.expand(size, *tensor.shape) if dim is None else tensor.movedim(dim, 0)

@@ -37,6 +37,7 @@ from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.warping import WarpingProblem, solve
 from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.inverse import balanced_inverse
+from torchmbd.math.vmap import batch_first
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
 
@@ -218,11 +219,7 @@ def _pairs(g: SectionGeometry, left: Tensor, right: Tensor, layers: int) -> Floa
 def _flattened(
     function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, *tensors: Tensor
 ) -> tuple[Tensor, int]:
-    size = info.batch_size
-    full = [
-        y[None].expand(size, *y.shape) if d is None else y.movedim(d, 0)
-        for y, d in zip(tensors, in_dims[1:], strict=True)
-    ]
+    full = [batch_first(y, dim, info.batch_size) for y, dim in zip(tensors, in_dims[1:], strict=True)]
     return function.apply(problem, *(y.flatten(0, 1) for y in full)).unflatten(0, full[0].shape[:2]), 0
 
 

@@ -25,6 +25,7 @@ from torch import Tensor
 from torchmbd.errors import SimulationFailure
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.vmap import batch_first
 
 
 class WarpingProblem:
@@ -142,7 +143,7 @@ class _Substitute(FirstDerivative):
 def _batched(function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, E: Tensor, f: Tensor) -> tuple:
     """vmap: over designs, new lanes in front; over right-hand sides alone, more columns of one factorization."""
     size = info.batch_size
-    f = f.expand(size, *f.shape) if in_dims[2] is None else f.movedim(in_dims[2], 0)
+    f = batch_first(f, in_dims[2], size)
     if in_dims[1] is None:
         wide = f.movedim(0, -1).flatten(-2)  # [lane, freedoms, c * size]
         return function.apply(problem, E, wide).unflatten(-1, (-1, size)), 3

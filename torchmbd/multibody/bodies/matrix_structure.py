@@ -23,8 +23,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown, warn
-from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, uncut
-from torchmbd.fem.reduction.mass_invariants import isotropic, mass_invariants, rigid_motions
+from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, with_whole_clusters
+from torchmbd.fem.reduction.mass_invariants import has_isotropic_inertia, mass_invariants, rigid_motions
 from torchmbd.math.checked_numbers import is_whole, reals
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
@@ -55,7 +55,7 @@ class MatrixStructure:
         with torch.no_grad():
             M, K = given.now()
             x = self.mesh.nodes
-            self._arms = not isotropic(M)
+            self._arms = not has_isotropic_inertia(M)
             self._check_rigid(M, K, rigid_motions(x - x.mean(0)))
             self.reference, held = self._held(M, reference)
             self.origin = x[self.reference].mean(0)
@@ -142,7 +142,7 @@ class MatrixStructure:
                     f"{freedom(int(bad[0]))} ({len(bad)} freedoms are so); allowed: mass and stiffness at every freedom"
                 )
         try:
-            found = uncut(
+            found = with_whole_clusters(
                 REDUCTIONS[kind](int(modes), tuple(rows), updated), K.restrict(self.free), M.restrict(self.free)
             )
         except InputError as error:

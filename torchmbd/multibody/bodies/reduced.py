@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
-from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, uncut
+from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, with_whole_clusters
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
 
@@ -54,7 +54,7 @@ def reduced(
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
     try:
-        return uncut(REDUCTIONS[kind](int(modes), held, updated), *matrices(assembly))
+        return with_whole_clusters(REDUCTIONS[kind](int(modes), held, updated), *matrices(assembly))
     except InputError as error:
         raise InputError(f"reduction of {name!r}: {_without_mass(assembly) or error}") from None
 

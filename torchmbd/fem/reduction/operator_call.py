@@ -1,7 +1,7 @@
-"""Python functions of plain tensors as one operator of torch.
+"""Call a Python function as one operator of torch.
 
-The batched gradients of torch.autograd (is_grads_batched, gradcheck) know nothing of the vmap rules of Functions and
-cannot look into loops and NumPy. An operator they call slice by slice. Checked in tests/sensitivity/test_spectral.py.
+The batched gradients of torch.autograd (is_grads_batched, gradcheck) ignore the vmap rules of Functions and cannot batch loops
+and NumPy. An operator of torch is called for each slice of the batch instead. Checked in tests/sensitivity/test_spectral.py.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _functions: dict[int, Function] = {}
 _numbers = count()
 
 
-def by_slices(
+def call_as_operator(
     function: Function, a: Tensor, b: Tensor | None = None, c: Tensor | None = None, d: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """function(a, b, c, d): two new tensors, without derivatives."""
+    """Return function(a, b, c, d), two new tensors without derivatives."""
     number = next(_numbers)
     _functions[number] = function
     try:
@@ -29,6 +29,6 @@ def by_slices(
         del _functions[number]
 
 
-@torch.library.custom_op("torchmbd::by_slices", mutates_args=())
+@torch.library.custom_op("torchmbd::call_as_operator", mutates_args=())
 def _call(number: int, a: Tensor, b: Tensor | None, c: Tensor | None, d: Tensor | None) -> tuple[Tensor, Tensor]:
     return _functions[number](a, b, c, d)
