@@ -377,7 +377,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         """Run the structure stage.
 
         Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; with stiffening also F1, F2 and, of
-        `nodes`, "bow" (stiffening.py). Leading axes are those of the laminate's parameters (designs).
+        `nodes`, "psi2" (stiffening.py). Leading axes are those of the laminate's parameters (designs).
         """
         if self.given is not None:
             return self.given.structure()

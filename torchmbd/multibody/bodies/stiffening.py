@@ -64,7 +64,7 @@ class Stiffening:
         psi: Tensor,
         nodes: Sequence[int],
     ) -> dict[str, Tensor]:
-        """F1 [..., 3, m, m], F2 [..., 3, 3, m, m], and "bow" [..., nodes, 6, m, m], f and g of the nodes that are asked for.
+        """F1 [..., 3, m, m], F2 [..., 3, 3, m, m], and "psi2" [..., nodes, 6, m, m], f and g of the nodes that are asked for.
 
         K     stiffness of the free freedoms
         x     places of the mass points from the origin of the body
@@ -84,7 +84,7 @@ class Stiffening:
         inertial = Kg[..., :INERTIAL, :, :].unflatten(-3, (4, 3))
         inertial = inertial if turned is None else inertial + turned
         F1, F2 = inertial[..., 0, :, :, :], inertial[..., 1:, :, :, :].transpose(-4, -3)
-        return {"F1": F1, "F2": F2, "bow": -Kg[..., INERTIAL:, :, :].unflatten(-3, (len(nodes), 6))}
+        return {"F1": F1, "F2": F2, "psi2": -Kg[..., INERTIAL:, :, :].unflatten(-3, (len(nodes), 6))}
 
 
 def _weights(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 4"]:

@@ -75,19 +75,19 @@ class Attached:
         turned = torch.linalg.cross(moved[..., 3:, :], lever[:, None].expand_as(moved[..., 3:, :]), dim=-2)
         return moved[..., :3, :] + turned if self.is_point else turned
 
-    def quadratic_rows(self, psi: Tensor, bow: Tensor, nodes: Sequence[int]) -> Tensor:
+    def quadratic_rows(self, psi: Tensor, psi2: Tensor, nodes: Sequence[int]) -> Tensor:
         """How the rows of `modal_rows` change with the modes: [..., 3, modes, modes], symmetric.
 
-        bow    displacements and rotations of second order (bodies/stiffening.py) of some nodes [..., k, 6, modes, modes]
+        psi2   displacements and rotations of second order (bodies/stiffening.py) of some nodes [..., k, 6, modes, modes]
         nodes  which these are
         """
         if self.interpolation is None:
-            return torch.zeros_like(bow[..., 0, :3, :, :])
+            return torch.zeros_like(psi2[..., 0, :3, :, :])
         x = self.body.mesh.nodes - self.body.origin
         own = [list(nodes).index(k) for k in self.interpolation.nodes]
         here = InterpolationConstraint(tuple(range(len(own))), self.interpolation.weights)
-        moved = here.motion(x[list(self.interpolation.nodes)], bow[..., own, :, :, :].flatten(-2)).unflatten(
-            -1, bow.shape[-2:]
+        moved = here.motion(x[list(self.interpolation.nodes)], psi2[..., own, :, :, :].flatten(-2)).unflatten(
+            -1, psi2.shape[-2:]
         )
         lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
         turn = moved[..., 3:, :, :]

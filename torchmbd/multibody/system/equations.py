@@ -46,7 +46,7 @@ from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.math.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
 from torchmbd.multibody.system import beams
-from torchmbd.multibody.system.moments import Data, bent_stiffness, moments, on_frame
+from torchmbd.multibody.system.moments import Data, bent_stiffness, frame_terms, moments
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # data of every body and their tensor rank
@@ -122,7 +122,7 @@ def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
         Y = data["Y"]
         bent = _modal_vector(T, Y, w)
         if "E" in data:
-            turned = _bow(T, data, w)
+            turned = _quadratic_rows(T, data, w)
             bent, Y = bent + 0.5 * _modal_vector(T, turned, w), Y + turned
         n = T.attached_flexible
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < T.vectors else rho + bent
@@ -131,8 +131,8 @@ def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
     return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws, given.t, Y)
 
 
-def _bow(T: Topology, data: Data, w):
-    """E w: how the rows Y of attached vectors change by bending, [3, modes, vectors]."""
+def _quadratic_rows(T: Topology, data: Data, w):
+    """E w: the change of the rows Y of attached vectors by bending, [3, modes, vectors]."""
     return contract(data["E"], w.index_select(1, T.vector_flexible), 2)
 
 
@@ -171,7 +171,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     turn = sr[3:, 1] + cross(om_f, sr[3:, 0])
     if V is not None:
         drift = matvec(contract(data["V1"], wd, 2), wd)
-        F1_wd_wd, axial_F2_wd_wd = on_frame(data, drift.unsqueeze(1))
+        F1_wd_wd, axial_F2_wd_wd = frame_terms(data, drift.unsqueeze(1))
         extra, turn = extra + F1_wd_wd[:, 0], turn + axial_F2_wd_wd[:, 0]
     torque = cross(S, u) + data["mu"] * omd
     if f < n:
@@ -241,15 +241,15 @@ def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
     rdd, omd, wdd = split_v(T, a)
     spin = skew(om)
     Z = skew(omd) + matmul(spin, spin)
-    spin, Z = (_with_carriers(T, x, 2).index_select(2, T.vector_body) for x in (spin, Z))
-    rd, rdd = (_with_carriers(T, x, 1).index_select(1, T.vector_origin) for x in (rd, rdd))
+    spin, Z = (_with_prescribed(T, x, 2).index_select(2, T.vector_body) for x in (spin, Z))
+    rd, rdd = (_with_prescribed(T, x, 1).index_select(1, T.vector_origin) for x in (rd, rdd))
     velocity, acceleration = matvec(spin, at.rho), matvec(Z, at.rho)
     n = T.attached_flexible
     if n:
         slow, fast = _modal_vector(T, at.Y, wd), _modal_vector(T, at.Y, wdd)
         fast = fast + 2.0 * matvec(spin[:, :, :n], slow)
         if "E" in data:
-            fast = fast + _modal_vector(T, _bow(T, data, wd), wd)
+            fast = fast + _modal_vector(T, _quadratic_rows(T, data, wd), wd)
         velocity = cat([velocity[:, :n] + slow, velocity[:, n:]], 1)
         acceleration = cat([acceleration[:, :n] + fast, acceleration[:, n:]], 1)
     return Jet(at.g, rd + matvec(at.A_of, velocity), rdd + matvec(at.A_of, acceleration))
@@ -259,13 +259,13 @@ def vector_velocities(T: Topology, at: Placement, data: Data, v):
     """Velocities of the attached vectors [3, vectors, ...], in ground axes; of those on prescribed bodies as if they were
     at rest."""
     rd, om, wd = split_v(T, v)
-    om = _with_carriers(T, om, 1).index_select(1, T.vector_body)
+    om = _with_prescribed(T, om, 1).index_select(1, T.vector_body)
     velocity = cross(om, at.rho)
     n = T.attached_flexible
     if n:
         bending = velocity[:, :n] + _modal_vector(T, at.Y, wd)
         velocity = cat([bending, velocity[:, n:]], 1) if n < T.vectors else bending
-    return _with_carriers(T, rd, 1).index_select(1, T.vector_origin) + matvec(at.A_of, velocity)
+    return _with_prescribed(T, rd, 1).index_select(1, T.vector_origin) + matvec(at.A_of, velocity)
 
 
 def beam_rates(T: Topology, data: Data, at: Placement, v) -> tuple[Any, Any] | None:
@@ -277,10 +277,10 @@ def beam_rates(T: Topology, data: Data, at: Placement, v) -> tuple[Any, Any] | N
 
 def turns_of_vectors(T: Topology, x) -> Any:
     """Rotations, or their rates, of the bodies [3, bodies, ...] as those of attached vectors; zero on prescribed bodies."""
-    return _with_carriers(T, x, 1).index_select(1, T.vector_body)
+    return _with_prescribed(T, x, 1).index_select(1, T.vector_body)
 
 
-def _with_carriers(T: Topology, x, dim: int):
+def _with_prescribed(T: Topology, x, dim: int):
     """Append zeros for the prescribed bodies and the ground."""
 
     def zeros(y: Tensor) -> Tensor:

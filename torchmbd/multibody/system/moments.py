@@ -1,7 +1,7 @@
-"""Moments of bent bodies: S, P, G, s and V of equations.py.
+"""Moments of deformed bodies: S, P, G, s and V of equations.py.
 
-C1 and F2 have the same factors there but in axial(w' F2 w'), where C1 gives none: the data hold their sum as C1. All else of F1
-and F2 is in L V1 = X1 = (F1; axial of F2), so neither is kept: a third of the products.
+C1 and F2 have the same factors in all terms but axial(w' F2 w'), to which C1 adds nothing: the data hold their sum as C1.
+F1 and axial(F2) are L V1 (equations.py), so the data hold neither: a third of the products of F1, F2 and V1 apart.
 Checked in tests/multibody/system/test_equations.py (direct nodal sums), tests/physics/ (energy, momentum).
 """
 
@@ -16,7 +16,7 @@ Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 
 
 class Moments(NamedTuple):
-    """Of the deformed bodies; G, SR and V of the flexible ones, or None.
+    """Moments of the deformed bodies; G, SR and V of the flexible ones, or None.
 
     S [3, bodies], P [3, 3, bodies], G [3, 3, modes, flexible], SR: s above R1 [6, modes, flexible], V [6, modes, flexible]
     of systems with stiffening
@@ -30,7 +30,7 @@ class Moments(NamedTuple):
 
 
 def moments(T: Topology, data: Data, w) -> Moments:
-    """Moments of the bodies that are bent by w."""
+    """Return the moments of bodies with the modal coordinates w."""
     f = T.flexible
     if not f:
         return Moments(data["S0"], data["P0"])
@@ -47,12 +47,12 @@ def moments(T: Topology, data: Data, w) -> Moments:
     return Moments(S_f, P_f, G, SR, V)
 
 
-def on_frame(data: Data, x):
-    """F1 and axial of F2 [3, k, flexible], contracted as V1 is in x [6, k, flexible]."""
+def frame_terms(data: Data, x):
+    """Return F1 and axial(F2) [3, k, flexible] in the contraction that V1 has in x [6, k, flexible]."""
     L = data["L"]
     return L[0, 0] * x[:3], matmul(L[3:], x)
 
 
 def bent_stiffness(data: Data, w):
-    """K2 w [modes, modes, flexible]: what bending adds to the stiffness of bodies with a quadratic one."""
+    """Return K2 w [modes, modes, flexible], the part of a quadratic stiffness that bending adds."""
     return contract(data["K2"], w, 2)

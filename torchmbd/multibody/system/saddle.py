@@ -148,14 +148,14 @@ def saddle_entries(T: Topology, blocks: SaddleBlocks) -> np.ndarray:
     found: list[tuple] = [(r[i], r[i], at["mass"]) for i in range(3)]
     for i in range(3):
         for j in range(3):
-            found.append((r[i], om[j], at["turn"][i, j]))
-            found.append((om[j], r[i], at["turn_back"][i, j]))
+            found.append((r[i], om[j], at["r_om"][i, j]))
+            found.append((om[j], r[i], at["om_r"][i, j]))
             found.append((om[i], om[j], at["inertia"][i, j]))
         for a in range(m):
-            found.append((r[i, :f], w[a], at["pull"][i, a]))
-            found.append((w[a], r[i, :f], at["pull_back"][i, a]))
-            found.append((om[i, :f], w[a], at["twist"][i, a]))
-            found.append((w[a], om[i, :f], at["twist_back"][i, a]))
+            found.append((r[i, :f], w[a], at["r_w"][i, a]))
+            found.append((w[a], r[i, :f], at["w_r"][i, a]))
+            found.append((om[i, :f], w[a], at["om_w"][i, a]))
+            found.append((w[a], om[i, :f], at["w_om"][i, a]))
     for a in range(m):
         for b in range(m):
             found.append((w[a], w[b], at["modal"][a, b]))

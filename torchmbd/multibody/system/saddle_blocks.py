@@ -1,10 +1,10 @@
 """Blocks of the saddle-point matrix: of all bodies and all rows at once.
 
-    mass, turn, turn_back, inertia        forces by r'', forces by omega', torques by r'', torques by omega'
-    pull, pull_back, twist, twist_back    forces by w'', modal forces by r'', torques by w'', modal forces by omega'
-    modal                                 modal forces by w''
-    row_force, row_torque, row_modal      Phi_q' by pairs (row, body);  row_turn: torques in Phi_q
-    beam                                  forces and torques of beam elements by both ends; of an iteration matrix only
+    mass, r_om, om_r, inertia           forces by r'', forces by omega', torques by r'', torques by omega'
+    r_w, w_r, om_w, w_om                forces by w'', modal forces by r'', torques by w'', modal forces by omega'
+    modal                               modal forces by w''
+    row_force, row_torque, row_modal    Phi_q' by pairs (row, body);  row_turn: torques in Phi_q
+    beam                                forces and torques of beam elements by both ends; of an iteration matrix only
 
 `stiffness`, `damping`: factors of Kr and D added to the modal mass, and derivatives of all other forces by coordinates
 and rates, make the iteration matrix of an implicit integrator out of the same text.
@@ -29,9 +29,12 @@ from torchmbd.multibody.system.equations import (
     turns_of_vectors,
 )
 from torchmbd.multibody.system.index_maps import SegmentSum
-from torchmbd.multibody.system.moments import Data, Moments, bent_stiffness, moments, on_frame
+from torchmbd.multibody.system.moments import Data, Moments, bent_stiffness, frame_terms, moments
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import Block, UnitForces
+
+# Blocks below the diagonal that are, without rates and accelerations, those above it.
+MIRRORED = {"r_om": "om_r", "r_w": "w_r", "om_w": "w_om"}
 
 
 class SaddleBlocks:
@@ -46,13 +49,13 @@ class SaddleBlocks:
         n, f, m = self.T.bodies, self.T.flexible, self.T.modes
         shapes = [
             ("mass", (n,)),
-            ("turn", (3, 3, n)),
-            ("turn_back", (3, 3, n)),  # [r'', torque]
+            ("r_om", (3, 3, n)),
+            ("om_r", (3, 3, n)),  # [r'', torque]
             ("inertia", (3, 3, n)),
-            ("pull", (3, m, f)),
-            ("pull_back", (3, m, f)),  # [r'', mode]
-            ("twist", (3, m, f)),
-            ("twist_back", (3, m, f)),  # [omega', mode]
+            ("r_w", (3, m, f)),
+            ("w_r", (3, m, f)),  # [r'', mode]
+            ("om_w", (3, m, f)),
+            ("w_om", (3, m, f)),  # [omega', mode]
             ("modal", (m, m, f)),
         ]
         rows = self.rows.shapes(m, "row") if self.T.rows else []
@@ -88,7 +91,7 @@ class SaddleBlocks:
         T = self.T
         body = moments(T, data, at.w)
         blocks = self._mass_blocks(data, at, body, stiffness, damping)
-        blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
+        blocks |= {mirrored: blocks[name] for name, mirrored in MIRRORED.items() if name in blocks}
         if v is not None:
             _, om, wd = split_v(T, v)
             spin = skew(om)
@@ -149,13 +152,13 @@ class SaddleBlocks:
         trace = P[0, 0] + P[1, 1] + P[2, 2]
         blocks = {
             "mass": data["mass"],
-            "turn": -matmul(A, skew(S)),
+            "r_om": -matmul(A, skew(S)),
             "inertia": eye * (trace + data["mu"]) - P,
         }
         if G is not None:
             A_f = A[:, :, :f]
-            blocks["pull"] = (A_f[:, :, None] * SR[:3][None]).sum(1)
-            blocks["twist"] = axial(G) + SR[3:]
+            blocks["r_w"] = (A_f[:, :, None] * SR[:3][None]).sum(1)
+            blocks["om_w"] = axial(G) + SR[3:]
             modal = T.modal_identity(data["Kr"]) + stiffness * data["Kr"]
             if "K2" in data:
                 modal = modal + stiffness * bent_stiffness(data, at.w)
@@ -179,7 +182,7 @@ class SaddleBlocks:
         if G is not None:
             bending = drift[:, :f] + 2.0 * matvec(SR[:3], wd)
             drift = cat([bending, drift[:, f:]], 1) if f < T.bodies else bending
-        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(drift) + matmul(spin, skew(S)))
+        blocks["r_om"] = blocks["r_om"] - factor * matmul(A, skew(drift) + matmul(spin, skew(S)))
         blocks["inertia"] = J + factor * (matmul(spin, J) - skew(matvec(J, om)))
         if G is not None:
             om_f, spin_f = om[:, :f], spin[:, :, :f]
@@ -187,8 +190,8 @@ class SaddleBlocks:
             coriolis = matmul(twice, SR[:3])
             R1, X = SR[3:], (G * wd).sum(2)
             turning = matmul(factor * spin_f, R1) + axial((twice[:, :, None, None] * G[None]).sum(1))
-            blocks["pull"] = blocks["pull"] + matmul(A[:, :, :f], coriolis)
-            blocks["twist"] = blocks["twist"] + turning
+            blocks["r_w"] = blocks["r_w"] + matmul(A[:, :, :f], coriolis)
+            blocks["om_w"] = blocks["om_w"] + turning
             eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
             stirred = 2.0 * (eye * (X[0, 0] + X[1, 1] + X[2, 2]) - X) - skew(matvec(R1, wd))
             blocks["inertia"] = cat([blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2)
@@ -196,7 +199,7 @@ class SaddleBlocks:
             trace = G[0, 0] + G[1, 1] + G[2, 2]
             centrifugal = (both * om_f[None, :, None]).sum(1) - 2.0 * om_f[:, None] * trace[None]
             coriolis = (data["H"] * wd).sum(2)
-            blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
+            blocks["w_om"] = blocks["w_om"] + factor * (centrifugal + coriolis)
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
 
     def _add_inertial(
@@ -221,15 +224,15 @@ class SaddleBlocks:
             Z_f, spin_f, u_f = Z[:, :, :f], spin[:, :, :f], u[:, :f]
             bending = h[:, :f] + matvec(S1, wdd) + 2.0 * matvec(spin_f, matvec(S1, wd))
             h = cat([bending, h[:, f:]], 1) if f < T.bodies else bending
-            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
+            blocks["r_w"] = blocks["r_w"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
             slow, fast = ((C1 * x[:, None]).sum(2) for x in (wd, wdd))  # [3, 3, modes, flexible]
             dP = G + G.transpose(0, 1)  # C1_ijab = C1_jiba
             turned = _times(Z_f, dP) + fast + 2.0 * _times(spin_f, slow)
             pulled = matmul(skew(u_f), S1)
-            blocks["twist"] = blocks["twist"] + factor * (axial(turned) - pulled)
-            blocks["twist_back"] = blocks["twist_back"] - factor * pulled
+            blocks["om_w"] = blocks["om_w"] + factor * (axial(turned) - pulled)
+            blocks["w_om"] = blocks["w_om"] - factor * pulled
             blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0)
-        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
+        blocks["r_om"] = blocks["r_om"] - factor * matmul(A, skew(h))
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
 
     def _add_second_order(
@@ -251,7 +254,7 @@ class SaddleBlocks:
             _, om, wd = (x[:, :f] for x in split_v(T, v))
             slow = (V1 * wd[:, None]).sum(1)  # [6, modes, flexible]
             moved = moved + 2.0 * damping * slow
-            pull, twist = on_frame(data, 2.0 * damping * slow)
+            pull, twist = frame_terms(data, 2.0 * damping * slow)
             if a is not None:
                 rdd, _, wdd = (x[:, :f] for x in split_v(T, a))
                 u = matvec_t(at.A[:, :, :f], rdd - data["gravity"] if "gravity" in data else rdd)
@@ -260,8 +263,8 @@ class SaddleBlocks:
                 pull = pull + stiffness * root * (fast[:3] + 2.0 * matmul(skew(om), slow[:3]))
                 rate = matvec(V, wdd) + matvec(slow, wd)
                 modal = modal + stiffness * (cat([rate[:3] + root * u, rate[3:]])[:, None, None] * V1).sum(0)
-            blocks["pull"] = blocks["pull"] + matmul(at.A[:, :, :f], pull)
-            blocks["twist"] = blocks["twist"] + twist
+            blocks["r_w"] = blocks["r_w"] + matmul(at.A[:, :, :f], pull)
+            blocks["om_w"] = blocks["om_w"] + twist
         blocks["modal"] = blocks["modal"] + modal + (V[:, :, None] * moved[:, None]).sum(0)
 
     def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: Any, pulls: Tensor) -> None:
@@ -279,7 +282,7 @@ class SaddleBlocks:
             local = local[:, : T.attached_flexible]
             bent = -matmul(skew(local), at.Y)
             twist = factor * T.modal_sum(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
-            blocks["twist"], blocks["twist_back"] = blocks["twist"] + twist, blocks["twist_back"] + twist
+            blocks["om_w"], blocks["w_om"] = blocks["om_w"] + twist, blocks["w_om"] + twist
             if "E" in data:
                 pulled = (data["E"] * local[:, None, None]).sum(0)
                 modal = T.modal_sum(pulled.flatten(0, 1)).unflatten(0, (T.modes, T.modes))

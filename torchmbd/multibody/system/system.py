@@ -43,7 +43,7 @@ from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import START_DATA, start_of_bodies
-from torchmbd.multibody.system.modal_data import carriers, modal_data, second_order, together, vector_modes
+from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
 from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import Start
@@ -323,7 +323,7 @@ class System(nn.Module):
 
     def _structures(self) -> dict[str, dict[str, Tensor]]:
         T = self.topology
-        return {name: self.body(name).structure(carriers(T, i)) for i, name in enumerate(T.names[: T.flexible])}
+        return {name: self.body(name).structure(frame_nodes(T, i)) for i, name in enumerate(T.names[: T.flexible])}
 
     def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         T = self.topology
@@ -334,16 +334,16 @@ class System(nn.Module):
             *stages,
             *(spans[b.beam.name].inertia(b.index) if isinstance(b, BeamNode) else b.invariants() for b in rigid),
         ]
-        data = {key: together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
+        data = {key: stack_bodies([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
             data |= modal_data(
                 stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
             )
             data["Y"] = vector_modes(T, stages)
             if any("F1" in stage for stage in stages):
-                data |= second_order(T, stages)
+                data |= second_order_data(T, stages)
         x = [attached.now() for attached in T.attached]
-        data["x"] = together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
+        data["x"] = stack_bodies(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
             if element.variables is not None and getattr(element, "of_law", True):
                 data[law_key(element.name)] = element.variables.flat()
