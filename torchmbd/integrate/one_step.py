@@ -34,7 +34,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.contacts import ContactWatch
-from torchmbd.integrate.estimates import StepErrors, alternations, turns
+from torchmbd.integrate.estimates import StepErrors, alternating_share, alternations, second_halves, turns
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
 from torchmbd.integrate.native import steps
 from torchmbd.integrate.phases import loop
@@ -152,10 +152,13 @@ class OneStep(Integrator):
         return IntegrationResult(history, statistics, contacts=estimates.contacts.unresolved(h))
 
     def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
-        """As of Integrator; statistics as of `integrate`, without errors of steps."""
+        """As of Integrator; statistics as of `integrate`, without errors of steps; "alternation" of second halves of phases."""
         errors = loop.integrate(multiphase, self)
-        h = multiphase.duration / multiphase.steps
-        turn = turns(multiphase.whole, multiphase.recorded(), h)
+        h, whole, recorded = multiphase.duration / multiphase.steps, multiphase.whole, multiphase.recorded()
+        turn = turns(whole, recorded, h)
+        if whole.topology.beams is not None:
+            later = second_halves(multiphase.number)
+            errors["alternation"] = alternating_share(alternations(whole, recorded), later)
         valid_times = errors.get("valid_times", first_true(turn < 0.0))
         errors["valid_times"] = valid_times.minimum(first_true(turn > TURN).clamp_min(1))
         return {"steps": multiphase.steps, "step_size": h, "turn": turn.amax(0)} | errors
@@ -213,8 +216,8 @@ class _StepEstimates:
         result: dict[str, Any] = {"steps": self.steps, "step_size": self.h, "turn": turn.amax(0)}
         result |= self.errors.statistics(self.steps) | self.iterations.statistics()
         if self.alternations:
-            both = torch.cat(self.alternations, 1)
-            change, size = both[:, both.shape[1] // 2 :].sum(1)  # what a jump leaves has been damped since
-            result["alternation"] = change / size.clamp_min(torch.finfo(size.dtype).tiny)
+            parts = torch.cat(self.alternations, 1)
+            later = torch.arange(parts.shape[1]) >= parts.shape[1] // 2
+            result["alternation"] = alternating_share(parts, later[:, None])
         result["valid_times"] = result["valid_times"].minimum(first_true(turn > TURN).clamp_min(1))
         return result

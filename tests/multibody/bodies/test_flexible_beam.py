@@ -152,6 +152,28 @@ def test_vibrations_that_steps_do_not_resolve():
     assert wild.status[0].startswith("unresolved")
 
 
+@pytest.mark.thorough
+def test_vibrations_that_steps_do_not_resolve_in_phases():
+    phases = [mbd.Phase(until=0.5), mbd.Phase()]
+    assert spinning(phases=phases).status == ["ok"]
+    with pytest.warns(UserWarning, match="change their sign from step to step"):
+        wild = spinning(spectral_radius=0.9, phases=phases)
+    assert float(wild.energies.stored.max()) > 1.5 * float(wild.energies.stored[0, 0])
+    assert wild.status[0].startswith("unresolved")
+
+
+@pytest.mark.parametrize("far", [0.0, 1000.0])
+@pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.05), mbd.Phase()]])
+def test_rounding_is_no_vibration(far, phases):
+    """Of a stiff beam that starts at rest and stays: 1e-6 or 1e-3 m/s2 by rounded places."""
+    stiff = given(2e9, 7e8, 7e8, 1e6, 1e6, 1e6, mass=matrix(10.0, 10.0, 10.0, 2e-3, 1e-3, 1e-3))
+    beam = mbd.FlexibleBeam("beam", mbd.BeamLine.arc(1.0, 1.0, 4), stiff, position=(far, 0.0, 0.0))
+    wall = mbd.Fixed(GROUND.at(far, 0.0, 0.0), beam.at("start"))
+    system = mbd.System([beam], [wall], gravity=(0.0, 0.0, -9.81))
+    motion = mbd.simulate(system, 0.1, steps=10, start="equilibrium", phases=phases, backend="eager")
+    assert motion.status == ["ok"]
+
+
 def test_refusals():
     line = mbd.BeamLine.straight(1.0, 3)
     bad = (matrix(1.0, 1, 1, 1, -1, 1), MASS)

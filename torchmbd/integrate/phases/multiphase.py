@@ -48,13 +48,12 @@ def integrate(
         return multiphase, statistics, status
 
     multiphase, statistics, status = integrate_by(integrator)
-    retry = integrator.retry()
-    if retry is not None and retry.substeps == 1 and any(x != OK for x in status):
+    retry, failed = integrator.retry(), [lane for lane, reason in enumerate(status) if has_failed(reason)]
+    if retry is not None and retry.substeps == 1 and failed:
         other, other_statistics, other_status = integrate_by(retry.integrator)
-        if other_status.count(OK) > status.count(OK):
-            failed = [lane for lane, reason in enumerate(status) if has_failed(reason)]
+        if sum(has_failed(reason) for reason in other_status) < len(failed):
             by_retry = {"renewed": list(range(len(status))), "failed_first": failed}
-            return other, other_statistics | by_retry, other_status
+            multiphase, statistics, status = other, other_statistics | by_retry, other_status
     warn_unresolved(status)
     return multiphase, statistics, status
 
