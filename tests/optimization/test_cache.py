@@ -9,7 +9,7 @@ from tests.optimization.analytic import Analytic
 from tests.optimization.multistart.test_batched import Elsewhere, valley
 from torchmbd.errors import InputError
 from torchmbd.optimization import optimize_discrete, sobol
-from torchmbd.optimization.cache import Cache
+from torchmbd.optimization.cache import MemoryCachedProblem
 
 X = np.array([[0.5, 0.5], [1.0, -1.0], [2.0, 0.0]])
 
@@ -20,7 +20,7 @@ def bowl() -> Analytic:
 
 def test_each_design_is_evaluated_once():
     problem = bowl()
-    cache = Cache(problem)
+    cache = MemoryCachedProblem(problem)
     values = [e.objective for e in cache.evaluate(X[[0, 1, 0]], True)]
     assert values == [1.5, 3.0, 1.5]
     assert problem.batches == [(2, True)]
@@ -28,12 +28,12 @@ def test_each_design_is_evaluated_once():
     assert problem.batches == [(2, True), (1, False)]
     cache.evaluate(X[2:], True)  # its values are known, its gradients are not
     assert problem.batches[2:] == [(1, True)]
-    assert (cache.known, cache.computed, cache.batches) == (3, 4, 3)
-    assert len(cache.memory.known) == 3
+    assert (cache.hits, cache.computed, cache.batches) == (3, 4, 3)
+    assert len(cache.memory.entries) == 3
 
 
 def test_a_failure_is_remembered():
-    cache = Cache(Analytic("wall", [1.0], lambda x: x[0], lower=-3, upper=3, fails=lambda x: True))
+    cache = MemoryCachedProblem(Analytic("wall", [1.0], lambda x: x[0], lower=-3, upper=3, fails=lambda x: True))
     for gradients in (False, True):
         (found,) = cache.evaluate(X[:1, :1], gradients)
         assert not found.ok
@@ -44,7 +44,7 @@ def test_too_few_answers_are_refused():
     problem = bowl()
     problem.evaluate = lambda X, gradients: []
     with pytest.raises(InputError, match="0 evaluations for 3 designs"):
-        Cache(problem).evaluate(X, False)
+        MemoryCachedProblem(problem).evaluate(X, False)
 
 
 def test_what_is_evaluated_elsewhere_is_remembered_as_well():

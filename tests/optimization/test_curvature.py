@@ -5,7 +5,7 @@ import pytest
 
 from tests.optimization.analytic import Analytic
 from torchmbd.optimization import optimize
-from torchmbd.optimization.curvature import along, tangent
+from torchmbd.optimization.curvature import reduced_hessian, tangent_basis
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.search import Search
 
@@ -20,12 +20,12 @@ def quality(multipliers, bounds) -> KuhnTucker:
 
 def test_ways_are_along_what_has_a_multiplier():
     H = np.diag([-1.0, 2.0, -3.0])
-    Z = tangent(np.zeros((0, 3)), quality([], [0, 0, 0]), 1e-3)
+    Z = tangent_basis(np.zeros((0, 3)), quality([], [0, 0, 0]), 1e-3)
     assert Z.shape == (3, 3)
     # pressed against the bound of x3, along the constraint x1 = x2: the curvature is (-1 + 2)/2
-    Z = tangent(np.array([[1.0, -1.0, 0.0]]), quality([0.1], [0, 0, 0.5]), 1e-3)
+    Z = tangent_basis(np.array([[1.0, -1.0, 0.0]]), quality([0.1], [0, 0, 0.5]), 1e-3)
     assert pytest.approx(0.5) == Z.T @ H @ Z
-    assert tangent(np.eye(3), quality([1, 1, 1], [0, 0, 0]), 1e-3).shape == (3, 0)
+    assert tangent_basis(np.eye(3), quality([1, 1, 1], [0, 0, 0]), 1e-3).shape == (3, 0)
 
 
 def test_curvature_along_ways_takes_a_design_for_each():
@@ -34,7 +34,7 @@ def test_curvature_along_ways_takes_a_design_for_each():
     here = search.begin()
     Z = np.linalg.qr(np.array([[1.0, 0.3], [0.5, -1.0], [-0.2, 0.1]]))[0]
     H = np.array([[6 * 0.7, 2 * -0.4, 0], [2 * -0.4, 2 * 0.7, 0], [0, 0, -4]])
-    reduced = along(search, search.start, here, np.zeros(0), Z)
+    reduced = reduced_hessian(search, search.start, here, np.zeros(0), Z)
     assert reduced is not None
     assert np.allclose(reduced, Z.T @ H @ Z, atol=1e-2)
     assert problem.batches == [(1, True), (2, True)]

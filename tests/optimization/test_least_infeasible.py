@@ -29,7 +29,7 @@ def test_two_disks_apart():
     least, _ = least_of(problem)
     assert least.violation == pytest.approx(3.0, abs=1e-5)
     assert np.allclose(least.y, 0.0, atol=1e-3)
-    assert least.fighting == [0, 1]
+    assert least.conflicting == [0, 1]
     assert problem.functions <= 15
 
 
@@ -38,7 +38,7 @@ def test_one_constraint_against_a_bound():
         Analytic("bound", [0.5, 0.0], lambda x: x[0], lambda x: [3 - x[0] + x[1] ** 2], lower=-1, upper=1)
     )
     assert least.violation == pytest.approx(2.0, abs=1e-6)
-    assert least.fighting == [0]
+    assert least.conflicting == [0]
 
 
 def test_equality_against_inequality():
@@ -48,7 +48,7 @@ def test_equality_against_inequality():
     problem.equalities = [0]
     least, _ = least_of(problem)
     assert least.violation == pytest.approx(1.5, abs=1e-6)  # halfway between 1 and 4
-    assert least.fighting == [0, 1]
+    assert least.conflicting == [0, 1]
 
 
 def test_a_feasible_design_ends_the_search_for_one():

@@ -18,7 +18,7 @@ import pytest
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.multistart.workers import Pieces, evaluate_piece
+from torchmbd.optimization.multistart.workers import WorkerBatch, evaluate_piece
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import problem_key
@@ -39,7 +39,7 @@ def same(found, expected):
 def test_a_piece_is_what_the_problem_itself_gives(write):
     plan = load_study(write(simulate=SHORT))
     pool = study_workers(plan, problem_key(plan.simulated), 1, 2)
-    same(evaluate_piece(*pool.order, X[:2], True), plan.simulated.evaluate(X[:2], True))
+    same(evaluate_piece(*pool.factory, X[:2], True), plan.simulated.evaluate(X[:2], True))
 
 
 def test_another_model_file_on_a_worker_is_refused(write, folder):
@@ -48,7 +48,7 @@ def test_another_model_file_on_a_worker_is_refused(write, folder):
     model = folder / "rod_model.py"
     model.write_text(model.read_text().replace("modes=4", "modes=3"))
     with pytest.raises(MbdError, match="another model file"):
-        evaluate_piece(*pool.order, X[:2], True)
+        evaluate_piece(*pool.factory, X[:2], True)
 
 
 def test_bad_numbers_of_workers_are_named(write):
@@ -108,7 +108,7 @@ def test_a_piece_that_kills_its_workers_fails_design_by_design(write):
 
     pool = study_workers(load_study(write(simulate=SHORT)), "", 2, 2)
     good = [Evaluation(float(k), np.zeros(2)) for k in range(4)]
-    found = Pieces(pool, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
+    found = WorkerBatch(pool, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
     assert [e.objective for e in found if e.ok] == [0.0, 1.0, 2.0, 3.0]
     assert [e.status for e in found] == ["ok"] * 2 + ["failed: 3 workers died of it"] * 3 + ["ok"] * 2
     assert [e.constraints.shape for e in found] == [(2,)] * 7

@@ -42,7 +42,7 @@ from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.extra_variable import with_least
+from torchmbd.optimization.extra_variable import with_least_extra_variable
 from torchmbd.optimization.optimizer import as_numbers
 from torchmbd.results.motion_data import OK
 from torchmbd.summary import Summary, few
@@ -362,7 +362,7 @@ class Problem(Summary):
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
         """The same design [n] with the least extra variable that its rows allow: its objective is its largest row."""
         unit = self.reference.unit if self.peaks else 1.0
-        return with_least(x, evaluation, self.peaks, unit, 0.0, self._bound[1])
+        return with_least_extra_variable(x, evaluation, self.peaks, unit, 0.0, self._bound[1])
 
     def _with_extra_variable(
         self, values: np.ndarray, slopes: np.ndarray | None, beta: np.ndarray, unit: float

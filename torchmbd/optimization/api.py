@@ -1,6 +1,6 @@
-"""`optimize`: check the input, run one start, and tell the end in physical units.
+"""`optimize`: check the arguments, run a method from one start, and return the result in physical units.
 
-`optimize` is what users call for one start; `run_start` is what it shares with `multistart`.
+`run_start` runs one start, here and in `multistart`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from torchmbd.optimization.optimizer import (
     Method,
     OptimizationResult,
     Problem,
-    as_names,
     as_numbers,
+    checked_names,
     find_method,
     require_count,
     require_problem,
@@ -92,7 +92,7 @@ def optimize(
             eager_gradients=eager_gradients,
             max_analyses=max_analyses,
             report=report,
-            close=getattr(problem, "with_least_bound", None),
+            tighten=getattr(problem, "with_least_bound", None),
         )
         return run_start(search, function, method, max_iterations, options, problem)
 
@@ -108,7 +108,7 @@ def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarr
     """Return start, lower and upper [n] as float arrays; InputError names the variable that is wrong."""
     require_problem(problem)
     size = np.asarray(problem.start).size
-    names = as_names(problem, size)
+    names = checked_names(problem, size)
     x = as_numbers("start", problem.start if start is None else start).reshape(-1)
     if x.size != size:
         raise InputError(f"start has {x.size} entries, allowed: {size} ({', '.join(names)})")
@@ -130,34 +130,38 @@ def run_start(
     try:
         ending = function(search, max_iterations, **options)
         if ending.status == "infeasible":
-            ending = restored(search, ending, function, max_iterations, options)
-        return result_of(search, ending, method, problem)
+            ending = restore_feasibility(search, ending, function, max_iterations, options)
+        return build_result(search, ending, method, problem)
     except (Interrupted, KeyboardInterrupt):
         status, message = "interrupted", "stopped by the user"
     except OutOfAnalyses:
         status, message = "max_iterations", f"the limit of {search.max_analyses} analyses was reached"
     if not search.history and search.evaluate_known(search.start).ok:
-        search.begin()  # the start is known, though it came with neighbors that are not
+        search.begin()  # the start was evaluated, in one batch with neighbors that were not
     best = search.start if search.best is None else search.best
-    return result_of(search, Ending(best, status, message), method, problem, evaluate=False)
+    return build_result(search, Ending(best, status, message), method, problem, evaluate=False)
 
 
-def restored(search: Search, ending: Ending, function: Method, max_iterations: int, options: dict[str, Any]) -> Ending:
-    """Look for the least infeasible design: go on from there if it is feasible, else say which constraints fight."""
-    least = least_infeasible(search, best_of(search, ending)[0])
+def restore_feasibility(
+    search: Search, ending: Ending, function: Method, max_iterations: int, options: dict[str, Any]
+) -> Ending:
+    """Find the least infeasible design: run the method from there if it is feasible, else name the conflicting constraints."""
+    least = least_infeasible(search, reported_design(search, ending)[0])
     remaining = max_iterations - (len(search.history) - 1)
     if least.violation <= search.feasibility and remaining > 0:
         search.start = least.y
         return function(search, remaining, **options)
     if least.violation <= search.feasibility:
         return Ending(least.y, "max_iterations", f"{ending.message}; a feasible design was found")
-    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.fighting} fight"
+    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.conflicting} fight"
     return Ending(least.y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 
-def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True) -> OptimizationResult:
-    """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
-    y, status, message = best_of(search, ending)
+def build_result(
+    search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True
+) -> OptimizationResult:
+    """Return the result in physical units, with multipliers; a design that is not feasible has not "converged"."""
+    y, status, message = reported_design(search, ending)
     evaluation = known = search.evaluate_known(y)
     if evaluate:
         with contextlib.suppress(OutOfAnalyses):  # values are known, multipliers are not
@@ -200,9 +204,9 @@ def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluat
     )
 
 
-def best_of(search: Search, ending: Ending) -> tuple[np.ndarray, str, str]:
-    """Return the method's design unless it failed, or is infeasible while a better one was seen on the way."""
+def reported_design(search: Search, ending: Ending) -> tuple[np.ndarray, str, str]:
+    """Return design, status and message: the method's design if it converged, else the best design evaluated."""
     best = search.best
     if best is None or ending.status == "converged":
-        return search.closed(ending.y), ending.status, ending.message
+        return search.tightened(ending.y), ending.status, ending.message
     return best, ending.status, ending.message

@@ -1,4 +1,4 @@
-"""Designs under evaluation: a batch that is done at once, or elsewhere while the caller does other things.
+"""Batches of designs under evaluation: evaluated at once, or by workers while the caller goes on.
 
 Checked in tests/optimization/multistart/test_batched.py, tests/optimization/multistart/test_workers.py.
 """
@@ -19,11 +19,11 @@ class Batch(Protocol[T_co]):
 
     @property
     def done(self) -> bool:
-        """Whether `evaluations` will not wait."""
+        """Whether `evaluations` returns without waiting."""
         ...
 
     def notify(self, call: Callable[[], None]) -> None:
-        """Call it, from whatever thread, each time that `done` may have become true."""
+        """Have `call` called, from any thread, each time that `done` may have become true."""
         ...
 
     def evaluations(self) -> list[T_co]:
@@ -31,23 +31,23 @@ class Batch(Protocol[T_co]):
         ...
 
     def cancel(self) -> None:
-        """It is not waited for any more."""
+        """Stop the evaluation: nobody waits for it any more."""
         ...
 
 
 @runtime_checkable
-class Elsewhere(Protocol):
-    """What a problem has, beside what every problem has (optimizer.py), that evaluates elsewhere.
+class ParallelEvaluator(Protocol):
+    """A problem (optimizer.py) that evaluates several batches in parallel, such as on workers.
 
-    Its number `at_once` is how many batches it evaluates in parallel, in about the time of one.
+    Its number `parallel_batches` is how many it evaluates in about the time of one.
     """
 
-    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:
-        """Begin to evaluate designs [lanes, n]; `among` batches of this size will be under way, which share the workers."""
+    def begin(self, X: np.ndarray, gradients: bool, concurrent: int) -> Batch[Any]:
+        """Begin to evaluate designs [lanes, n]; `concurrent` batches of this size share the workers."""
         ...
 
 
-class Done(Generic[T]):
+class CompletedBatch(Generic[T]):
     """A batch that was evaluated when it was begun."""
 
     done = True
@@ -65,13 +65,13 @@ class Done(Generic[T]):
         pass
 
 
-def at_once(problem: Any) -> int:
+def parallel_batches(problem: Any) -> int:
     """Return how many batches a problem evaluates in parallel."""
-    return getattr(problem, "at_once", 1)
+    return getattr(problem, "parallel_batches", 1)
 
 
-def begin(problem: Any, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:
-    """Begin to evaluate designs [lanes, n]: here and now, or where the problem has it done."""
-    if isinstance(problem, Elsewhere):
-        return problem.begin(X, gradients, among)
-    return Done(problem.evaluate(X, gradients))
+def begin_batch(problem: Any, X: np.ndarray, gradients: bool, concurrent: int) -> Batch[Any]:
+    """Begin to evaluate designs [lanes, n] in parallel if the problem can; else evaluate them now."""
+    if isinstance(problem, ParallelEvaluator):
+        return problem.begin(X, gradients, concurrent)
+    return CompletedBatch(problem.evaluate(X, gradients))

@@ -1,7 +1,6 @@
-"""A problem that never forgets: no design is evaluated twice.
+"""A problem whose evaluations are stored: no design is evaluated twice.
 
-What is known lies in a store: in memory here, for designs to compare and to start from; on disk in
-torchmbd/study/evaluations.py.
+A store is in memory (MemoryStore), or on disk (torchmbd/study/evaluations.py).
 Checked in tests/optimization/test_cache.py, tests/study/test_evaluations.py.
 """
 
@@ -14,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimization.batch import Batch, Done, at_once, begin
+from torchmbd.optimization.batch import Batch, CompletedBatch, begin_batch, parallel_batches
 
 T = TypeVar("T")  # Evaluation or Criteria
 
@@ -23,49 +22,54 @@ class Store(Protocol[T]):
     """Evaluations by design."""
 
     def find(self, X: np.ndarray, gradients: bool) -> list[T | None]:
-        """Return what is known of designs [lanes, n]."""
+        """Return the evaluation of each design [lanes, n], None where it is not stored."""
         ...
 
     def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[T]) -> None:
-        """Add what was found of designs [lanes, n]."""
+        """Store the evaluations of designs [lanes, n]."""
         ...
 
 
-class Memory(Generic[T]):
-    """A store in memory: `known` has design and answer by the bytes of the design."""
+class MemoryStore(Generic[T]):
+    """A store in memory: `entries` holds each design with its evaluation, by the bytes of the design."""
 
     def __init__(self) -> None:
-        self.known: dict[bytes, tuple[np.ndarray, T]] = {}
+        self.entries: dict[bytes, tuple[np.ndarray, T]] = {}
 
     def find(self, X: np.ndarray, gradients: bool) -> list[T | None]:
-        return [self.answer(x.tobytes(), gradients) for x in X]
+        return [self.lookup(x.tobytes(), gradients) for x in X]
 
     def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[T]) -> None:
-        self.known.update({x.tobytes(): (x, answer) for x, answer in zip(X, evaluations, strict=True)})
+        self.entries.update({x.tobytes(): (x, evaluation) for x, evaluation in zip(X, evaluations, strict=True)})
 
-    def answer(self, key: bytes, gradients: bool) -> T | None:
-        """Return what is known of a design, by its bytes; with gradients where these are asked for, and it has not failed."""
-        answer: Any = self.known[key][1] if key in self.known else None
-        return None if answer is None or (gradients and answer.ok and not answer.differentiated) else answer
+    def lookup(self, key: bytes, gradients: bool) -> T | None:
+        """Return the evaluation of a design (its bytes); None if it lacks the gradients that are required.
+
+        A failed evaluation has none, and serves all the same.
+        """
+        found: Any = self.entries[key][1] if key in self.entries else None
+        return None if found is None or (gradients and found.ok and not found.differentiated) else found
 
 
-class Remembered(Generic[T]):
-    """`problem` with a memory, itself a problem; counts designs (`known`, `computed`) and batches of the computed.
+class CachedProblem(Generic[T]):
+    """`problem` with a store of evaluations, itself a problem.
 
-    source    evaluates what is not known; None: the problem itself
-    listener  hears of every batch, known or not
+    evaluator  evaluates designs that are not in the store; None: the problem itself
+    listener   called with the designs and evaluations of every batch, stored or new
+
+    Counts the designs that were found (`hits`) and evaluated (`computed`), and the batches of the latter.
     """
 
     def __init__(
         self,
         problem: Any,
         store: Store[T],
-        source: Any = None,
+        evaluator: Any = None,
         listener: Callable[[np.ndarray, list[T]], None] = lambda X, evaluations: None,
     ) -> None:
-        self.problem, self.store, self.source = problem, store, problem if source is None else source
+        self.problem, self.store, self.evaluator = problem, store, problem if evaluator is None else evaluator
         self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
-        self.known = self.computed = self.batches = 0
+        self.hits = self.computed = self.batches = 0
         self._listener = listener
 
     def __getattr__(self, name: str) -> Any:
@@ -75,60 +79,60 @@ class Remembered(Generic[T]):
         return getattr(self.problem, name)
 
     @property
-    def at_once(self) -> int:
-        """How many batches are evaluated in parallel."""
-        return at_once(self.source)
+    def parallel_batches(self) -> int:
+        return parallel_batches(self.evaluator)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[T]:
-        """Evaluate designs [lanes, n], those not known in one batch."""
+        """Evaluate designs [lanes, n], those not in the store in one batch."""
         return self.begin(X, gradients, 1).evaluations()
 
-    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch[T]:
-        """Look designs [lanes, n] up, and begin to evaluate those that are not known, each once."""
+    def begin(self, X: np.ndarray, gradients: bool, concurrent: int) -> Batch[T]:
+        """Look designs [lanes, n] up, and begin to evaluate those that are not in the store, each once."""
         found = self.store.find(X, gradients)
         missing = {x.tobytes(): k for k, (x, known) in enumerate(zip(X, found, strict=True)) if known is None}
         rows = list(missing.values())
         self.computed += len(rows)
-        self.known += len(X) - len(rows)
+        self.hits += len(X) - len(rows)
         self.batches += bool(rows)
 
-        def complete(fresh: list[T]) -> list[T]:
-            if len(fresh) != len(rows):
-                raise InputError(f"problem.evaluate returned {len(fresh)} evaluations for {len(rows)} designs")
+        def complete(computed: list[T]) -> list[T]:
+            if len(computed) != len(rows):
+                raise InputError(f"problem.evaluate returned {len(computed)} evaluations for {len(rows)} designs")
             if rows:
-                self.store.keep(X[rows], gradients, fresh)
-            new = dict(zip(missing, fresh, strict=True))
+                self.store.keep(X[rows], gradients, computed)
+            new = dict(zip(missing, computed, strict=True))
             evaluations = [new[x.tobytes()] if known is None else known for x, known in zip(X, found, strict=True)]
             self._listener(X, evaluations)
             return evaluations
 
-        return _Completed(begin(self.source, X[rows], gradients, among) if rows else Done([]), complete)
+        batch = begin_batch(self.evaluator, X[rows], gradients, concurrent) if rows else CompletedBatch([])
+        return _PartlyStored(batch, complete)
 
 
-class Cache(Remembered[T]):
-    """`problem` with what is known in `memory`."""
+class MemoryCachedProblem(CachedProblem[T]):
+    """`problem` with a store in `memory`."""
 
     def __init__(self, problem: Any) -> None:
-        self.memory = Memory[T]()
+        self.memory = MemoryStore[T]()
         super().__init__(problem, self.memory)
 
 
 @dataclass
-class _Completed(Generic[T]):
-    """A batch whose unknown part is under way; kept, in the caller's thread, before it is returned."""
+class _PartlyStored(Generic[T]):
+    """A batch of which a part is being evaluated; `complete`, called in the caller's thread, stores this and adds the rest."""
 
-    unknown: Batch[T]
+    computed: Batch[T]
     complete: Callable[[list[T]], list[T]]
 
     @property
     def done(self) -> bool:
-        return self.unknown.done
+        return self.computed.done
 
     def notify(self, call: Callable[[], None]) -> None:
-        self.unknown.notify(call)
+        self.computed.notify(call)
 
     def evaluations(self) -> list[T]:
-        return self.complete(self.unknown.evaluations())
+        return self.complete(self.computed.evaluations())
 
     def cancel(self) -> None:
-        self.unknown.cancel()
+        self.computed.cancel()

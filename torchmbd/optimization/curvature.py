@@ -1,8 +1,7 @@
-"""Second derivatives of the Lagrangian along some ways, and whether a Kuhn-Tucker point is a minimum.
+"""Second derivatives of the Lagrangian along active constraints: whether a Kuhn-Tucker point is a minimum.
 
-A Kuhn-Tucker point is no minimum if s'H s < 0 for a direction s along the constraints and bounds that are pressed against
-(those with a multiplier): a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by
-symmetry.
+A Kuhn-Tucker point is no minimum if s'H s < 0 for a direction s along the constraints and bounds that have a multiplier:
+a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by symmetry.
 
 Source: Nocedal and Wright, Numerical Optimization, section 12.5 (second-order conditions).
 Checked in tests/optimization/test_curvature.py.
@@ -21,36 +20,42 @@ from torchmbd.optimization.search import Search
 DIFFERENCE = 1e-3
 
 
-def slope(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:
+def lagrangian_gradient(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:
     """Return the gradient of the Lagrangian [n]."""
     assert evaluation.objective_gradient is not None
     assert evaluation.constraint_gradients is not None
     return evaluation.objective_gradient + evaluation.constraint_gradients.T @ multipliers
 
 
-def tangent(gradients: np.ndarray, quality: KuhnTucker, pressed: float) -> np.ndarray:
-    """Return an orthonormal basis [n, k] of the ways along what has a multiplier above `pressed`."""
-    bounds = np.eye(quality.bound_multipliers.size)[np.abs(quality.bound_multipliers) > pressed]
-    return null_space(np.vstack([gradients[quality.multipliers > pressed], bounds]))
+def tangent_basis(gradients: np.ndarray, quality: KuhnTucker, threshold: float) -> np.ndarray:
+    """Return an orthonormal basis [n, k] of the directions along constraints and bounds with multipliers above `threshold`."""
+    bounds = np.eye(quality.bound_multipliers.size)[np.abs(quality.bound_multipliers) > threshold]
+    return null_space(np.vstack([gradients[quality.multipliers > threshold], bounds]))
 
 
-def along(search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray, Z: np.ndarray) -> np.ndarray | None:
-    """Return Z'H Z [k, k] by k designs a little along the columns of Z in one batch; None if one of them fails."""
+def reduced_hessian(
+    search: Search, y: np.ndarray, evaluation: Evaluation, multipliers: np.ndarray, Z: np.ndarray
+) -> np.ndarray | None:
+    """Return Z'H Z [k, k] by differences of gradients at k designs near y, in one batch; None if one of them fails.
+
+    Z  directions [n, k];  H  second derivatives of the Lagrangian at y [n, n]
+    """
     steps = [_step(search, y, z) for z in Z.T]
-    others = [np.clip(y + step * z, search.lower, search.upper) for step, z in zip(steps, Z.T, strict=True)]
-    search.prefetch(others)
+    neighbors = [np.clip(y + step * z, search.lower, search.upper) for step, z in zip(steps, Z.T, strict=True)]
+    search.prefetch(neighbors)
+    gradient = lagrangian_gradient(evaluation, multipliers)
     rows = []
-    for other, step in zip(others, steps, strict=True):
-        there = search.evaluate(other, gradients=True)
-        if not there.ok:
+    for neighbor, step in zip(neighbors, steps, strict=True):
+        near = search.evaluate(neighbor, gradients=True)
+        if not near.ok:
             return None
-        rows.append((slope(there, multipliers) - slope(here, multipliers)) / step)
+        rows.append((lagrangian_gradient(near, multipliers) - gradient) / step)
     reduced = np.array(rows).reshape(-1, y.size) @ Z
     return 0.5 * (reduced + reduced.T)
 
 
 def _step(search: Search, y: np.ndarray, z: np.ndarray) -> float:
-    """Return the length and sense of a small step along z that stays inside the bounds, if one does."""
+    """Return the signed length of a small step along z: positive if y + step z lies inside the bounds, else negative."""
     step = DIFFERENCE / float((np.abs(z) / np.maximum(np.abs(y), 1.0)).max())
     inside = np.all((y + step * z >= search.lower) & (y + step * z <= search.upper))
     return step if inside else -step

@@ -1,7 +1,7 @@
 """The extra variable of a min-max problem, last in x: minimize unit * x[-1], the first rows are f_i / unit - x[-1] <= 0.
 
-A method moves it like any other variable, so between its steps it may be above the largest row, or below it. What is
-reported of a design is the largest row itself.
+A method varies it like any other variable, so at its iterates it may be above max f_i / unit, or below. Reports hold the
+maximum itself.
 Checked in tests/optimization/test_extra_variable.py.
 """
 
@@ -16,12 +16,12 @@ from torchmbd.optimization.optimizer import Evaluation
 SAME = 1e-12  # a smaller change of the extra variable is rounding
 
 
-def with_least(
+def with_least_extra_variable(
     x: np.ndarray, evaluation: Evaluation, rows: int, unit: float, lower: float, upper: float
 ) -> tuple[np.ndarray, Evaluation]:
-    """Return the design [n] with the least extra variable in its bounds that its rows allow, and its evaluation.
+    """Return the design [n] with the least extra variable that its first `rows` constraints and bounds allow, evaluated.
 
-    Without rows, of a failure, or where the extra variable is the least one, they are what was given.
+    Design and evaluation are returned unchanged where `rows` is 0, the evaluation failed, or the variable is the least.
     """
     if not rows or not evaluation.ok:
         return x, evaluation

@@ -1,9 +1,9 @@
-"""Where no feasible design was found: the least infeasible one, and the constraints that fight there.
+"""The least infeasible design, where no feasible one was found, and the constraints that conflict there.
 
     minimize t   subject to   c_i(y) <= t  (equalities: |c_i| <= t),   lower <= y <= upper
 
-by feasible directions. At its Kuhn-Tucker point the multipliers are the shares of the constraints in the fight (they sum to
-one): no small change of the design helps all of those with a share. An end with t <= 0 is a feasible design after all.
+by feasible directions. The multipliers at the end sum to one. No small change of the design reduces the violation of all
+constraints that have a multiplier: these conflict. A design with t <= 0 is feasible after all.
 Checked in tests/optimization/test_least_infeasible.py.
 """
 
@@ -19,21 +19,21 @@ from torchmbd.optimization.optimizer import Evaluation
 from torchmbd.optimization.search import Search
 
 ITERATIONS = 30
-SHARE = 1e-2  # smaller shares are none
+CONFLICT = 1e-2  # multiplier from which on a constraint counts as conflicting
 
 
 @dataclass(frozen=True)
 class LeastInfeasible:
     y: np.ndarray  # scaled
-    violation: float  # largest of a constraint
-    fighting: list[int]  # constraints with a share, ascending
+    violation: float  # largest violation of a constraint
+    conflicting: list[int]  # indices of the constraints that conflict, ascending
 
 
 def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
-    """Minimize the largest violation from `y` (scaled), which is evaluated already."""
+    """Minimize the largest violation from `y` (scaled), a design that is evaluated already."""
     sign, rows = _rows(search)
 
-    def ask(X: np.ndarray, gradients: bool) -> list[Evaluation]:
+    def evaluate(X: np.ndarray, gradients: bool) -> list[Evaluation]:
         designs = [x[:-1] for x in X]
         search.prefetch(designs, gradients)
         return [_lifted(search.evaluate(d, gradients), x[-1], sign, rows) for d, x in zip(designs, X, strict=True)]
@@ -41,25 +41,25 @@ def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
     t = search.violation(search.evaluate(y))
     start = np.append(y, t)
     lower, upper = np.append(search.lower, -t), np.append(search.upper, 2.0 * t)
-    inner = Search(ask, start, lower, upper, feasibility=0.1 * search.feasibility)
+    inner = Search(evaluate, start, lower, upper, feasibility=0.1 * search.feasibility)
     end = mmfd(inner, ITERATIONS).y
-    found = search.evaluate(end[:-1], gradients=True)
-    violation = search.violation(found)
-    here = np.append(end[:-1], violation)
-    quality = kuhn_tucker(_lifted(found, violation, sign, rows), here, lower, upper, np.zeros(rows.size, dtype=bool))
-    fighting = sorted(set(rows[quality.multipliers > SHARE].tolist()))
-    return LeastInfeasible(end[:-1], violation, fighting)
+    evaluation = search.evaluate(end[:-1], gradients=True)
+    violation = search.violation(evaluation)
+    y_t, lifted = np.append(end[:-1], violation), _lifted(evaluation, violation, sign, rows)
+    quality = kuhn_tucker(lifted, y_t, lower, upper, np.zeros(rows.size, dtype=bool))
+    conflicting = sorted(set(rows[quality.multipliers > CONFLICT].tolist()))
+    return LeastInfeasible(end[:-1], violation, conflicting)
 
 
 def _rows(search: Search) -> tuple[np.ndarray, np.ndarray]:
-    """Return sign and index of the one-sided constraints: equalities count twice."""
+    """Return sign [rows] and index [rows] of the one-sided constraints: an equality gives two of them."""
     equal = np.flatnonzero(search.equality)
     count = search.equality.size
     return np.concatenate([np.ones(count), -np.ones(equal.size)]), np.concatenate([np.arange(count), equal])
 
 
 def _lifted(evaluation: Evaluation, t: float, sign: np.ndarray, rows: np.ndarray) -> Evaluation:
-    """Return the evaluation of the problem in (y, t)."""
+    """Return the evaluation of the problem of the header, in the variables (y, t)."""
     if not evaluation.ok:
         return evaluation
     df = dc = None

@@ -70,6 +70,18 @@ class Evaluation:
         return cls(float("nan"), np.full(constraints, np.nan), status=reason)
 
 
+def largest_violation(constraints: np.ndarray, equality: np.ndarray | bool = False) -> float:
+    """Return the largest violation of constraints [m], 0 where all are satisfied; `equality` [m]: those that must vanish."""
+    violations = np.where(equality, np.abs(constraints), np.maximum(constraints, 0.0))
+    return float(violations.max(initial=0.0))
+
+
+def rank(objective: float, violation: float, feasibility: float) -> tuple[bool, float]:
+    """Return a sort key of designs: feasible before infeasible, then by the objective, or by the violation."""
+    infeasible = violation > feasibility
+    return infeasible, violation if infeasible else objective
+
+
 class Box(Protocol):
     """The variables of a problem and their bounds (physical units)."""
 
@@ -134,7 +146,7 @@ class Ending:
     message: str
 
 
-def plotted(results: Sequence[OptimizationResult], best: OptimizationResult | None, title: str) -> Figure:
+def convergence_figure(results: Sequence[OptimizationResult], best: OptimizationResult | None, title: str) -> Figure:
     """Figure of the objective and the largest violation of several starts over their iterations; the best stands out."""
     from torchmbd.viz.figures import convergence
 
@@ -208,7 +220,7 @@ class OptimizationResult(Summary):
 
     def plot(self, title: str = "objective") -> Figure:
         """Figure of the objective and the largest violation over the iterations."""
-        return plotted([self], self, title)
+        return convergence_figure([self], self, title)
 
     @property
     def converged(self) -> bool:
@@ -288,7 +300,7 @@ def as_numbers(name: str, given: Any) -> np.ndarray:
         raise InputError(f"{name} is {given!r}; allowed: numbers") from error
 
 
-def as_names(problem: Box, size: int) -> list[str]:
+def checked_names(problem: Box, size: int) -> list[str]:
     """Return the problem's variable names, checked for their number."""
     names: Sequence[str] = list(problem.names)
     if len(names) != size:

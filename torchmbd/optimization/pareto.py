@@ -4,11 +4,11 @@
    the anchors' best values, nadir their worst.
 2. The plane through the anchors g^1 .. g^k is covered evenly by points p.
 3. For each p:   minimize g_k(x)   subject to   (g^k - g^i)'(g(x) - p) <= 0,   i = 1 .. k-1,   and the constraints of x.
-4. What is no Pareto point is dropped: dominated points (of local fronts, behind a gap), and points where the multipliers
-   mu_i give a criterion a negative weight in   w = e_k + sum_i mu_i (g^k - g^i),   so that all could be better at once.
+4. Dropped are dominated points (of local fronts, behind a gap), and points where the multipliers mu_i give a criterion a
+   negative weight in   w = e_k + sum_i mu_i (g^k - g^i),   so that all criteria could be improved at once.
 
-The points are solved in waves of doubling size, the farthest from the solved ones first; each wave runs in common batches (its
-simulations are one batch), from designs between those of the points solved before (warm_start.py).
+The points are solved in waves of doubling size, those farthest from the solved points first. The simulations of a wave are one
+batch; its searches start between the designs of the points solved before (warm_start.py).
 
 Source: Messac, Ismail-Yahaya and Mattson, The normalized normal constraint method for generating the Pareto frontier,
 Structural and Multidisciplinary Optimization 25 (2003) 86-98. Checked in tests/optimization/test_pareto.py.
@@ -26,10 +26,10 @@ import numpy as np
 
 from torchmbd.errors import InputError, argument_names, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
-from torchmbd.optimization.cache import Cache
+from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.multistart.sampling import Starts, recipe
-from torchmbd.optimization.multistart.warm_start import Family
+from torchmbd.optimization.multistart.warm_start import ScalarizedSearches
 from torchmbd.optimization.optimizer import (
     Evaluation,
     OptimizationResult,
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 DIVISIONS = 10
-TIE = 1e-4  # weight of the other criteria in an anchor: of several minima, the one that is best for them
-AGAINST = 1e-2  # a weight below minus this much says that a criterion could be better at no cost
-SAME = 1e-6  # of the range of each criterion: smaller differences are none
+TIE = 1e-4  # weight of the other criteria in an anchor: among equal minima it selects the one that is best for them
+NEGATIVE_WEIGHT = 1e-2  # a criterion with a weight below minus this could be improved at no cost
+SAME = 1e-6  # share of the range of each criterion: smaller differences count as none
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Front:
         return pd.DataFrame(rows)
 
     def plot(self, headings: Sequence[str] = (), title: str = "") -> Figure:
-        """Figure of the criteria over the first; `headings`: what stands at the axes, instead of their names."""
+        """Return a figure of the criteria over the first; `headings` replace their names at the axes."""
         from torchmbd.viz.figures import BEST, figure_of, titled
 
         first, *others = headings or self.names
@@ -164,11 +164,11 @@ def pareto_front(
     def run_one(search: Search) -> OptimizationResult:
         return run_start(search, function, method, max_iterations, options, problem)
 
-    cache = Cache(problem)
-    family = Family(cache, run_one, box, feasibility, max_lanes, ended)
-    anchors = _anchors(family, points, list(problem.criteria))
-    found, failed = _between(family, anchors, divisions, points if everywhere else points[:0])
-    points = [*anchors, *(point for point in found if point.weights.min() >= -AGAINST)]
+    cache = MemoryCachedProblem(problem)
+    searches = ScalarizedSearches(cache, run_one, box, feasibility, max_lanes, ended)
+    anchors = _anchors(searches, points, list(problem.criteria))
+    found, failed = _points_between(searches, anchors, divisions, points if everywhere else points[:0])
+    points = [*anchors, *(point for point in found if point.weights.min() >= -NEGATIVE_WEIGHT)]
     span = np.ptp([anchor.criteria for anchor in anchors], axis=0)
     keep = non_dominated(np.array([point.criteria for point in points]), SAME * span)
     return Front(
@@ -178,15 +178,15 @@ def pareto_front(
         failed,
         cache.computed,
         cache.batches,
-        family.interrupted,
+        searches.interrupted,
         list(problem.criteria),
     )
 
 
 def group_sizes(criteria: int, starts: int, divisions: int = DIVISIONS, everywhere: bool = False) -> list[int]:
-    """How many searches run together, one group after the other: anchors, waves of points, these from all starts.
+    """Return how many searches run together, group after group: anchors, waves of points, points from all starts.
 
-    Anchors and points each count once more: they begin again where another search came across a better design.
+    Anchors and points count once more: they are searched again where another search came across a better design.
     """
     waves = [len(wave) for wave in _waves(_simplex(divisions, criteria), criteria)]
     points = sum(waves)
@@ -194,7 +194,10 @@ def group_sizes(criteria: int, starts: int, divisions: int = DIVISIONS, everywhe
 
 
 def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
-    """Return the rows of F [points, k] that no other row dominates, by the first criterion; `same` [k]: no difference."""
+    """Return the indices of the rows of F [points, k] that no other dominates, sorted by the first criterion.
+
+    same  differences of the criteria that count as none [k]
+    """
     keep: list[int] = []
     for i in np.lexsort(F.T[::-1]):
         if not np.any(np.all(F[keep] <= F[i] + same, axis=1)):
@@ -203,9 +206,9 @@ def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
     return keep
 
 
-def _anchors(family: Family, starts: np.ndarray, names: list[str]) -> list[ParetoPoint]:
+def _anchors(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -> list[ParetoPoint]:
     """Return the minimum of each criterion."""
-    known = [np.abs(criteria.values) for criteria in family.cache.evaluate(starts, True) if criteria.ok]
+    known = [np.abs(criteria.values) for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
     if not known:
         raise InputError("start: none could be evaluated")
     if known[0].shape != (len(names),):
@@ -214,17 +217,19 @@ def _anchors(family: Family, starts: np.ndarray, names: list[str]) -> list[Paret
         )
     scale = np.where(known[0] > 0.0, known[0], 1.0)
     weights = np.where(np.eye(len(names)), 1.0, TIE) / scale
-    results = family.from_starts([partial(_weighted, w) for w in weights], starts)
-    if family.interrupted:
+    results = searches.from_starts([partial(_weighted, w) for w in weights], starts)
+    if searches.interrupted:
         raise KeyboardInterrupt
     for name, result in zip(names, results, strict=True):
         if result is None:
             raise InputError(f"criterion {name!r}: no feasible design was found from the starts given")
-    return [_point(family, result, w * scale) for result, w in zip(results, weights, strict=True) if result is not None]
+    return [
+        _point(searches, result, w * scale) for result, w in zip(results, weights, strict=True) if result is not None
+    ]
 
 
-def _between(
-    family: Family, anchors: list[ParetoPoint], divisions: int, starts: np.ndarray
+def _points_between(
+    searches: ScalarizedSearches, anchors: list[ParetoPoint], divisions: int, starts: np.ndarray
 ) -> tuple[list[ParetoPoint], int]:
     """Return the points between the anchors and the number of those for which there is no feasible design."""
     F = np.array([anchor.criteria for anchor in anchors])
@@ -232,24 +237,26 @@ def _between(
         return [], 0  # one design is best for several criteria: there is no plane
     G = (F - F.min(axis=0)) / np.ptp(F, axis=0)
     plane = _simplex(divisions, len(anchors)) @ G
-    members = [partial(_normal_constraint, F, p) for p in plane[len(anchors) :]]
-    results = family.in_waves(members, plane, [anchor.x for anchor in anchors], _waves(plane, len(anchors)), starts)
+    scalarizations = [partial(_normal_constraint, F, p) for p in plane[len(anchors) :]]
+    results = searches.in_waves(
+        scalarizations, plane, [anchor.x for anchor in anchors], _waves(plane, len(anchors)), starts
+    )
     normals = G[-1] - G[:-1]
     points = []
     for result in results:
         if result is not None:
             weights = np.eye(len(F))[-1] + result.multipliers[: len(normals)] @ normals
-            points.append(_point(family, result, weights))
-    return points, len(members) - len(points)
+            points.append(_point(searches, result, weights))
+    return points, len(scalarizations) - len(points)
 
 
-def _point(family: Family, result: OptimizationResult, weights: np.ndarray) -> ParetoPoint:
-    criteria = family.cache.evaluate(result.x[None], False)[0]
+def _point(searches: ScalarizedSearches, result: OptimizationResult, weights: np.ndarray) -> ParetoPoint:
+    criteria = searches.cache.evaluate(result.x[None], False)[0]
     return ParetoPoint(result.x, criteria.values, weights / np.abs(weights).sum(), result)
 
 
 def _weighted(weights: np.ndarray, criteria: Criteria) -> Evaluation:
-    """Return the problem of the weighted sum of criteria, `weights` [k]."""
+    """Return the evaluation of the weighted sum of criteria, `weights` [k]."""
     if not criteria.ok:
         return Evaluation.failure(criteria.status)
     df = None if criteria.gradients is None else weights @ criteria.gradients
@@ -257,7 +264,10 @@ def _weighted(weights: np.ndarray, criteria: Criteria) -> Evaluation:
 
 
 def _normal_constraint(F: np.ndarray, p: np.ndarray, criteria: Criteria) -> Evaluation:
-    """Return the problem of a point p [k] of the plane through the anchors F [k, k], its objective of order one."""
+    """Return the evaluation of the problem of a point p [k] of the plane through the anchors F [k, k].
+
+    Its objective is of order one.
+    """
     if not criteria.ok:
         return Evaluation.failure(criteria.status)
     utopia, span = F.min(axis=0), np.ptp(F, axis=0)
@@ -281,7 +291,10 @@ def _simplex(divisions: int, count: int) -> np.ndarray:
 
 
 def _waves(plane: np.ndarray, solved: int) -> list[list[int]]:
-    """Return waves of doubling size of the points after the first `solved`, the farthest from all before first."""
+    """Return the indices of the points after the first `solved` in waves of doubling size.
+
+    Each next point is the one farthest from all points before it.
+    """
     distance = np.linalg.norm(plane[solved:, None] - plane[None, :solved], axis=2).min(axis=1)
     order: list[int] = []
     while len(order) < distance.size:

@@ -27,7 +27,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.optimization.api import checked_box
-from torchmbd.optimization.extra_variable import with_least
+from torchmbd.optimization.extra_variable import with_least_extra_variable
 from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers
 
 KINDS = ("expected", "worst")
@@ -118,7 +118,7 @@ class RobustProblem:
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
         """The same point [n] with the least beta that its rows allow: its objective is its worst case."""
         rows = len(self.shifts) if self.kind == "worst" else 0
-        return with_least(x, evaluation, rows, self.unit, float(self.lower[-1]), float(self.upper[-1]))
+        return with_least_extra_variable(x, evaluation, rows, self.unit, float(self.lower[-1]), float(self.upper[-1]))
 
     def _steepest(self, x: np.ndarray, found: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners [k, n] that constraints rise to most steeply, and for each constraint which of them [m]."""

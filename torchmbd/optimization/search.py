@@ -3,8 +3,8 @@
     y = x / scale,   scale = |x_start|, or the bound range where |x_start| is tiny        (section 5.2 of the paper)
     f = objective / |objective(start)|
 
-Where the simulations happen is not known here: `ask` is the problem itself in `optimize`, and a thread's mailbox in
-`multistart`.
+A search does not know where designs are evaluated: `evaluate_batch` is `problem.evaluate` in `optimize`; in `multistart` it
+hands them to the thread that evaluates the designs of all starts together (multistart/batched.py).
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ from operator import itemgetter
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimization.cache import Memory
-from torchmbd.optimization.optimizer import Evaluation, Iterate
+from torchmbd.optimization.cache import MemoryStore
+from torchmbd.optimization.optimizer import Evaluation, Iterate, largest_violation, rank
 
-Ask = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
+EvaluateBatch = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
 Report = Callable[[Iterate], None]
-Close = Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]]  # Problem.with_least_bound
+Tighten = Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]]  # Problem.with_least_bound
 
-# Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts
-# at 0.1 degrees).
+# Share of the range between bounds: a smaller start, such as an angle of 0.1 degrees, is no measure of its variable.
 TINY_START = 0.05
 
 
@@ -41,7 +40,7 @@ def variable_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> n
 
 
 class OutOfAnalyses(BaseException):
-    """Raised inside a method to end it when its start has used up the analyses that it may. Not an Exception, as above."""
+    """Raised inside a method to end it when its start has had its limit of analyses. Not an Exception, as above."""
 
 
 class Search:
@@ -49,7 +48,7 @@ class Search:
 
     def __init__(
         self,
-        ask: Ask,
+        evaluate_batch: EvaluateBatch,
         start: np.ndarray,
         lower: np.ndarray,
         upper: np.ndarray,
@@ -61,7 +60,7 @@ class Search:
         max_analyses: int | None = None,
         index: int = 0,
         report: Report | None = None,
-        close: Close | None = None,
+        tighten: Tighten | None = None,
     ) -> None:
         self.scale = np.ones(start.size) if scale is None else scale
         self.scaled = scale is not None
@@ -76,9 +75,9 @@ class Search:
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
         self.analyses = self.gradient_evaluations = self.failures = 0
-        self._ask, self._report, self._close = ask, report, close
+        self._evaluate_batch, self._report, self._tighten = evaluate_batch, report, tighten
         self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
-        self._memory = Memory[Evaluation]()  # physical units
+        self._cache = MemoryStore[Evaluation]()  # physical units
         self._ranks: dict[bytes, tuple[tuple[bool, float], np.ndarray]] = {}  # with y, of what succeeded
 
     @property
@@ -98,40 +97,47 @@ class Search:
         return np.clip(np.asarray(y, dtype=float) * self.scale, self.x_lower, self.x_upper)
 
     def begin(self, gradients: bool = True) -> Evaluation:
-        """Evaluate the start, set the objective's scale by it, and record iteration 0 (later: go on from `start`)."""
+        """Evaluate the start and record it; at the first call, set the scale of the objective by it."""
         x = self.physical(self.start)
         first = self._evaluate_physical(x, gradients)
         if first.ok and not self.history:
             size = abs(first.objective)
             self.objective_scale = size if self.scaled and size > 0.0 else 1.0
-            self._remember(self.start, first)
-        if not self.history or not np.array_equal(self.history[-1].x, self.physical(self.closed(self.start))):
+            self._rank_design(self.start, first)
+        if not self.history or not np.array_equal(self.history[-1].x, self.physical(self.tightened(self.start))):
             self.record(self.start)
         return self._scaled(first)
 
     def evaluate(self, y: np.ndarray, gradients: bool = False) -> Evaluation:
-        """Return objective and constraints at `y` (scaled), with gradients where asked (always, if eager); cached."""
+        """Return objective and constraints at `y` (scaled), with gradients on request or if eager; cached."""
         evaluation = self._evaluate_physical(self.physical(y), gradients or self.eager_gradients)
-        self._remember(y, evaluation)
+        self._rank_design(y, evaluation)
         return self._scaled(evaluation)
 
     def prefetch(self, Y: Sequence[np.ndarray], gradients: bool = True) -> None:
-        """Evaluate several designs (scaled) in one batch, for `evaluate` to find them in the cache."""
+        """Evaluate several designs (scaled) in one batch; `evaluate` then takes them from the cache."""
         X = {x.tobytes(): x for x in map(self.physical, Y)}
-        self._fetch([x for key, x in X.items() if self._memory.answer(key, gradients) is None], gradients)
+        self._fetch([x for key, x in X.items() if self._cache.lookup(key, gradients) is None], gradients)
 
     def evaluate_known(self, y: np.ndarray) -> Evaluation:
-        """Return what is known at `y` without a new simulation; a failure if nothing is."""
-        known = self._memory.answer(self.physical(y).tobytes(), gradients=False)
+        """Return the cached evaluation at `y`; a failed one if there is none."""
+        known = self._cache.lookup(self.physical(y).tobytes(), gradients=False)
         return self._scaled(Evaluation.failure("never evaluated") if known is None else known)
 
     def record(self, y: np.ndarray) -> None:
         """Add `y`, evaluated before, to the history as the next accepted iterate, and report it."""
-        x = self.physical(self.closed(y))
-        seen = self._evaluated(x)
-        violation = self.violation(seen) if seen.ok else float("nan")
+        x = self.physical(self.tightened(y))
+        evaluation = self._cached(x)
+        violation = self.violation(evaluation) if evaluation.ok else float("nan")
         iterate = Iterate(
-            self.index, len(self.history), x, seen.objective, violation, seen.constraints, self.analyses, seen.status
+            start=self.index,
+            iteration=len(self.history),
+            x=x,
+            objective=evaluation.objective,
+            violation=violation,
+            constraints=evaluation.constraints,
+            analyses=self.analyses,
+            status=evaluation.status,
         )
         self.history.append(iterate)
         if self._report is not None:
@@ -139,8 +145,11 @@ class Search:
 
     def violation(self, evaluation: Evaluation) -> float:
         """Return the largest violation of a constraint, 0 where all are satisfied."""
-        c = evaluation.constraints
-        return float(np.where(self.equality, np.abs(c), np.maximum(c, 0.0)).max(initial=0.0))
+        return largest_violation(evaluation.constraints, self.equality)
+
+    def rank(self, evaluation: Evaluation) -> tuple[bool, float]:
+        """Return the sort key of a design, the best first, as `rank` of optimizer.py."""
+        return rank(evaluation.objective, self.violation(evaluation), self.feasibility)
 
     def violated(self, evaluation: Evaluation) -> list[int]:
         """Return the indices of the constraints that are not satisfied."""
@@ -152,31 +161,27 @@ class Search:
         """Scaled y of the best design seen (feasible and lowest, else least infeasible); None if none succeeded."""
         return min(self._ranks.values(), key=itemgetter(0))[1] if self._ranks else None
 
-    def _remember(self, y: np.ndarray, evaluation: Evaluation) -> None:
+    def _rank_design(self, y: np.ndarray, evaluation: Evaluation) -> None:
         if not evaluation.ok:
             return
-        y = self.closed(y)
+        y = self.tightened(y)
         x = self.physical(y)
-        evaluation = self._evaluated(x)
-        violation = self.violation(evaluation)
-        infeasible = violation > self.feasibility
-        rank = (infeasible, violation if infeasible else evaluation.objective)
-        self._ranks[x.tobytes()] = (rank, np.array(y, dtype=float))
+        self._ranks[x.tobytes()] = self.rank(self._cached(x)), np.array(y, dtype=float)
 
-    def closed(self, y: np.ndarray) -> np.ndarray:
-        """Return y with the least extra variable, where y is known: what is reported of a design is its own largest row."""
+    def tightened(self, y: np.ndarray) -> np.ndarray:
+        """Return y (evaluated before) with the least extra variable that its rows allow; see extra_variable.py."""
         x = self.physical(y)
-        if self._close is None or x.tobytes() not in self._memory.known:
+        if self._tighten is None or x.tobytes() not in self._cache.entries:
             return y
-        found, evaluation = self._close(x, self._evaluated(x))
-        if found is x:
+        least, evaluation = self._tighten(x, self._cached(x))
+        if least is x:
             return y
-        closed = found / self.scale
-        key = self.physical(closed).tobytes()
-        known = self._memory.known.get(key)
-        if known is None or (evaluation.differentiated and not known[1].differentiated):
-            self._memory.known[key] = self.physical(closed), evaluation
-        return closed
+        tightened = least / self.scale
+        key = self.physical(tightened).tobytes()
+        cached = self._cache.entries.get(key)
+        if cached is None or (evaluation.differentiated and not cached[1].differentiated):
+            self._cache.entries[key] = self.physical(tightened), evaluation
+        return tightened
 
     def _equality_mask(self, constraints: int) -> np.ndarray:
         mask = np.zeros(constraints, dtype=bool)
@@ -184,18 +189,18 @@ class Search:
         return mask
 
     def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
-        if self._memory.answer(x.tobytes(), gradients) is None:
+        if self._cache.lookup(x.tobytes(), gradients) is None:
             self._fetch([x], gradients)
-        return self._evaluated(x)
+        return self._cached(x)
 
-    def _evaluated(self, x: np.ndarray) -> Evaluation:
-        """Return what was found of a design x [n], in physical units."""
-        return self._memory.known[x.tobytes()][1]
+    def _cached(self, x: np.ndarray) -> Evaluation:
+        """Return the cached evaluation of a design x [n], in physical units."""
+        return self._cache.entries[x.tobytes()][1]
 
     def _fetch(self, designs: list[np.ndarray], gradients: bool) -> None:
-        room = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
-        allowed = designs[:room]
-        answers = self._ask(np.stack(allowed), gradients) if allowed else []
+        remaining = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
+        allowed = designs[:remaining]
+        answers = self._evaluate_batch(np.stack(allowed), gradients) if allowed else []
         if len(answers) != len(allowed):
             raise InputError(f"problem.evaluate returned {len(answers)} evaluations for {len(allowed)} designs")
         for x, answer in zip(allowed, answers, strict=True):
@@ -207,8 +212,8 @@ class Search:
             if evaluation.ok and self.equality.size != evaluation.constraints.size:
                 self.equality = self._equality_mask(evaluation.constraints.size)
             if not evaluation.ok:
-                self._ranks.pop(x.tobytes(), None)  # its values were known, its gradient fails
-            self._memory.known[x.tobytes()] = x, evaluation
+                self._ranks.pop(x.tobytes(), None)  # its values were evaluated before, its gradient fails
+            self._cache.entries[x.tobytes()] = x, evaluation
         if len(allowed) < len(designs):
             raise OutOfAnalyses
 

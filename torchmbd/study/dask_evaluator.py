@@ -1,7 +1,7 @@
-"""The workers of a study: they build its model once, from the experiment file's own words, or unpack that of Python.
+"""The workers of a study: each makes the problem once, from the experiment file, or by unpickling one made in Python.
 
-The optimizers, the store of evaluations and the tracker stay with the parent, so a study is the same on any cluster.
-Assumed: workers see the model's file at the same path, and run the same torchmbd (a hash of both is compared).
+Optimizers, evaluations on disk and tracking stay in the process of the study, so a study is the same on any cluster.
+Assumed: workers find the model's file at the same path, and have the same torchmbd (a hash of both is compared).
 Checked in tests/study/test_dask_evaluator.py, tests/study/test_cluster.py.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import InputError, MbdError
-from torchmbd.optimization.multistart.workers import Workers, packed, unpacked
+from torchmbd.optimization.multistart.workers import Workers, pickle_problem, unpickle_problem
 from torchmbd.study.assemble import study_of
 from torchmbd.study.cluster import load_cluster
 from torchmbd.study.model import build_model, find_model
@@ -25,35 +25,35 @@ _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")
 
 
 def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, scheduler: str | None = None) -> Workers:
-    """Return workers for a study, not started yet.
+    """Return workers for a study; entering their context starts them.
 
-    key        of its problem (paths.problem_key)
-    rows       constraints of the problem
+    key        hash of its problem (paths.problem_key)
+    rows       number of constraints of the problem
     workers    processes of this machine (0: one for each core) or of SLURM's jobs
     scheduler  address of a scheduler, or a cluster file (.yaml); None: processes of this machine
     """
     if workers < 0:
         raise InputError(f"workers = {workers}: must be 0 (one for each core) or more")
-    make, order = unpacked, ()
+    make, arguments = unpickle_problem, ()
     if study.origin is None:
-        order = packed(study.simulated)
+        arguments = pickle_problem(study.simulated)
     else:
         make = _problem_of_file
-        order = json.dumps(study.resolved()), str(study.origin.file.absolute().parent), key
+        arguments = json.dumps(study.resolved()), str(study.origin.file.absolute().parent), key
     if scheduler is not None and scheduler.endswith((".yaml", ".yml")):
         slurm = load_cluster(scheduler)
         if not workers:
             raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
-        return Workers(make, order, rows, workers, start=slurm.start)
+        return Workers(make, arguments, rows, workers, start=slurm.start)
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise InputError(
             f"scheduler = {scheduler!r}: allowed: tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml"
         )
-    return Workers(make, order, rows, workers, scheduler)
+    return Workers(make, arguments, rows, workers, scheduler)
 
 
 def _problem_of_file(study_json: str, folder: str, key: str) -> Any:
-    """The problem of a study, on a worker: of its file as JSON, and of the folder of that file."""
+    """Return the problem of an experiment file, given as JSON, in the folder of that file; called on a worker."""
     data = StudyFile.model_validate(json.loads(study_json))
     system = build_model(find_model(data.model, Path(folder)), data.options)
     problem = study_of(data, system, Path(folder) / "worker").simulated

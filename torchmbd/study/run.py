@@ -22,7 +22,7 @@ from rich.markup import escape
 
 from torchmbd.errors import InputError
 from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
-from torchmbd.optimization.cache import Remembered
+from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.dask_evaluator import study_workers
@@ -93,7 +93,7 @@ def run_study(
             source, lanes = pool, pool.lanes
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         journal = Journal(study, tracker, folder)
-        remembered = Remembered(problem, store, source, journal.evaluated)
+        remembered = CachedProblem(problem, store, source, journal.evaluated)
         status: Status = "FAILED"
         found: Any = None
         try:
@@ -112,8 +112,8 @@ def run_study(
         for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
             if trouble:
                 console.print(f"{what}: {escape(trouble)}", style="red", soft_wrap=True)
-        known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known"
-        since = f"{time.monotonic() - began:.1f} s{known if remembered.known else ''}"
+        known = f", {remembered.hits} of {remembered.hits + remembered.computed} evaluations known"
+        since = f"{time.monotonic() - began:.1f} s{known if remembered.hits else ''}"
         return conclude(study.name, study.kind, status, since, record, unfinished, console)
 
 
@@ -151,7 +151,7 @@ def _say_what_is_known(name: str, count: int, study: Unfinished | None, console:
 
 
 def _search(
-    study: StudySettings, remembered: Remembered, store: Evaluations, lanes: int, journal: Journal, console: Console
+    study: StudySettings, remembered: CachedProblem, store: Evaluations, lanes: int, journal: Journal, console: Console
 ) -> tuple[MultistartResult | DiscreteResult, Status]:
     """Optimize from every start, `lanes` of them at once."""
     points = study.points

@@ -15,11 +15,11 @@ from torchmbd.optimization.multistart import multistart
 
 
 class Elsewhere:
-    """A problem that threads evaluate, `at_once` batches in parallel; a batch of design k takes `seconds(k)`."""
+    """A problem that threads evaluate, `parallel_batches` batches in parallel; a batch of design k takes `seconds(k)`."""
 
-    def __init__(self, problem, at_once, seconds=lambda X: 0.0):
-        self.problem, self.at_once, self.seconds = problem, at_once, seconds
-        self.pool = ThreadPoolExecutor(at_once)
+    def __init__(self, problem, parallel_batches, seconds=lambda X: 0.0):
+        self.problem, self.parallel_batches, self.seconds = problem, parallel_batches, seconds
+        self.pool = ThreadPoolExecutor(parallel_batches)
         self.began, self.cancelled = [], []
 
     def __getattr__(self, name):

@@ -23,7 +23,7 @@ import numpy as np
 
 from torchmbd.errors import argument_names
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
-from torchmbd.optimization.cache import Cache
+from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
 from torchmbd.optimization.discrete.grid import Allowed, Grid
 from torchmbd.optimization.multistart.run import MultistartResult, multistart
@@ -99,7 +99,7 @@ def optimize_discrete(
     require_count("max_neighbors", max_neighbors, 0, 1_000_000)
     box = checked_box(problem)
     grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
-    cache = Cache(problem)
+    cache = MemoryCachedProblem(problem)
     relaxed = multistart(
         cache,
         method,

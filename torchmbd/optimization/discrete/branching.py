@@ -8,12 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from torchmbd.optimization.cache import Cache
+from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.batched import run_batched
 from torchmbd.optimization.multistart.run import MultistartResult
-from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
-from torchmbd.optimization.search import Ask, Report, Search, variable_scale
+from torchmbd.optimization.optimizer import Evaluation, OptimizationResult, largest_violation, rank
+from torchmbd.optimization.search import EvaluateBatch, Report, Search, variable_scale
 
 WORTH = 1e-9  # relative improvement that counts
 STEPS = 2  # increments: of the certificate, and of the way to an admitted design
@@ -44,7 +44,7 @@ class Branching:
 
     def __init__(
         self,
-        cache: Cache[Evaluation],
+        cache: MemoryCachedProblem[Evaluation],
         grid: Grid,
         box: tuple[np.ndarray, np.ndarray, np.ndarray],
         run_one: Callable[[Search], OptimizationResult],
@@ -110,9 +110,9 @@ class Branching:
                 branches.append(Branch(*box, np.clip(x, *box), value))
         return branches
 
-    def search(self, branch: Branch, index: int, ask: Ask, report: Report) -> Search:
+    def search(self, branch: Branch, index: int, evaluate_batch: EvaluateBatch, report: Report) -> Search:
         return Search(
-            ask,
+            evaluate_batch,
             branch.x,
             branch.lower,
             branch.upper,
@@ -140,14 +140,11 @@ class Branching:
 
     def candidate(self, x: np.ndarray, evaluation: Evaluation) -> Candidate:
         c = np.atleast_1d(evaluation.constraints)
-        equal = np.isin(np.arange(c.size), [] if self.equalities is None else self.equalities)
-        violation = float(np.where(equal, np.abs(c), np.maximum(c, 0.0)).max(initial=0.0))
-        return Candidate(x, evaluation.objective, violation)
+        equality = np.isin(np.arange(c.size), [] if self.equalities is None else self.equalities)
+        return Candidate(x, evaluation.objective, largest_violation(c, equality))
 
     def rank(self, candidate: Candidate) -> tuple[bool, float]:
-        """Feasible before infeasible, then the lower value, or the smaller violation."""
-        infeasible = candidate.violation > self.feasibility
-        return infeasible, candidate.violation if infeasible else candidate.value
+        return rank(candidate.value, candidate.violation, self.feasibility)
 
     def better(self, a: Candidate, b: Candidate) -> bool:
         """Whether a is better than b by more than rounding."""
@@ -172,7 +169,7 @@ class Branching:
         """Return all evaluated designs on the values, the best first."""
         found = [
             self.candidate(x, evaluation)
-            for x, evaluation in self.cache.memory.known.values()
+            for x, evaluation in self.cache.memory.entries.values()
             if evaluation.ok and np.array_equal(self.grid.nearest(x), x) and self.grid.admits(x)
         ]
         return sorted(found, key=self.rank)

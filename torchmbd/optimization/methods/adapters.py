@@ -1,11 +1,11 @@
-"""Optimizers of other packages as methods: what they see, when they are begun afresh, how they end.
+"""Optimizers of other packages as methods: failed evaluations, restarts, and how a run ends.
 
-Packages take a run over not-a-number for success (SciPy) or never return from it (NLopt), so they never see one. A failed
-evaluation is returned as a wall: an objective far above the last one, from which line searches, trust regions and conservative
-approximations turn back. If one stops on the wall all the same, it is begun afresh from the best design, inside a box that
-leaves the wall outside. Absolute tolerances: where the objective fell far below the start's, it is begun afresh in units of
-the objective reached, so that "small" means small there. And only a Kuhn-Tucker point, or nearly one where the package's
-own criteria are met without a failure in sight, is called converged.
+Failed evaluations: SciPy takes not-a-number for success, and NLopt never returns from it, so packages never see one. They get
+an objective far above the last one, from which line searches, trust regions and conservative approximations turn back. A
+package that ends at a failed design all the same is run again from the best design, in a box without the failed one.
+Absolute tolerances: where the objective fell far below that of the start, the package is run again with the objective
+divided by the value reached.
+Status: "converged" is a Kuhn-Tucker point, or nearly one if the package's own criteria hold and no evaluation failed.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import numpy as np
 from torchmbd.optimization.kkt import kuhn_tucker
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
-from torchmbd.optimization.stationary import departure
+from torchmbd.optimization.stationary import perturb_stationary_start
 
 RUNS = 4
 SMALLEST_UNIT = 1e-9  # of the start's objective
 FAR_BELOW = 0.05  # of the objective at the start of a run
-WALL = 1e3  # times the last objective
-LOOSE = 2e-2  # no claim of success is believed beyond this Kuhn-Tucker residual
+FAILED_OBJECTIVE = 1e3  # of a failed evaluation, times the last objective
+LOOSE = 2e-2  # Kuhn-Tucker residual beyond which the success that a package reports does not count
 
 
 class EvaluationFailed(Exception):
-    """A package wants a gradient where the evaluation failed."""
+    """A package asks for a gradient where the evaluation failed."""
 
 
 class LimitReached(Exception):
@@ -37,7 +37,7 @@ class LimitReached(Exception):
 
 @dataclass(frozen=True)
 class Stop:
-    """How one run of a package ended: its design, whether it claims success, and its words."""
+    """How one run of a package ended: its design, whether it reports success, and its message."""
 
     y: np.ndarray
     success: bool
@@ -45,33 +45,40 @@ class Stop:
 
 
 class WrappedProblem:
-    """The problem as a package sees it, the objective in `unit`, inside the box `lower`, `upper` around the begin `y`."""
+    """The problem as a package sees it in one run.
+
+    y          start of the run [n], scaled;  lower, upper   a box around it, without the designs `failed`
+    unit       the objective is divided by it
+    failed     designs [n] at which a package ended although they fail; further ones are appended
+    remaining  iterations that are left
+    """
 
     def __init__(
-        self, search: Search, y: np.ndarray, unit: float, walls: list[np.ndarray], remaining: int, run: int = 0
+        self, search: Search, y: np.ndarray, unit: float, failed: list[np.ndarray], remaining: int, run: int
     ) -> None:
-        self.search, self.y, self.unit, self.walls, self.remaining = search, y, unit, walls, remaining
-        self.shrink = 1e-2**run  # for what a package should start smaller in each further run
-        radius = min((0.5 * float(np.abs(wall - y).max()) for wall in walls), default=np.inf)
+        self.search, self.y, self.unit, self.failed, self.remaining = search, y, unit, failed, remaining
+        self.shrink = 1e-2**run  # factor of sizes that a package starts with: smaller ones in each further run
+        radius = min((0.5 * float(np.abs(design - y).max()) for design in failed), default=np.inf)
         self.lower, self.upper = np.maximum(search.lower, y - radius), np.minimum(search.upper, y + radius)
         self.equal, self.unequal = np.flatnonzero(search.equality), np.flatnonzero(~search.equality)
         self._last = search.evaluate(y, gradients=True)
         self._recorded = {y.tobytes()}
 
     def value(self, y: np.ndarray) -> Evaluation:
-        """Return values at `y`, or the wall."""
+        """Return values at `y`; of a failed design the last constraints, and an objective far above the last."""
         evaluation = self.search.evaluate(y)
         if evaluation.ok:
             self._last = evaluation
             return evaluation
         last = self._last
-        return Evaluation(last.objective + WALL * max(self.unit, abs(last.objective)), last.constraints)
+        high = last.objective + FAILED_OBJECTIVE * max(self.unit, abs(last.objective))
+        return Evaluation(high, last.constraints)
 
     def gradient(self, y: np.ndarray) -> Evaluation:
-        """Return values and gradients at `y`; there is none on the wall."""
+        """Return values and gradients at `y`; EvaluationFailed if they cannot be evaluated."""
         evaluation = self.search.evaluate(y, gradients=True)
         if not evaluation.ok:
-            self.walls.append(np.array(y))
+            self.failed.append(np.array(y))
             raise EvaluationFailed(evaluation.status)
         return evaluation
 
@@ -103,36 +110,41 @@ class WrappedProblem:
 
 
 def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_iterations: int, kkt: float) -> Ending:
-    """Run a package, afresh where that helps, and say how it ended; `kkt`: residual at which an early stop is good enough."""
+    """Run a package, several times where that helps, and return how it ended.
+
+    run  one run of the package;  kkt  Kuhn-Tucker residual at which an early stop is good enough
+    """
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
-    y, here = departure(search, first)
-    assert here.objective_gradient is not None
-    if search.violation(here) <= search.feasibility and not here.objective_gradient.any():
+    y, evaluation = perturb_stationary_start(search, first)
+    assert evaluation.objective_gradient is not None
+    if search.violation(evaluation) <= search.feasibility and not evaluation.objective_gradient.any():
         # Interior point methods would leave for the middle of the bounds.
         return Ending(y, "converged", "the gradient is zero")
-    walls: list[np.ndarray] = []
+    failed: list[np.ndarray] = []
     unit, message = 1.0, ""
     for number in range(RUNS):
-        before, failures = y, search.failures
+        start, failures = y, search.failures
         remaining = max_iterations - (len(search.history) - 1)
-        stop = _run_wrapped(WrappedProblem(search, y, unit, walls, remaining, number), run) if remaining > 0 else None
+        if remaining <= 0:
+            break
+        stop = _run_wrapped(WrappedProblem(search, y, unit, failed, remaining, number), run)
         if stop is None:
             break
         message = stop.message
-        y, evaluation = _with_gradient(search, _better(search, stop.y), walls)
+        y, evaluation = _with_gradient(search, _better(search, stop.y), failed)
         quality = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
         feasible = search.violation(evaluation) <= search.feasibility
         reached = abs(evaluation.objective)
         if feasible and stop.success and 0.0 < reached < FAR_BELOW * unit and quality.residual > kkt:
             unit = max(reached, SMALLEST_UNIT)
             continue
-        # What looks like a minimum beside a wall, or on the border of a box around one, is none.
-        success = stop.success and not walls and search.failures == failures and quality.residual <= LOOSE
+        # What looks like a minimum beside a failed design, or on the border of a box without it, is none.
+        success = stop.success and not failed and search.failures == failures and quality.residual <= LOOSE
         if feasible and (success or quality.residual <= kkt):
             return Ending(y, "converged", message if success else f"{message}: a Kuhn-Tucker point")
-        if (np.array_equal(before, y) or not feasible) and not walls:
+        if (np.array_equal(start, y) or not feasible) and not failed:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 
@@ -146,33 +158,28 @@ def _run_wrapped(wrapped: WrappedProblem, run: Callable[[WrappedProblem], Stop])
         if final.ok:
             wrapped.record(stop.y)
             return stop
-        wrapped.walls.append(stop.y)
+        wrapped.failed.append(stop.y)
         reason = final.status
     except LimitReached:
         return None
-    except EvaluationFailed as wall:
-        reason = str(wall)
+    except EvaluationFailed as error:
+        reason = str(error)
     assert search.best is not None
     return Stop(search.best, False, f"stopped at a failed evaluation ({reason})")
 
 
 def _better(search: Search, y: np.ndarray) -> np.ndarray:
     """Return `y`, or the best design seen where that is strictly better."""
-
-    def rank(design: np.ndarray) -> tuple[bool, float]:
-        evaluation = search.evaluate(design)
-        violation = search.violation(evaluation)
-        infeasible = violation > search.feasibility
-        return infeasible, violation if infeasible else evaluation.objective
-
     best = search.best
-    return y if best is None or rank(y) <= rank(best) else best
+    if best is None or search.rank(search.evaluate(y)) <= search.rank(search.evaluate(best)):
+        return y
+    return best
 
 
-def _with_gradient(search: Search, y: np.ndarray, walls: list[np.ndarray]) -> tuple[np.ndarray, Evaluation]:
-    """Return `y`, or the best design after it whose gradient does not fail, with its evaluation."""
+def _with_gradient(search: Search, y: np.ndarray, failed: list[np.ndarray]) -> tuple[np.ndarray, Evaluation]:
+    """Return `y` with its evaluation, or, where its gradient fails, the best design whose gradient does not."""
     while not (evaluation := search.evaluate(y, gradients=True)).ok:
-        walls.append(y)
+        failed.append(y)
         assert search.best is not None  # the start, if no other
         y = search.best
     return y, evaluation

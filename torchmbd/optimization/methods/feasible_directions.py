@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimization.curvature import along, tangent
+from torchmbd.optimization.curvature import reduced_hessian, tangent_basis
 from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.methods.direction import Direction, find_direction
 from torchmbd.optimization.methods.line_search import LineSearch, Trial
 from torchmbd.optimization.methods.metric import VariableMetric
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
-from torchmbd.optimization.stationary import departure
+from torchmbd.optimization.stationary import perturb_stationary_start
 
 # Longest change of a variable in one step, times the step just made: after one cut short, and after a full one of that length.
 REACH_IF_SHORT, REACH_IF_FULL = 3.0, 10.0
@@ -45,7 +45,7 @@ class FeasibleDirections:
 
     def __init__(self, search: Search, settings: Settings, first: Evaluation) -> None:
         self.search, self.settings, self.metric = search, settings, VariableMetric(search.size)
-        self.y, self.here = departure(search, first)
+        self.y, self.here = perturb_stationary_start(search, first)
         self.weights = np.zeros(self.here.constraints.size)
         self.resets = self.quiet = 0
         self.believed = np.inf  # the objective where it was at rest, and nearly optimal
@@ -183,8 +183,8 @@ class FeasibleDirections:
             return False
         quality, search = self.quality(), self.search
         assert self.here.constraint_gradients is not None
-        Z = tangent(self.here.constraint_gradients, quality, self.settings.kkt)
-        reduced = along(search, self.y, self.here, quality.multipliers, Z)
+        Z = tangent_basis(self.here.constraint_gradients, quality, self.settings.kkt)
+        reduced = reduced_hessian(search, self.y, self.here, quality.multipliers, Z)
         if reduced is None or not reduced.size:
             return False
         values, vectors = np.linalg.eigh(reduced)
@@ -219,11 +219,11 @@ class FeasibleDirections:
             return Ending(self.y, "stalled", f"every design tried around x failed: {line.reason}")
         if feasible:
             return Ending(self.y, "stalled", f"no step lowers the objective, though {NO_KUHN_TUCKER}: a kink?")
-        fighting = np.flatnonzero(direction.multipliers > 1e-3 * direction.multipliers.max(initial=0.0))
+        conflicting = np.flatnonzero(direction.multipliers > 1e-3 * direction.multipliers.max(initial=0.0))
         return Ending(
             self.y,
             "infeasible",
-            f"the violation {violation:.3g} cannot be reduced to first order: constraints {fighting.tolist()} "
+            f"the violation {violation:.3g} cannot be reduced to first order: constraints {conflicting.tolist()} "
             "contradict each other or the bounds",
         )
 

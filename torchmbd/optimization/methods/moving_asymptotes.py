@@ -89,7 +89,7 @@ class _Calls:
         try:
             good = search.evaluate(y, gradients=slope.size > 0).ok
             if slope.size:
-                slope[:] = wrapped.slope(y) if good else 0.0  # not used: a design on the wall is not accepted
+                slope[:] = wrapped.slope(y) if good else 0.0  # not used: a failed design is not accepted
             if good and search.best is not None and np.array_equal(search.best, y):
                 wrapped.record(np.array(y))
             return wrapped.objective(y)

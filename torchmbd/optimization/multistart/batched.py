@@ -1,18 +1,17 @@
-"""Many starts at the same time, so that their simulations are one batch.
+"""Many starts at the same time: their simulations are one batch.
 
-Every start runs its own optimizer in its own thread and blocks where it asks for an evaluation. The coordinator, in
-the caller's thread, evaluates all requests as one batch (those with gradients, those without), and hands the answers
-back, one start after the other: each goes on until it asks again or ends, then the next, since threads that compute at
-once would only fight for the interpreter. A start that ends makes room for the next. So a batch depends
-on the starts alone, in their order, never on timing; the problem, the callback and the user's Ctrl-C live in the
-caller's thread.
+The optimizer of every start runs in a thread of its own, which waits whenever it asks for an evaluation. The caller's thread
+evaluates all requests in common batches (those with gradients, those without), and then answers one start after the other:
+each computes until it asks again or ends, before the next is answered, since Python threads that compute at once slow each
+other down. When a start ends, a waiting one begins. So a batch depends on the starts and their order alone, never on timing;
+the problem, the callback and Ctrl-C stay in the caller's thread.
 
-A problem that evaluates several batches at once, on workers (batch.py), gets as many groups of starts, dealt out in turn, and
-up to twice as many where that leaves each starts for half a batch: no worker waits for another, nor for the optimizers, since
-while those of one group think, the batch of another is at hand. What is in a batch still depends on the starts alone, and on
-the number of workers.
+If the problem evaluates several batches in parallel, on workers (batch.py), the starts are divided into as many groups, start
+k into group k modulo their number; into up to twice as many, as long as each has starts for half a batch. While the
+optimizers of one group compute, the batch of another is ready for the workers. What is in a batch then depends on the number
+of workers as well.
 
-A thread here only waits or does small arithmetic between two simulations: parallel computation is the problem's affair.
+Threads do only small arithmetic between two simulations; simulations run in parallel only if the problem sees to it.
 Checked in tests/optimization/multistart/test_batched.py.
 """
 
@@ -29,16 +28,16 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimization.batch import Batch, begin
+from torchmbd.optimization.batch import Batch, begin_batch
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult, Problem
-from torchmbd.optimization.search import Ask, Interrupted, Report, Search
+from torchmbd.optimization.search import EvaluateBatch, Interrupted, Report, Search
 
-Runner = Callable[[Ask, Report], OptimizationResult]
+Runner = Callable[[EvaluateBatch, Report], OptimizationResult]
 
 
 @dataclass
-class Lane:
-    """One live start: what it asks for, what it was answered, how it ended."""
+class LiveStart:
+    """A start whose optimizer is running: its request, the answer to it, and how it ended."""
 
     index: int
     request: tuple[np.ndarray, bool] | None = None  # designs [k, n], with gradients
@@ -47,7 +46,7 @@ class Lane:
     result: OptimizationResult | None = None
     error: BaseException | None = None
     thread: threading.Thread | None = None
-    turn: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
+    resume: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))  # released when it is answered
 
     @property
     def ended(self) -> bool:
@@ -58,21 +57,24 @@ class Lane:
 class Group:
     """Starts whose requests are evaluated together."""
 
-    to_come: deque[int]  # indices of starts
+    waiting: deque[int]  # indices of starts
     width: int  # live starts at most
-    live: list[Lane] = field(default_factory=list)
-    asked: list[tuple[Lane, int]] = field(default_factory=list)  # who asked for how many designs, in the parts' order
-    parts: deque[tuple[np.ndarray, bool]] = field(
-        default_factory=deque
-    )  # designs to evaluate, one batch after the other
-    batch: Batch | None = None  # under way: the first part
-    found: list[Evaluation] = field(default_factory=list)  # of the parts that are done
+    live: list[LiveStart] = field(default_factory=list)
+    requests: list[tuple[LiveStart, int]] = field(default_factory=list)  # number of designs, in the order of the parts
+    parts: deque[tuple[np.ndarray, bool]] = field(default_factory=deque)  # designs of the batches to be evaluated
+    batch: Batch | None = None  # under evaluation: the first part
+    evaluations: list[Evaluation] = field(default_factory=list)  # of the parts that are done
 
 
 class BatchedSearches:
-    """Runs `runners` (one per start), `max_lanes` at once; `go_on(results)` is asked before each further start.
+    """Runs many starts in common batches.
 
-    `callback` hears of every iterate, `ended` of every result, as they come. `groups` of starts, each of its own pace.
+    runners    one for each start
+    max_lanes  designs in a batch, and starts that run at the same time, at most
+    callback   called with every iterate
+    may_begin  called with the results so far before each further start; False: no start begins any more
+    ended      called with every result
+    groups     batches that the problem evaluates in parallel
     """
 
     def __init__(
@@ -81,19 +83,19 @@ class BatchedSearches:
         runners: list[Runner],
         max_lanes: int,
         callback: Callable[[Iterate], None] | None = None,
-        go_on: Callable[[list[OptimizationResult]], bool] = lambda results: True,
+        may_begin: Callable[[list[OptimizationResult]], bool] = lambda results: True,
         ended: Callable[[OptimizationResult], None] | None = None,
         groups: int = 1,
     ) -> None:
         self.problem, self.runners = problem, runners
-        self.callback, self.go_on, self.ended = callback, go_on, ended
+        self.callback, self.may_begin, self.ended = callback, may_begin, ended
         self.results: list[OptimizationResult] = []
         self.interrupted = False
         self.stopped_early = False
-        self._back = threading.Semaphore(0)  # the start whose turn it was has asked or ended
-        at_once = max(1, min(groups, max_lanes, len(runners)))
-        width = max_lanes // at_once
-        count = 1 if at_once == 1 else max(at_once, min(2 * at_once, 2 * len(runners) // width))
+        self._returned = threading.Semaphore(0)  # released when a start that was begun or answered waits or has ended
+        parallel = max(1, min(groups, max_lanes, len(runners)))
+        width = max_lanes // parallel
+        count = 1 if parallel == 1 else max(parallel, min(2 * parallel, 2 * len(runners) // width))
         self._groups = [Group(deque(range(k, len(runners), count)), width) for k in range(count)]
         self._ready: queue.SimpleQueue[Group] = queue.SimpleQueue()  # groups whose batches may be done
 
@@ -105,82 +107,82 @@ class BatchedSearches:
             while self._live:
                 group = self._ready.get()
                 if group.batch is not None and group.batch.done:
-                    self._take(group, group.batch)
+                    self._complete_part(group, group.batch)
         except KeyboardInterrupt:
             self.interrupted = True
             self._stop_all()
             for group in self._groups:
-                self._hear(group)
+                self._collect_reports(group)
         except BaseException:
             self._stop_all()
             raise
         return sorted(self.results, key=lambda result: result.start)
 
     @property
-    def _live(self) -> list[Lane]:
-        return [lane for group in self._groups for lane in group.live]
+    def _live(self) -> list[LiveStart]:
+        return [start for group in self._groups for start in group.live]
 
     def _advance(self, group: Group) -> None:
-        """Hear what the starts of a group have come to, begin others in the place of those that ended, and evaluate."""
-        self._hear(group)
+        """Report iterates and results of a group, begin waiting starts, and begin to evaluate what is requested."""
+        self._collect_reports(group)
         while self._launch(group):
-            self._hear(group)
-        self._ask(group)
+            self._collect_reports(group)
+        self._collect_requests(group)
 
-    def _hear(self, group: Group) -> None:
-        for lane in group.live:
-            reports, lane.reports = lane.reports, []
+    def _collect_reports(self, group: Group) -> None:
+        for start in group.live:
+            reports, start.reports = start.reports, []
             for iterate in reports:
                 if self.callback is not None:
                     self.callback(iterate)
-        for lane in [lane for lane in group.live if lane.ended]:
-            group.live.remove(lane)
-            if lane.error is not None:
-                raise lane.error
-            assert lane.result is not None
-            self.results.append(lane.result)
+        for start in [start for start in group.live if start.ended]:
+            group.live.remove(start)
+            if start.error is not None:
+                raise start.error
+            assert start.result is not None
+            self.results.append(start.result)
             if self.ended is not None:
-                self.ended(lane.result)
+                self.ended(start.result)
 
     def _launch(self, group: Group) -> bool:
-        """Begin starts while there is room; return whether one began."""
+        """Begin waiting starts up to the width of the group; return whether one began."""
         began = False
-        while len(group.live) < group.width and group.to_come:
-            if self.results and not self.go_on(self.results):
+        while len(group.live) < group.width and group.waiting:
+            if self.results and not self.may_begin(self.results):
                 self.stopped_early = True
                 break
-            lane = Lane(group.to_come.popleft())
-            lane.thread = threading.Thread(target=self._work, args=(lane,), name=f"start-{lane.index}", daemon=True)
-            group.live.append(lane)
-            lane.thread.start()
-            self._back.acquire()
+            start = LiveStart(group.waiting.popleft())
+            start.thread = threading.Thread(target=self._work, args=(start,), name=f"start-{start.index}", daemon=True)
+            group.live.append(start)
+            start.thread.start()
+            self._returned.acquire()
             began = True
         return began
 
-    def _ask(self, group: Group) -> None:
-        """Evaluate all that a group asks for: designs with gradients, then those without, `width` in one batch at most."""
+    def _collect_requests(self, group: Group) -> None:
+        """Divide the requests of a group into batches, designs with gradients first, and begin to evaluate."""
         for gradients in (True, False):
-            asking = [lane for lane in group.live if lane.request is not None and lane.request[1] is gradients]
+            asking = [start for start in group.live if start.request is not None and start.request[1] is gradients]
             if not asking:
                 continue
-            requests = [lane.request[0] for lane in asking if lane.request is not None]
-            group.asked += [(lane, len(request)) for lane, request in zip(asking, requests, strict=True)]
+            requests = [start.request[0] for start in asking if start.request is not None]
+            group.requests += [(start, len(request)) for start, request in zip(asking, requests, strict=True)]
             X = np.concatenate(requests)
             group.parts += [(X[first : first + group.width], gradients) for first in range(0, len(X), group.width)]
         self._begin(group)
 
     def _begin(self, group: Group) -> None:
         if group.parts:
-            group.batch = begin(self.problem, *group.parts[0], len(self._groups))
+            group.batch = begin_batch(self.problem, *group.parts[0], len(self._groups))
             group.batch.notify(partial(self._ready.put, group))
 
-    def _take(self, group: Group, batch: Batch) -> None:
-        """Keep what a batch has found, and begin the next part or go on with the starts."""
+    def _complete_part(self, group: Group, batch: Batch) -> None:
+        """Keep the evaluations of a batch, and begin the next part or answer the starts."""
         evaluations = batch.evaluations()
         (designs, _), group.batch = group.parts.popleft(), None
         if len(evaluations) != len(designs):
             raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(designs)} designs")
-        group.found += evaluations
+        group.evaluations += evaluations
         if group.parts:
             self._begin(group)
         else:
@@ -188,59 +190,63 @@ class BatchedSearches:
             self._advance(group)
 
     def _answer(self, group: Group) -> None:
-        """Give the starts of a group what they asked for; each goes on until it asks again or ends."""
-        asked, group.asked = group.asked, []
-        answers, group.found = iter(group.found), []
-        for lane, count in asked:
-            lane.request, lane.answer = None, [next(answers) for _ in range(count)]
-            lane.turn.release()
-            self._back.acquire()
+        """Answer the starts of a group one after the other; each computes until it asks again or ends."""
+        requests, group.requests = group.requests, []
+        answers, group.evaluations = iter(group.evaluations), []
+        for start, count in requests:
+            start.request, start.answer = None, [next(answers) for _ in range(count)]
+            start.resume.release()
+            self._returned.acquire()
 
     def _stop_all(self) -> None:
         for group in self._groups:
             if group.batch is not None:
                 group.batch.cancel()
-        for lane in self._live:
-            lane.turn.release()  # and there is no answer
-        for lane in self._live:
-            if lane.thread is not None:
-                lane.thread.join()
+        for start in self._live:
+            start.resume.release()  # without an answer: it is interrupted
+        for start in self._live:
+            if start.thread is not None:
+                start.thread.join()
 
-    def _work(self, lane: Lane) -> None:
-        """What a thread does: run one start, leaving its result or its error in the lane."""
+    def _work(self, start: LiveStart) -> None:
+        """Run the optimizer of a start, in its thread; keep its result or its error."""
 
-        def ask(X: np.ndarray, gradients: bool) -> list[Evaluation]:
-            lane.request = X, gradients
-            self._back.release()
-            lane.turn.acquire()
-            if lane.answer is None:
+        def evaluate_batch(X: np.ndarray, gradients: bool) -> list[Evaluation]:
+            start.request = X, gradients
+            self._returned.release()
+            start.resume.acquire()
+            if start.answer is None:
                 raise Interrupted
-            answer, lane.answer = lane.answer, None
+            answer, start.answer = start.answer, None
             return answer
 
         result, error = None, None
         try:
-            result = self.runners[lane.index](ask, lambda iterate: lane.reports.append(iterate))
+            result = self.runners[start.index](evaluate_batch, lambda iterate: start.reports.append(iterate))
         except BaseException as exception:
             error = exception
-        lane.result, lane.error = result, error
-        self._back.release()
+        start.result, start.error = result, error
+        self._returned.release()
 
 
 def run_batched(
     problem: Any,
-    searches: Sequence[Callable[[int, Ask, Report], Search]],
+    searches: Sequence[Callable[[int, EvaluateBatch, Report], Search]],
     run_one: Callable[[Search], OptimizationResult],
     max_lanes: int,
     ended: Callable[[OptimizationResult], None] | None = None,
 ) -> tuple[list[OptimizationResult | None], bool]:
-    """Run one optimizer on different searches of the same designs; return the feasible results and whether interrupted.
+    """Run one optimizer on several searches of the same problem; return their results, and whether the user stopped them.
 
-    `ended` hears of every result as it comes. None stands for a search that found no feasible design, or was interrupted.
+    searches  functions of (index, evaluate_batch, report) that make the searches
+    run_one   runs the optimizer on a search
+    ended     called with every result
+
+    A search that failed, found no feasible design, or was interrupted has None as its result.
     """
 
-    def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
-        return run_one(searches[index](index, ask, report))
+    def runner(index: int, evaluate_batch: EvaluateBatch, report: Report) -> OptimizationResult:
+        return run_one(searches[index](index, evaluate_batch, report))
 
     batched = BatchedSearches(problem, [partial(runner, k) for k in range(len(searches))], max_lanes, ended=ended)
     ends: list[OptimizationResult | None] = [None] * len(searches)

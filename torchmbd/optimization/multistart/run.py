@@ -1,4 +1,4 @@
-"""Local searches from many starts, in common batches, and what they say together."""
+"""Local searches from many starts in common batches, and estimates of the minima that they have not found."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from torchmbd.errors import argument_names, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
-from torchmbd.optimization.batch import at_once
+from torchmbd.optimization.batch import parallel_batches
 from torchmbd.optimization.multistart.batched import BatchedSearches
 from torchmbd.optimization.multistart.minima import Minimum, covered_share, distinct_minima, expected_minima
 from torchmbd.optimization.multistart.sampling import Starts, recipe
@@ -19,12 +19,12 @@ from torchmbd.optimization.optimizer import (
     Iterate,
     OptimizationResult,
     Problem,
+    convergence_figure,
     find_method,
-    plotted,
     require_count,
     require_range,
 )
-from torchmbd.optimization.search import Ask, Report, Search, variable_scale
+from torchmbd.optimization.search import EvaluateBatch, Report, Search, variable_scale
 from torchmbd.progress import both, shown
 from torchmbd.summary import Summary, few
 
@@ -41,7 +41,7 @@ class MultistartResult(Summary):
     minima: list[Minimum]  # distinct, best first
     interrupted: bool = False
     stopped_early: bool = False  # by `minima_left`
-    starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [count, n], also those not reached
+    starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [count, n], also those that were not begun
     feasibility: float = FEASIBILITY  # violation of a constraint that counts as none
 
     def _summary(self) -> list[tuple[str, Any]]:
@@ -69,7 +69,7 @@ class MultistartResult(Summary):
 
     def plot(self, title: str = "objective") -> Figure:
         """Figure of the objective and the largest violation of every start over its iterations; the best stands out."""
-        return plotted(self.results, self.best, title)
+        return convergence_figure(self.results, self.best, title)
 
     @property
     def best(self) -> OptimizationResult | None:
@@ -120,7 +120,7 @@ def multistart(
 ) -> MultistartResult:
     """Minimize from every start; simulations of different starts share batches.
 
-    problem      as in `optimize`; `problem.period` [n], where present, says which variables are angles
+    problem      as in `optimize`; `problem.period` [n], if it has one, is the period of variables such as ply angles
     starts       `sobol(...)`, `latin_hypercube(...)` or a list of designs [count, n]; None: the problem's own start
     ended        called with every OptimizationResult when its start ends
     max_lanes    largest number of designs that are evaluated at the same time
@@ -129,7 +129,8 @@ def multistart(
     progress     a bar of the starts on standard error; None: in a terminal or a notebook
     method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
 
-    The result of a start that fails has the reason. Ctrl-C ends every start and returns what there is, `interrupted` set.
+    The result of a start that fails holds the reason. Ctrl-C ends every start; the results so far are returned with
+    `interrupted` set.
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
@@ -150,9 +151,9 @@ def multistart(
     scale = variable_scale(initial, lower, upper) if scaling else None
     equalities = getattr(problem, "equalities", None)
 
-    def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
+    def runner(index: int, evaluate_batch: EvaluateBatch, report: Report) -> OptimizationResult:
         search = Search(
-            ask,
+            evaluate_batch,
             points[index],
             lower,
             upper,
@@ -163,7 +164,7 @@ def multistart(
             max_analyses=max_analyses,
             index=index,
             report=report,
-            close=getattr(problem, "with_least_bound", None),
+            tighten=getattr(problem, "with_least_bound", None),
         )
         return run_start(search, function, method, max_iterations, options, problem)
 
@@ -171,22 +172,22 @@ def multistart(
     period = getattr(problem, "period", None)
     find = partial(distinct_minima, span=span, period=None if period is None else np.asarray(period, dtype=float))
 
-    def go_on(results: list[OptimizationResult]) -> bool:
+    def may_begin(results: list[OptimizationResult]) -> bool:
         if minima_left is None:
             return True
         found = find(results)
         return expected_minima(sum(r.converged for r in results), len(found)) - len(found) > minima_left
 
     runners = [partial(runner, k) for k in range(len(points))]
-    groups = at_once(problem) if minima_left is None else 1  # what is known by then must not depend on timing
+    groups = parallel_batches(problem) if minima_left is None else 1  # with several, `may_begin` would depend on timing
     done: list[OptimizationResult] = []
 
     with shown(progress, f"{method}, starts", len(points)) as show:
 
         def count(result: OptimizationResult) -> None:
             done.append(result)
-            show(len(done), min((one.value for one in done if one.violation <= feasibility), default=np.nan))
+            show(len(done), min((r.value for r in done if r.violation <= feasibility), default=np.nan))
 
-        batched = BatchedSearches(problem, runners, max_lanes, callback, go_on, both(count, ended), groups)
+        batched = BatchedSearches(problem, runners, max_lanes, callback, may_begin, both(count, ended), groups)
         results = batched.run()
     return MultistartResult(results, find(results), batched.interrupted, batched.stopped_early, points, feasibility)

@@ -1,8 +1,9 @@
-"""A family of problems over the same designs (the points of a Pareto front): solved in common batches, warming each other.
+"""Problems of one objective over the same designs, solved in common batches, starting from each other's designs.
 
-A member is a function that makes one objective and its constraints of a design's criteria. Members start between the designs
-of their neighbors. All look at one memory of evaluated designs: a member starts again if the search of another came across
-a better design than its own, so they help each other out of local minima.
+A scalarization is a function that makes one objective with constraints of the criteria of a design: one criterion, or a point
+of a Pareto front. Each starts between the designs of its solved neighbors. All search one memory of evaluated designs: where
+the search of another came across a better design than its own, a scalarization is searched again from there. So they help
+each other out of local minima.
 """
 
 from __future__ import annotations
@@ -12,24 +13,30 @@ from functools import partial
 
 import numpy as np
 
-from torchmbd.optimization.cache import Cache
+from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.criteria import Criteria
 from torchmbd.optimization.multistart.batched import run_batched
-from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
-from torchmbd.optimization.search import Ask, Report, Search, variable_scale
+from torchmbd.optimization.optimizer import Evaluation, OptimizationResult, largest_violation, rank
+from torchmbd.optimization.search import EvaluateBatch, Report, Search, variable_scale
 
-Member = Callable[[Criteria], Evaluation]
+Scalarization = Callable[[Criteria], Evaluation]
 
-BETTER = 1e-4  # so much lower must a design be to start again from it; members are of order one
-AGAIN = 3  # times
+MIN_GAIN = 1e-4  # of the objective, which is of order one: the least for which a search is started again
+RESTARTS = 3  # at most
 
 
-class Family:
-    """`run_one` runs an optimizer on one search; `box` is start, lower and upper [n]; `ended` hears of every search's end."""
+class ScalarizedSearches:
+    """Searches of scalarizations of one problem.
+
+    run_one    runs an optimizer on one search
+    box        start, lower and upper bounds [n]
+    max_lanes  designs in one batch at most
+    ended      called with every result when its search ends
+    """
 
     def __init__(
         self,
-        cache: Cache[Criteria],
+        cache: MemoryCachedProblem[Criteria],
         run_one: Callable[[Search], OptimizationResult],
         box: tuple[np.ndarray, np.ndarray, np.ndarray],
         feasibility: float,
@@ -41,87 +48,95 @@ class Family:
         self.feasibility, self.max_lanes, self.ended = feasibility, max_lanes, ended
         self.interrupted = False
 
-    def from_starts(self, members: list[Member], starts: np.ndarray) -> list[OptimizationResult | None]:
-        """Return the best feasible result of each member from all `starts` [count, n]."""
-        ends = self._run([(member, x) for member in members for x in starts])
-        groups = [ends[i * len(starts) : (i + 1) * len(starts)] for i in range(len(members))]
+    def from_starts(self, scalarizations: list[Scalarization], starts: np.ndarray) -> list[OptimizationResult | None]:
+        """Return the best feasible result of each scalarization from all `starts` [count, n]."""
+        ends = self._run([(scalarization, x) for scalarization in scalarizations for x in starts])
+        groups = [ends[i * len(starts) : (i + 1) * len(starts)] for i in range(len(scalarizations))]
         best = [min((r for r in group if r is not None), key=lambda r: r.value, default=None) for group in groups]
-        return self._improved(members, best)
+        return self._restarted_from_better(scalarizations, best)
 
     def in_waves(
         self,
-        members: list[Member],
-        places: np.ndarray,
+        scalarizations: list[Scalarization],
+        positions: np.ndarray,
         solved: list[np.ndarray],
         waves: list[list[int]],
         starts: np.ndarray,
     ) -> list[OptimizationResult | None]:
-        """Return the feasible result of each member, one wave of members after the other.
+        """Return the feasible result of each scalarization, searched in waves.
 
-        `places` [solved + members, k] says who is near whom: a member starts between the designs of its k nearest
-        neighbors that are solved; at first these are the designs `solved`. In the end all start from `starts` [count, n] too.
+        positions  points of the plane of criteria [solved + scalarizations, k]: a search starts between the designs of the k
+                   nearest solved points
+        solved     designs of the first points
+        waves      indices of the scalarizations that are searched together
+        starts     designs [count, n] from which all are searched once more
         """
-        results: list[OptimizationResult | None] = [None] * len(members)
+        results: list[OptimizationResult | None] = [None] * len(scalarizations)
         designs: dict[int, np.ndarray] = dict(enumerate(solved))
         for wave in waves:
-            ends = self._run([(members[i], _between(places, designs, len(solved) + i)) for i in wave])
-            for i, end in zip(wave, ends, strict=True):
+            jobs = [(scalarizations[i], _interpolated_design(positions, designs, len(solved) + i)) for i in wave]
+            for i, end in zip(wave, self._run(jobs), strict=True):
                 results[i] = end
                 if end is not None:
                     designs[len(solved) + i] = end.x
-        self._keep(results, [(i, x) for i in range(len(members)) for x in starts], members)
-        return self._improved(members, results)
+        again = [(i, x) for i in range(len(scalarizations)) for x in starts]
+        self._run_and_keep_better(results, again, scalarizations)
+        return self._restarted_from_better(scalarizations, results)
 
-    def _keep(
-        self, results: list[OptimizationResult | None], jobs: list[tuple[int, np.ndarray]], members: list[Member]
+    def _run_and_keep_better(
+        self,
+        results: list[OptimizationResult | None],
+        jobs: list[tuple[int, np.ndarray]],
+        scalarizations: list[Scalarization],
     ) -> None:
-        """Run members (by index) from designs; put the results that are better than those known in their place."""
-        ends = self._run([(members[i], x) for i, x in jobs])
+        """Search scalarizations (by index) from designs; better results replace those in `results`."""
+        ends = self._run([(scalarizations[i], x) for i, x in jobs])
         for (i, _), end in zip(jobs, ends, strict=True):
             known = results[i]
             if end is not None and (known is None or end.value < known.value):
                 results[i] = end
 
-    def _improved(
-        self, members: list[Member], results: list[OptimizationResult | None]
+    def _restarted_from_better(
+        self, scalarizations: list[Scalarization], results: list[OptimizationResult | None]
     ) -> list[OptimizationResult | None]:
-        for _ in range(AGAIN):
+        """Search again those scalarizations for which a better design than their result is known, from that design."""
+        for _ in range(RESTARTS):
             jobs = []
-            for i, member in enumerate(members):
-                rank, x = self._best(member)
+            for i, scalarization in enumerate(scalarizations):
+                (infeasible, value), x = self._best_known(scalarization)
                 result = results[i]
-                if not rank[0] and (result is None or rank[1] < result.value - BETTER):
+                if not infeasible and (result is None or value < result.value - MIN_GAIN):
                     jobs.append((i, x))
-            self._keep(results, jobs, members)
+            self._run_and_keep_better(results, jobs, scalarizations)
         return results
 
-    def _best(self, member: Member) -> tuple[tuple[bool, float], np.ndarray]:
-        """Return rank and design of the best known for `member`: feasible before infeasible, then the lowest."""
+    def _best_known(self, scalarization: Scalarization) -> tuple[tuple[bool, float], np.ndarray]:
+        """Return sort key (optimizer.rank) and design of the best evaluated design of a scalarization."""
         best = (True, np.inf), self.start
-        for x, criteria in self.cache.memory.known.values():
-            single = member(criteria)
+        for x, criteria in self.cache.memory.entries.values():
+            single = scalarization(criteria)
             if single.ok:
-                violation = float(np.maximum(single.constraints, 0.0).max(initial=0.0))
-                infeasible = violation > self.feasibility
-                best = min(best, ((infeasible, violation if infeasible else single.objective), x), key=lambda b: b[0])
+                key = rank(single.objective, largest_violation(single.constraints), self.feasibility)
+                best = min(best, (key, x), key=lambda b: b[0])
         return best
 
-    def _run(self, jobs: list[tuple[Member, np.ndarray]]) -> list[OptimizationResult | None]:
-        """Run members from designs in common batches; None where no feasible design was found."""
+    def _run(self, jobs: list[tuple[Scalarization, np.ndarray]]) -> list[OptimizationResult | None]:
+        """Search scalarizations from designs in common batches; None where no feasible design was found."""
         if self.interrupted or not jobs:
             return [None] * len(jobs)
-
-        searches = [partial(self._search, member, x) for member, x in jobs]
+        searches = [partial(self._search, scalarization, x) for scalarization, x in jobs]
         ends, self.interrupted = run_batched(self.cache, searches, self.run_one, self.max_lanes, self.ended)
         return [end if end is not None and end.violation <= self.feasibility else None for end in ends]
 
-    def _search(self, member: Member, x: np.ndarray, index: int, ask: Ask, report: Report) -> Search:
-        def ask_member(X: np.ndarray, gradients: bool) -> list[Evaluation]:
-            return [member(criteria) for criteria in ask(X, gradients)]  # type: ignore[arg-type]
+    def _search(
+        self, scalarization: Scalarization, x: np.ndarray, index: int, evaluate_batch: EvaluateBatch, report: Report
+    ) -> Search:
+        def evaluate_scalarized(X: np.ndarray, gradients: bool) -> list[Evaluation]:
+            return [scalarization(criteria) for criteria in evaluate_batch(X, gradients)]  # type: ignore[arg-type]
 
         scale = variable_scale(self.start, self.lower, self.upper)
         return Search(
-            ask_member,
+            evaluate_scalarized,
             x,
             self.lower,
             self.upper,
@@ -132,10 +147,10 @@ class Family:
         )
 
 
-def _between(places: np.ndarray, designs: dict[int, np.ndarray], i: int) -> np.ndarray:
-    """Return the mean of the designs of the k nearest neighbors of place i, weighted by their nearness."""
+def _interpolated_design(positions: np.ndarray, designs: dict[int, np.ndarray], i: int) -> np.ndarray:
+    """Return the mean of the designs of the k solved points nearest to point i, weighted by 1 / distance."""
     known = list(designs)
-    distance = np.linalg.norm(places[known] - places[i], axis=1)
-    nearest = np.argsort(distance, kind="stable")[: places.shape[1]]
+    distance = np.linalg.norm(positions[known] - positions[i], axis=1)
+    nearest = np.argsort(distance, kind="stable")[: positions.shape[1]]
     weights = 1.0 / distance[nearest]
     return weights @ np.array([designs[known[j]] for j in nearest]) / weights.sum()

@@ -3,16 +3,16 @@
     with mbd.Processes(problem, 2) as shared:
         study = mbd.multistart(shared, starts=mbd.sobol(32, seed=7))
 
-Every worker has a batch of its own under way, of LANES designs at most, and with many starts a second one waiting for it:
-the starts of a study are in as many groups (batched.py), and no worker waits for another. Where there are fewer batches than
-workers, each is cut into pieces. A worker makes the problem once and evaluates a piece as one batch. Pieces are pure functions
-of the designs: one that a worker takes with it when it dies is evaluated again by another, and nothing depends on which. What
-is evaluated together moves gradients in their seventh digit (an iteration ends for all designs of a batch at once): studies
-agree to the last digit where they have as many workers, whichever worker dies.
-Half a batch takes more than half its time (a step costs the same operations): it is many starts that workers speed up.
+The starts of a study are in at least as many groups as there are workers (batched.py); each group has a batch of up to LANES
+designs under evaluation, so that no worker waits for another. With fewer batches than workers each is divided into pieces.
+A worker makes the problem once, and evaluates a piece as one batch. The piece of a worker that dies is evaluated by another,
+with the same numbers: a piece depends on its designs alone. Designs that are evaluated together change gradients in the
+seventh digit (an iteration ends for all designs of a batch at once), so studies agree to the last digit if they have the same
+number of workers, whichever dies.
+Half a batch takes more than half the time of a batch (a step takes the same operations): workers pay with many starts.
 
 One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster and jobs of SLURM are).
-Dask, its messages are pickled: connect to schedulers that you trust only. The local cluster answers to its own process alone
+Messages of Dask are pickled: connect only to schedulers that you trust. The local cluster accepts its own process alone
 (local_cluster.py).
 Checked in tests/optimization/multistart/test_workers.py, tests/study/test_dask_evaluator.py, tests/study/test_cluster.py.
 """
@@ -37,27 +37,27 @@ from torchmbd.optimization.optimizer import Evaluation, Problem, require_problem
 from torchmbd.process import ONE_THREAD, brief_warnings, use_one_thread
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
-_DEATHS = 3  # of workers under the same piece, until its designs count as failed
+_MAX_DEATHS = 3  # of workers that evaluate the same piece, until its designs count as failed
 _SETTINGS: dict[str, Any] = {
-    "distributed.scheduler.allowed-failures": _DEATHS,
+    "distributed.scheduler.allowed-failures": _MAX_DEATHS,
     "distributed.deploy.lost-worker-timeout": "1h",  # one that dies is started again: on a busy machine not within 15 s
     "distributed.worker.multiprocessing-method": "forkserver",
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
 }
-_LOUD = ("distributed", "distributed.client", "tornado.application")
-_START = 60  # seconds to wait for a scheduler, and for workers without a queue
+_SILENCED_LOGGERS = ("distributed", "distributed.client", "tornado.application")
+_TIMEOUT = 60  # seconds to wait for a scheduler, and for workers without a queue
 
 
 class Workers:
     """A context manager that evaluates designs of one problem on workers.
 
-    make, arguments  function that makes the problem on a worker, and what it is given (hashable)
-    rows             constraints of the problem
-    workers          how many of this machine or of `start`; 0: one for each core
+    make, arguments  function that makes the problem on a worker, and its arguments (hashable)
+    rows             number of constraints of the problem
+    workers          number of workers on this machine or of `start`; 0: one for each core of this process
     scheduler        address of a scheduler whose workers evaluate; None: processes of this machine
-    start            makes a cluster of so many workers, which may have to queue
+    start            function that starts a cluster of so many workers, which may have to queue
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class Workers:
         scheduler: str | None = None,
         start: Callable[[int], Any] | None = None,
     ) -> None:
-        self.order = make, arguments
+        self.factory = make, arguments
         self.rows, self.scheduler = rows, scheduler
-        self._workers, self._start = workers or os.cpu_count() or 1, start
+        self._workers, self._start = workers or len(os.sched_getaffinity(0)), start
         self._client: Any = None
         self._cluster: Any = None
 
@@ -86,21 +86,21 @@ class Workers:
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: one process"
             ) from None
         config.set(_SETTINGS)
-        for name in _LOUD:  # with tracebacks; what matters of it is said by an MbdError
+        for name in _SILENCED_LOGGERS:  # they write tracebacks; an MbdError reports what matters
             logging.getLogger(name).setLevel(logging.CRITICAL)
         if self.scheduler is None:
-            start = self._start or partial(start_local_cluster, module=self.order[0].__module__)
+            start = self._start or partial(start_local_cluster, module=self.factory[0].__module__)
             self._cluster = start(self._workers)
         try:
-            self._client = Client(self._cluster or self.scheduler, timeout=_START)
+            self._client = Client(self._cluster or self.scheduler, timeout=_TIMEOUT)
             first = 1 if self.scheduler or self._start else self._workers
-            self._client.wait_for_workers(first, timeout=None if self._start else _START)
+            self._client.wait_for_workers(first, timeout=None if self._start else _TIMEOUT)
         except BaseException as error:  # also Ctrl-C, while jobs wait in a queue
             self.__exit__()
             if not isinstance(error, (OSError, TimeoutError, ValueError)):
                 raise
             where = self.scheduler or "this machine"
-            raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
+            raise MbdError(f"no worker answers on {where} after {_TIMEOUT} s: {error}") from error
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -112,39 +112,39 @@ class Workers:
 
     @property
     def size(self) -> int:
-        """Workers there are now."""
-        return max(1, len(self._client.scheduler_info(n_workers=-1).get("workers", ())))  # a lost scheduler tells none
+        """The number of workers at present, at least 1."""
+        return max(1, len(self._client.scheduler_info(n_workers=-1).get("workers", ())))  # a lost scheduler names none
 
     @property
-    def at_once(self) -> int:
-        """Batches under way at once: one for every worker, those that are still queuing too."""
+    def parallel_batches(self) -> int:
+        """The number of batches under evaluation: one for each worker, those that are still queuing included."""
         return self._workers if self._start else self.size
 
     @property
     def lanes(self) -> int:
-        """Designs that are worth asking for at once: a full batch for every worker."""
-        return LANES * self.at_once
+        """The number of designs that fill all workers: a full batch for each."""
+        return LANES * self.parallel_batches
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n], a piece on each worker."""
         return self.begin(X, gradients, 1).evaluations()
 
-    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Pieces:
-        """Begin to evaluate designs [lanes, n], one of `among` batches under way."""
-        count = max(min(self.size // among, len(X)), math.ceil(len(X) / LANES))
+    def begin(self, X: np.ndarray, gradients: bool, concurrent: int) -> WorkerBatch:
+        """Begin to evaluate designs [lanes, n], one of `concurrent` batches under evaluation."""
+        count = max(min(self.size // concurrent, len(X)), math.ceil(len(X) / LANES))
         parts = np.array_split(X, count)
-        futures = [self._client.submit(evaluate_piece, *self.order, part, gradients, pure=False) for part in parts]
-        return Pieces(self, [len(part) for part in parts], futures)
+        futures = [self._client.submit(evaluate_piece, *self.factory, part, gradients, pure=False) for part in parts]
+        return WorkerBatch(self, [len(part) for part in parts], futures)
 
-    def dismiss(self, futures: list[Any]) -> None:
-        """Stop what is not waited for, unless the scheduler has ended."""
+    def cancel(self, futures: list[Any]) -> None:
+        """Stop the evaluation of futures, unless the scheduler has ended."""
         if self._client.status == "running":
             self._client.cancel(futures, force=True)
 
 
 @dataclass
-class Pieces:
-    """A batch on workers (torchmbd.optimization.batch)."""
+class WorkerBatch:
+    """A batch under evaluation by workers, see batch.py."""
 
     workers: Workers
     sizes: list[int]
@@ -167,18 +167,18 @@ class Pieces:
                 try:
                     found += future.result()
                 except KilledWorker:
-                    found += [Evaluation.failure(f"failed: {_DEATHS} workers died of it", self.workers.rows)] * size
+                    found += [Evaluation.failure(f"failed: {_MAX_DEATHS} workers died of it", self.workers.rows)] * size
         except CancelledError as error:
             raise MbdError(f"the scheduler {self.workers.scheduler or ''} is gone: {error}") from error
         except BaseException:
             self.cancel()
             raise
         for future in self.futures:
-            future.release()  # left to `__del__`, a Ctrl-C that comes in there would be lost
+            future.release()  # here, as a Ctrl-C during `__del__` would be lost
         return found
 
     def cancel(self) -> None:
-        self.workers.dismiss(self.futures)
+        self.workers.cancel(self.futures)
 
 
 class Processes(Workers):
@@ -202,7 +202,7 @@ class Processes(Workers):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         require_problem(problem)
-        super().__init__(unpacked, packed(problem), workers=count or len(os.sched_getaffinity(0)))
+        super().__init__(unpickle_problem, pickle_problem(problem), workers=count or 0)
         self.problem = problem
 
     def __getattr__(self, name: str) -> Any:
@@ -211,24 +211,24 @@ class Processes(Workers):
         return getattr(self.problem, name)
 
     def wait(self) -> None:
-        """Wait until every process has the problem and has made what all motions share."""
-        self._client.run(_prepared, *self.order)
+        """Wait until every process has the problem and has computed what all its motions share."""
+        self._client.run(_warm_up, *self.factory)
 
 
 def evaluate_piece(make: Callable[..., Problem], arguments: tuple, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-    """What a worker does: evaluate designs [lanes, n] of the problem that `make` makes of its arguments."""
-    return _made(make, arguments).evaluate(X, gradients)
+    """Evaluate designs [lanes, n] of the problem that `make` makes of its arguments, on a worker."""
+    return _problem_of_worker(make, arguments).evaluate(X, gradients)
 
 
 @cache
-def _made(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> Problem:
+def _problem_of_worker(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> Problem:
     use_one_thread()
     brief_warnings()
     return make(*arguments)
 
 
-def packed(problem: Problem) -> tuple[bytes, torch.dtype]:
-    """What `unpacked` makes a problem of in another process; InputError for one that cannot be pickled."""
+def pickle_problem(problem: Problem) -> tuple[bytes, torch.dtype]:
+    """Return the arguments of `unpickle_problem` in another process; InputError for a problem that cannot be pickled."""
     try:
         return cloudpickle.dumps(problem), torch.get_default_dtype()
     except Exception as error:  # of whatever the problem holds
@@ -238,11 +238,11 @@ def packed(problem: Problem) -> tuple[bytes, torch.dtype]:
         ) from error
 
 
-def unpacked(packed: bytes, dtype: torch.dtype) -> Problem:
+def unpickle_problem(pickled: bytes, dtype: torch.dtype) -> Problem:
     torch.set_default_dtype(dtype)
-    return cloudpickle.loads(packed)
+    return cloudpickle.loads(pickled)
 
 
-def _prepared(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> None:
-    problem = _made(make, arguments)
+def _warm_up(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> None:
+    problem = _problem_of_worker(make, arguments)
     problem.evaluate(np.asarray(problem.start)[None], True)
