@@ -21,7 +21,7 @@ from experiments.benchmark.report import machine
 from experiments.paper.part import Finding, Row
 from experiments.paper.parts import chosen, run
 from experiments.paper.report import number_text
-from torchmbd.study.paths import place
+from torchmbd.study.paths import studies_folder
 
 FOLDER = Path(__file__).parents[1] / "docs" / "validation"
 HEAD = """\
@@ -84,7 +84,7 @@ def main() -> None:
             if not arguments.list:
                 recorded.record(path, command)
         if name == "paper" and not arguments.list and arguments.only is None:
-            path.write_text(page(run(chosen(arguments.parts), place() / "paper")), encoding="utf-8")
+            path.write_text(page(run(chosen(arguments.parts), studies_folder() / "paper")), encoding="utf-8")
 
 
 if __name__ == "__main__":

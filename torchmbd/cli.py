@@ -108,9 +108,9 @@ def new(file: Path, /, *, model: str | None = None) -> int:
     model
         Your model, path/to/file.py:function or package.module:function; default: an example beside the file.
     """
-    from torchmbd.study.scaffold import begin
+    from torchmbd.study.scaffold import write_experiment
 
-    for written in begin(file, model):
+    for written in write_experiment(file, model):
         print(f"wrote {written}")
     print(f"next: torchmbd check {file}")
     return 0
@@ -262,9 +262,9 @@ def sync() -> int:
     They run once more with the evaluations that are on disk, and no others.
     """
     use_one_thread()
-    from torchmbd.study.sync import send_all
+    from torchmbd.study.sync import send_unsent
 
-    return min(send_all(Console()), 1)
+    return min(send_unsent(Console()), 1)
 
 
 @without_bars()

@@ -16,7 +16,7 @@ from unittest.mock import patch
 import torchmbd as mbd
 from torchmbd.study.json_schema import json_schema
 from torchmbd.study.key_meanings import KEYS
-from torchmbd.study.scaffold import begin
+from torchmbd.study.scaffold import write_experiment
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
@@ -89,7 +89,7 @@ def commands() -> str:
 def first_file() -> str:
     """The commented file that `torchmbd new arm.yaml` writes."""
     with tempfile.TemporaryDirectory() as folder:
-        file, *_ = begin(Path(folder) / "arm.yaml")
+        file, *_ = write_experiment(Path(folder) / "arm.yaml")
         return f"```yaml\n{file.read_text(encoding='utf-8')}```\n"
 
 

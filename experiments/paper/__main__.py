@@ -12,7 +12,7 @@ import torch
 
 from experiments.paper import report
 from experiments.paper.parts import PARTS, chosen, run
-from torchmbd.study.paths import place
+from torchmbd.study.paths import studies_folder
 
 
 def main() -> None:
@@ -28,7 +28,7 @@ def main() -> None:
             print(f"{part.name:16s} {part.minutes:5.1f} min  {part.title}")
         return
     torch.set_num_threads(1)
-    findings = run(chosen(arguments.parts, arguments.long), place() / "paper", arguments.fresh)
+    findings = run(chosen(arguments.parts, arguments.long), studies_folder() / "paper", arguments.fresh)
     for finding in findings:
         print(f"\n{finding.part.title}")
         for row in finding.rows:

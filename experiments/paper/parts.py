@@ -13,7 +13,7 @@ from pathlib import Path
 from experiments.paper import antenna, antenna_deployed, report, rod
 from experiments.paper.part import Finding, Part, find
 from torchmbd.errors import unknown
-from torchmbd.study.paths import place
+from torchmbd.study.paths import studies_folder
 
 LONG = 10.0  # minutes
 PARTS: tuple[Part, ...] = (*rod.PARTS, *antenna.PARTS, *antenna_deployed.PARTS)
@@ -40,7 +40,7 @@ def run(parts: Sequence[Part], store: Path, fresh: bool = False) -> list[Finding
 
 def figures(folder: Path, parts: Sequence[str] = (), long: bool = False) -> dict[str, float | str]:
     """Report and figures into the folder; returns the ratios to the paper, and what they say in a sentence."""
-    findings = run(chosen(parts, long), place() / "paper")
+    findings = run(chosen(parts, long), studies_folder() / "paper")
     report.write(findings, folder / "paper.html")
     for finding in findings:
         for file in finding.figures:

@@ -125,14 +125,14 @@ def test_only_the_unknown_is_computed(tmp_path):
 
     store = Evaluations(tmp_path / "e.db", "p")
     source = SimpleNamespace(evaluate=compute)
-    remembered = CachedProblem(problem, store, source, lambda X, evaluations: heard.append(len(evaluations)))
-    remembered.evaluate(X[:1], True)
-    values = remembered.evaluate(X, True)
+    cached = CachedProblem(problem, store, source, lambda X, evaluations: heard.append(len(evaluations)))
+    cached.evaluate(X[:1], True)
+    values = cached.evaluate(X, True)
     assert [len(x) for x in asked] == [1, 2]
     assert_array_equal(asked[1], X[1:])
     assert [v.objective for v in values] == [x @ x / 3 for x in X]
     assert heard == [1, 3]
-    assert (remembered.hits, remembered.computed) == (1, 3)
+    assert (cached.hits, cached.computed) == (1, 3)
     store.forget()
     assert store.count() == 0
 

@@ -15,7 +15,7 @@ from torchmbd.study.figures import run_figures
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import FiguresPlan, load, load_study
 from torchmbd.study.paths import figures_key
-from torchmbd.study.unfinished import claimed
+from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -85,7 +85,7 @@ def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, e
     plan = load(file)
     assert isinstance(plan, FiguresPlan)
     key = figures_key(plan, uri)
-    with claimed(key, plan.name, plan.file, plan.overrides, uri) as dead:  # logged, and the power went off
+    with claim_study(key, plan.name, plan.file, plan.overrides, uri) as dead:  # logged, and the power went off
         tracker = MlflowTracker("drawn", uri, dead.id)
         tracker.begin("study", "pictures")
         tracker.close()

@@ -38,9 +38,11 @@ class Heard:
 @pytest.fixture
 def heard(tmp_path):
     columns = SimpleNamespace(
-        shown=lambda x: {"angle_1_deg": float(x[0])}, sentence=lambda x: f"{x[0]:g}", names=["a"], labels=()
+        by_name=lambda x: {"angle_1_deg": float(x[0])}, sentence=lambda x: f"{x[0]:g}", names=["a"], labels=()
     )
-    journal = Journal(cast(Any, SimpleNamespace(columns=columns, sign=1.0)), cast(Any, Heard()), tmp_path)
+    journal = Journal(
+        cast(Any, SimpleNamespace(columns=columns, sign=1.0, feasibility=1e-6)), cast(Any, Heard()), tmp_path
+    )
     journal._open = [PARENT, child(0)]
     return journal, cast(Any, journal.tracker)
 

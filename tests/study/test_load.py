@@ -31,7 +31,7 @@ def test_a_valid_file_becomes_a_plan(write):
     assert plan.columns.heading(1) == "angle 2 [deg]"
     x = plan.columns.si(np.array([180.0, -45.0]))
     np.testing.assert_allclose(x, [math.pi, -math.pi / 4])
-    assert plan.columns.shown(x) == pytest.approx({"angle_1_deg": 180.0, "angle_2_deg": -45.0})
+    assert plan.columns.by_name(x) == pytest.approx({"angle_1_deg": 180.0, "angle_2_deg": -45.0})
 
 
 def test_the_resolved_file_is_a_file_again(write):

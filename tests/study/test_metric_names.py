@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torchmbd as mbd
-from torchmbd.study.metric_names import constraint_names, heading, is_design, short
+from torchmbd.study.metric_names import constraint_names, is_design, metric_heading, without_group
 
 ENERGY = mbd.StrainEnergy("arm")
 
@@ -38,21 +38,21 @@ def test_what_is_not_known_is_numbered():
 def test_groups():
     assert is_design("design/angle_1_deg")
     assert not is_design("constraint/mass")
-    assert short("design/angle_1_deg") == "angle_1_deg"
-    assert heading("design/boom_height_cm") == "boom height [cm]"
-    assert heading("design/stiffness_N/mm") == "stiffness [N/mm]"
-    assert heading("reduction_percent") == "reduction [%]"
+    assert without_group("design/angle_1_deg") == "angle_1_deg"
+    assert metric_heading("design/boom_height_cm") == "boom height [cm]"
+    assert metric_heading("design/stiffness_N/mm") == "stiffness [N/mm]"
+    assert metric_heading("reduction_percent") == "reduction [%]"
 
 
 def test_constraints_of_scenarios_name_the_scenario():
     cases = {"thin": {"arm.laminate.thickness": 1e-3}, "thick": {"arm.laminate.thickness": 2e-3}}
 
-    def asked(minimize, *limits, **options):
+    def criterion_metrics(minimize, *limits, **options):
         given = {"variables": ["arm.laminate.angles"], "scenarios": cases, "steps": 20}
         return mbd.Scenarios(mbd.examples.arm(), 0.05, minimize, limits, **given | options)
 
-    worst = asked(mbd.Max(ENERGY), mbd.Mass() <= 1.0, mbd.AtPeaks(ENERGY, count=2) <= 2.0)
-    assert [short(name) for name in constraint_names(worst, 8)] == [
+    worst = criterion_metrics(mbd.Max(ENERGY), mbd.Mass() <= 1.0, mbd.AtPeaks(ENERGY, count=2) <= 2.0)
+    assert [without_group(name) for name in constraint_names(worst, 8)] == [
         "max of strain energy of arm in thin",
         "max of strain energy of arm in thick",
         "mass in thin",
@@ -62,5 +62,5 @@ def test_constraints_of_scenarios_name_the_scenario():
         "at peaks of strain energy of arm in thick 1",
         "at peaks of strain energy of arm in thick 2",
     ]
-    mean = asked(mbd.Max(ENERGY), mbd.Mass() <= 1.0, objective="mean", constraints="worst")
-    assert [short(name) for name in constraint_names(mean, 1)] == ["mass"]
+    mean = criterion_metrics(mbd.Max(ENERGY), mbd.Mass() <= 1.0, objective="mean", constraints="worst")
+    assert [without_group(name) for name in constraint_names(mean, 1)] == ["mass"]

@@ -15,7 +15,7 @@ from tests.multibody.bodies.bdf_models import model as bdf_model
 from torchmbd.fem.mesh import rectangle
 from torchmbd.study import paths as paths_module
 from torchmbd.study.load import load_study
-from torchmbd.study.paths import evaluations_file, place, problem_key, study_key
+from torchmbd.study.paths import evaluations_file, problem_key, studies_folder, study_key
 from torchmbd.study.run import run_study
 
 
@@ -209,6 +209,6 @@ def test_an_evaluation_leaves_the_key_as_it_is(write):
 def test_the_place_is_in_the_working_directory(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("TORCHMBD_STORE")
-    assert place() == tmp_path / ".torchmbd"
+    assert studies_folder() == tmp_path / ".torchmbd"
     monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / "there"))
     assert evaluations_file() == tmp_path / "there" / "evaluations.db"

@@ -11,7 +11,15 @@ from rich.console import Console
 
 from torchmbd.optimization.optimizer import Iterate, OptimizationResult
 from torchmbd.study.columns import Columns
-from torchmbd.study.progress import Progress, Searches, give_way, in_lines, outcome, print_table, table_of
+from torchmbd.study.progress import (
+    Progress,
+    SearchCounter,
+    drop_order,
+    outcome_cells,
+    print_table,
+    table_of,
+    wrapped_heading,
+)
 
 ANGLES = 8
 NAMES = tuple(f"angle_{k + 1}_deg" for k in range(ANGLES))
@@ -40,7 +48,7 @@ def table() -> Any:
 @pytest.mark.parametrize("width", [60, 80, 100])
 def test_angles_give_way_before_objective_and_iteration(width):
     target, output = console(width)
-    assert not print_table(table(), target, give_way(4, ANGLES, [-2, 3, -3, 2]))
+    assert not print_table(table(), target, drop_order(4, ANGLES, [-2, 3, -3, 2]))
     title, *lines = output.getvalue().splitlines()
     assert title.endswith("goes on [x]")  # in one line, however long
     assert max(len(line.rstrip()) for line in lines) <= width
@@ -52,13 +60,13 @@ def test_angles_give_way_before_objective_and_iteration(width):
 
 def test_a_table_that_fits_is_whole():
     target, output = console(200)
-    assert print_table(table(), target, give_way(4, ANGLES))
+    assert print_table(table(), target, drop_order(4, ANGLES))
     assert output.getvalue().count("-123.46") == 2 * ANGLES
 
 
 def test_headings_are_narrow():
-    assert in_lines("angle 1 [deg]") == "angle 1\n[deg]"
-    assert in_lines("integral of strain energy of rod [J s]") == "integral of\nstrain\nenergy of\nrod\n[J s]"
+    assert wrapped_heading("angle 1 [deg]") == "angle 1\n[deg]"
+    assert wrapped_heading("integral of strain energy of rod [J s]") == "integral of\nstrain\nenergy of\nrod\n[J s]"
 
 
 def test_without_a_terminal_the_best_has_a_line_per_iteration():
@@ -95,9 +103,9 @@ def test_the_live_table_fits():
 
 def test_what_was_not_evaluated_has_no_numbers():
     nan = float("nan")
-    assert outcome(nan, nan, nan) == ["-", "-", "-"]
-    assert outcome(nan, 2.0, 0.1) == ["2", "-", "1e-01"]
-    assert outcome(4.0, 2.0, 0.0) == ["2", "50.00 %", "0"]
+    assert outcome_cells(nan, nan, nan) == ["-", "-", "-"]
+    assert outcome_cells(nan, 2.0, 0.1) == ["2", "-", "1e-01"]
+    assert outcome_cells(4.0, 2.0, 0.0) == ["2", "50.00 %", "0"]
 
 
 def ended(status: str) -> OptimizationResult:
@@ -108,7 +116,7 @@ def ended(status: str) -> OptimizationResult:
 
 def test_the_searches_of_a_front_have_a_line_each():
     target, output = console()
-    with Searches("arm: front of energy, mass [kg]", target) as searches:
+    with SearchCounter("arm: front of energy, mass [kg]", target) as searches:
         searches.ended(ended("converged"))
         searches.ended(ended("max_iterations"))
     lines = output.getvalue().splitlines()
@@ -118,7 +126,7 @@ def test_the_searches_of_a_front_have_a_line_each():
 
 def test_a_terminal_counts_them():
     target, output = console(terminal=True)
-    with Searches("arm: front of energy, mass [kg]", target) as searches:
+    with SearchCounter("arm: front of energy, mass [kg]", target) as searches:
         searches.ended(ended("converged"))
         searches.ended(ended("failed"))
     assert "front of energy, mass [kg]: 2 searches, 24 simulations" in output.getvalue()

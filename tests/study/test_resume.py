@@ -26,7 +26,7 @@ from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.run import run_study
-from torchmbd.study.unfinished import claimed
+from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri
 
@@ -102,7 +102,7 @@ def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
     uri = store_uri(plan.uri)
     message = "the same study is running in another process"
     with (
-        claimed(study_key(plan, uri), plan.name, plan.origin.file, plan.origin.overrides, uri),
+        claim_study(study_key(plan, uri), plan.name, plan.origin.file, plan.origin.overrides, uri),
         pytest.raises(MbdError, match=message),
     ):
         run_study(plan, Console(file=io.StringIO()), fresh=True)

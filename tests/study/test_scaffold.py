@@ -14,13 +14,13 @@ from torchmbd.optimization import OPTIMIZERS
 from torchmbd.study.config_index import question
 from torchmbd.study.load import load_study
 from torchmbd.study.run import run_study
-from torchmbd.study.scaffold import EXAMPLE_PARTS, TEXT, begin, parts_of
+from torchmbd.study.scaffold import EXAMPLE_PARTS, TEXT, parts_of, write_experiment
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 
 @pytest.mark.thorough
 def test_the_example_runs(tmp_path, empty_store):
-    file, model = begin(tmp_path / "arm.yaml")
+    file, model = write_experiment(tmp_path / "arm.yaml")
     assert model.name == "arm_model.py"
     assert "?" in question(file)
     overrides = ["simulate.duration=0.01", "simulate.steps=20", "optimizer.max_iterations=1", "starts.count=1"]
@@ -31,7 +31,7 @@ def test_the_example_runs(tmp_path, empty_store):
 
 
 def test_what_is_written_of_the_example_is_so(tmp_path):
-    begin(tmp_path / "arm.yaml")
+    write_experiment(tmp_path / "arm.yaml")
     built = parts_of("arm_model.py:build", tmp_path)
     assert (built.body, built.options) == (EXAMPLE_PARTS.body, EXAMPLE_PARTS.options)
     np.testing.assert_equal(built.parameters, EXAMPLE_PARTS.parameters)
@@ -40,7 +40,7 @@ def test_what_is_written_of_the_example_is_so(tmp_path):
 
 
 def test_a_model_of_the_users_names_its_own_parts(folder):
-    (file,) = begin(folder / "mine.yaml", "rod_model.py:build")
+    (file,) = write_experiment(folder / "mine.yaml", "rod_model.py:build")
     plan = load_study(file)
     assert plan.origin.data.minimize == {"integral": {"strain_energy": "rod"}}
     assert plan.origin.data.options == {"layers": 2, "cells": 4, "payload": 0.0}
@@ -63,7 +63,7 @@ def build() -> mbd.System:
 
 def test_bounds_enclose_values_of_any_sign_and_angles_of_any_size(tmp_path):
     (tmp_path / "mine.py").write_text(MODEL)
-    (file,) = begin(tmp_path / "study.yaml", "mine.py:build")
+    (file,) = write_experiment(tmp_path / "study.yaml", "mine.py:build")
     design = load_study(file).origin.data.design
     bounds = {name: (variable.lower, variable.upper) for name, variable in design.items()}
     assert bounds == {
@@ -74,18 +74,18 @@ def test_bounds_enclose_values_of_any_sign_and_angles_of_any_size(tmp_path):
 
 
 def test_nothing_is_overwritten(folder):
-    begin(folder / "mine.yaml", "rod_model.py:build")
+    write_experiment(folder / "mine.yaml", "rod_model.py:build")
     with pytest.raises(InputError, match="exists already"):
-        begin(folder / "mine.yaml", "rod_model.py:build")
+        write_experiment(folder / "mine.yaml", "rod_model.py:build")
     with pytest.raises(InputError, match=r"ends in \.yaml"):
-        begin(folder / "mine.txt")
+        write_experiment(folder / "mine.txt")
     with pytest.raises(InputError, match="has no function 'buld'"):
-        begin(folder / "other.yaml", "rod_model.py:buld")
+        write_experiment(folder / "other.yaml", "rod_model.py:buld")
     assert not (folder / "other.yaml").exists()
 
 
 def test_a_model_that_cannot_be_named_so_is_refused_with_what_can(folder):
     with pytest.raises(InputError, match=r"^model = 'rod_model': allowed: package\.module:function or path"):
-        begin(folder / "other.yaml", "rod_model")
+        write_experiment(folder / "other.yaml", "rod_model")
     with pytest.raises(InputError, match=r"^model module 'nothing' cannot be imported"):
-        begin(folder / "other.yaml", "nothing:build")
+        write_experiment(folder / "other.yaml", "nothing:build")

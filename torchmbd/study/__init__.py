@@ -1,3 +1,4 @@
-"""Experiments: a file in (load.py), a tracked study out (run.py). Modules are imported by name, each by who needs it:
-`torchmbd best` and `torchmbd new` do without torch.
+"""Studies: read from experiment files (load.py), run and tracked (run.py), reported (report.py, html_report.py).
+
+This package imports none of its modules: `torchmbd best` and `torchmbd new` need no torch.
 """

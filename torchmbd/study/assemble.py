@@ -17,7 +17,7 @@ from torchmbd.design.scenarios import SYSTEM, Scenarios
 from torchmbd.design.space import CONSTANT
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, given, latin_hypercube, sobol
-from torchmbd.study.check import labels, vector
+from torchmbd.study.check import design_vector, entry_labels
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
 from torchmbd.study.schema import UNITS, Combine, Optimizer, StudyFile
@@ -30,7 +30,7 @@ def study_of(
     data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = (), kind: type[S] = StudySettings
 ) -> S:
     """Make the study of a valid file, of the system that its model has built, as an object of `kind`."""
-    problem, own = _problem(data, system, file.absolute().parent), labels(data.design, system, data.links)
+    problem, own = _problem(data, system, file.absolute().parent), entry_labels(data.design, system, data.links)
     optimizer = data.optimizer or Optimizer()
     tolerance = _entries(data, system, "tolerance", len(problem.names))
     steps = dict(zip(problem.names, _entries(data, system, "step", len(problem.names)), strict=True))
@@ -96,7 +96,7 @@ def _factor(data: StudyFile, entry: str) -> float:
 
 
 def _factors(data: StudyFile, system: System) -> np.ndarray:
-    return np.array([_factor(data, label) for label in labels(data.design, system, data.links)])
+    return np.array([_factor(data, label) for label in entry_labels(data.design, system, data.links)])
 
 
 def _links(data: StudyFile) -> dict[str, dict[str, float]]:
@@ -112,7 +112,7 @@ def _links(data: StudyFile) -> dict[str, dict[str, float]]:
 
 def _entries(data: StudyFile, system: System, key: str, count: int | None = None) -> np.ndarray:
     """What the file says of every design variable [SI]; zero for extra variables, up to `count`."""
-    found = vector(data.design, system, key, data.links) * _factors(data, system)
+    found = design_vector(data.design, system, key, data.links) * _factors(data, system)
     return found if count is None else np.append(found, np.zeros(count - found.size))
 
 

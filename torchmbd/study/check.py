@@ -38,7 +38,7 @@ from torchmbd.study.model import (
     scenario_systems,
 )
 from torchmbd.study.scenario_keys import Combine, Scenario, Setting
-from torchmbd.study.schema import ASKED, UNITS, Range, Simulation, Starts, Variable
+from torchmbd.study.schema import OBJECTIVE_KEYS, UNITS, Range, Simulation, Starts, Variable
 
 Sections = Mapping[str, Any]
 _NUMBERS = ("start", "lower", "upper", "tolerance", "step")  # of a design variable
@@ -82,34 +82,34 @@ def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
     return faults + option_faults(draw, taken)
 
 
-def values(given: float | Sequence[float], size: int) -> np.ndarray | None:
+def spread(given: float | Sequence[float], size: int) -> np.ndarray | None:
     """Spread a number over `size` entries; None if a list has another length."""
     x = np.atleast_1d(np.asarray(given, dtype=float))
     return np.full(size, x[0]) if not isinstance(given, (list, tuple)) else x if len(x) == size else None
 
 
-def vector(design: Mapping[str, Variable], system: System, key: str, links: Collection[str] = ()) -> np.ndarray:
+def design_vector(design: Mapping[str, Variable], system: System, key: str, links: Collection[str] = ()) -> np.ndarray:
     """Return "start", "lower", "upper", "tolerance" or "step" of the whole design vector, in the units of the file."""
     own = dict(system.named_parameters())
     parts = []
     for name, variable in design.items():
-        given, free = getattr(variable, key), _free(name, own[name].numel(), links)
+        given, free = getattr(variable, key), _free_entries(name, own[name].numel(), links)
         if given is None and key in ("tolerance", "step"):
             parts.append(np.zeros(len(free)))
         elif given is None:  # a start that the file leaves to the model
             parts.append(own[name].detach().reshape(-1).numpy()[free] / UNITS[variable.unit])
         else:
-            parts.append(values(given, len(free)))
+            parts.append(spread(given, len(free)))
     return np.concatenate(parts)
 
 
-def labels(design: Mapping[str, Variable], system: System, links: Collection[str] = ()) -> list[str]:
+def entry_labels(design: Mapping[str, Variable], system: System, links: Collection[str] = ()) -> list[str]:
     """Return one label for each entry of the design vector, `rod.laminate.angles[0]`; those that follow others are none."""
     own = dict(system.named_parameters())
-    return [f"{name}[{i}]" for name in design for i in _free(name, own[name].numel(), links)]
+    return [f"{name}[{i}]" for name in design for i in _free_entries(name, own[name].numel(), links)]
 
 
-def _free(name: str, size: int, links: Collection[str]) -> list[int]:
+def _free_entries(name: str, size: int, links: Collection[str]) -> list[int]:
     """The entries of a parameter that follow no others."""
     return [i for i in range(size) if f"{name}[{i}]" not in links]
 
@@ -131,7 +131,7 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
     duration = sections["simulate"].duration if "simulate" in sections else math.inf
     given: list[tuple[Mapping[str, Any], Path]] = []
     read = partial(measure_of, find=partial(find_response, folder=folder))
-    for key in ASKED[:-1]:
+    for key in OBJECTIVE_KEYS[:-1]:
         if sections.get(key) is not None:
             given.append((sections[key], (key,)))
     given += [(spec, ("tradeoff", name)) for name, spec in (sections.get("tradeoff") or {}).items()]
@@ -156,7 +156,7 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
 
 def _row_faults(sections: Sections, read: Callable[..., Measure]) -> list[Fault]:
     """Objectives of several rows, where there must be one number."""
-    for key in ASKED[:-1]:
+    for key in OBJECTIVE_KEYS[:-1]:
         if sections.get(key) is not None and sections.get("sweep") and read(sections[key]).rows > 1:
             text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
             return [Fault(leaf(sections[key], (key,))[:2], text)]
@@ -182,7 +182,7 @@ def _link_faults(sections: Sections, system: System) -> list[Fault]:
     links: Mapping[str, Mapping[str, float]] = sections.get("links", {})
     own = dict(system.named_parameters())
     known = {name: x for name, x in sections["design"].items() if name in own}
-    entries, free = labels(known, system), [*labels(known, system, links), CONSTANT]
+    entries, free = entry_labels(known, system), [*entry_labels(known, system, links), CONSTANT]
     faults = []
     for follower, leaders in links.items():
         if follower not in entries:
@@ -205,7 +205,7 @@ def _design_faults(design: Mapping[str, Variable], system: System, links: Collec
         if name not in own:
             faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
             continue
-        entries = _free(name, own[name].numel(), links)
+        entries = _free_entries(name, own[name].numel(), links)
         size = len(entries)
         said = [key for key in _NUMBERS if getattr(variable, key) is not None]
         if not size:
@@ -216,7 +216,7 @@ def _design_faults(design: Mapping[str, Variable], system: System, links: Collec
             Fault((*path, key), "is missing; allowed: a number") for key in ("lower", "upper") if key not in said
         ]
         some = f" (of {', '.join(f'[{i}]' for i in entries)}; the others follow)" * (size < own[name].numel())
-        sized = {key: values(getattr(variable, key), size) for key in said}
+        sized = {key: spread(getattr(variable, key), size) for key in said}
         for key, x in sized.items():
             if x is None:
                 given = getattr(variable, key)
@@ -273,8 +273,8 @@ def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None], built: np.
 def _start_faults(sections: Sections, system: System) -> list[Fault]:
     """Check points and sweeps against the size and the bounds of the design vector."""
     design, links = sections["design"], sections.get("links", {})
-    names = labels(design, system, links)
-    lower, upper = (vector(design, system, key, links) for key in ("lower", "upper"))
+    names = entry_labels(design, system, links)
+    lower, upper = (design_vector(design, system, key, links) for key in ("lower", "upper"))
     starts: Starts | None = sections.get("starts")
     faults = []
     for k, point in enumerate((starts.points if starts else None) or ()):
@@ -332,7 +332,7 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
             faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}{hint}"))
         elif name in design:
             faults.append(Fault(path, "is a design variable; allowed: parameters that are none"))
-        elif (x := values(given, own[name].numel())) is None:
+        elif (x := spread(given, own[name].numel())) is None:
             size = f"{own[name].numel()}, or one number for all"
             faults.append(Fault(path, f"= {given}: has {len(np.atleast_1d(given))} values; allowed: {size}"))
         elif text := _unit_of_setting(name, said):
@@ -362,7 +362,7 @@ def _memory_faults(sections: Sections, system: System) -> list[Fault]:
     simulation: Simulation | None = sections.get("simulate")
     if simulation is None or simulation.steps is None:
         return []
-    tangents = len(labels(sections["design"], system))
+    tangents = len(entry_labels(sections["design"], system))
     try:
         require_memory(system, 1, simulation.steps, tangents, simulation.gradients != "forward")
     except InputError as error:

@@ -27,7 +27,7 @@ from pydantic_core import PydanticCustomError
 from torchmbd.errors import InputError
 from torchmbd.process import ONE_THREAD
 from torchmbd.study.file_errors import StudyError, located
-from torchmbd.study.paths import place
+from torchmbd.study.paths import studies_folder
 from torchmbd.study.schema import Section
 from torchmbd.study.validation import validate
 from torchmbd.study.yaml_file import read_yaml
@@ -66,7 +66,7 @@ class Slurm(Section):
             raise InputError(
                 f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
             ) from None
-        n, own = self.workers_per_job, place()
+        n, own = self.workers_per_job, studies_folder()
         own.mkdir(parents=True, exist_ok=True)
         cluster = SLURMCluster(
             queue=self.partition,

@@ -1,4 +1,4 @@
-"""The design vector as people read it: short names, values in the unit of the study.
+"""Short names and units of the entries of the design vector, for tables and metrics.
 
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
 spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be distinguished from
@@ -28,10 +28,11 @@ class Columns:
 
     @classmethod
     def of(cls, labels: Sequence[str], units: Mapping[str, str], scalars: Collection[str] = ()) -> Columns:
-        """Columns of design variables, such as a problem's names.
+        """Return the columns of design variables.
 
-        units    parameter -> unit of its numbers; those that are not there: none
-        scalars  parameters that are one number
+        labels   names of the entries, such as those of a problem
+        units    parameter -> unit of its numbers; parameters that are missing have none
+        scalars  parameters of one number
         """
         own = [label.rpartition("[")[0] if label.endswith("]") else label for label in labels]
         parameters = list(dict.fromkeys(own))
@@ -47,7 +48,7 @@ class Columns:
         found = tuple(units.get(parameter, "none") for parameter in own)
         return cls(tuple(labels), tuple(names), found, np.array([UNITS[unit] for unit in found]))
 
-    def shown(self, x: np.ndarray) -> dict[str, float]:
+    def by_name(self, x: np.ndarray) -> dict[str, float]:
         """Return a design vector [SI] by name, in the units of the study."""
         return dict(zip(self.names, (np.asarray(x, dtype=float) / self.factors).tolist(), strict=True))
 
@@ -73,7 +74,7 @@ class Columns:
     def named(self, x: np.ndarray) -> str:
         """Return a design vector [SI] in one line with names and units: `angle 1 45 deg, thickness 0.6 mm`."""
         return ", ".join(
-            self._named(k, value) for k, value in enumerate(self.shown(x).values()) if self.labels[k] not in EXTRA
+            self._named(k, value) for k, value in enumerate(self.by_name(x).values()) if self.labels[k] not in EXTRA
         )
 
     def _named(self, k: int, value: float) -> str:

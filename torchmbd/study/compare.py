@@ -14,13 +14,13 @@ from torchmbd.study.metric_names import (
     INCREASE,
     REDUCTION,
     STARTS,
-    asked,
-    gain,
-    heading,
+    criterion_metrics,
+    gain_metric,
     is_design,
-    short,
+    metric_heading,
+    without_group,
 )
-from torchmbd.study.progress import better, give_way, in_lines, print_table
+from torchmbd.study.progress import drop_order, gain_heading, print_table, wrapped_heading
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
@@ -41,19 +41,21 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
-    criteria = asked((child.metrics for child in found), sign)
-    titles = [better(sign) if name == gain(sign) else heading(name) for name in criteria]
-    for title in ("", *titles, "viol.", *map(heading, names), "status"):
-        table.add_column(escape(in_lines(title)), justify="right", no_wrap=True)
+    criteria = criterion_metrics((child.metrics for child in found), sign)
+    titles = [gain_heading(sign) if name == gain_metric(sign) else metric_heading(name) for name in criteria]
+    for title in ("", *titles, "viol.", *map(metric_heading, names), "status"):
+        table.add_column(escape(wrapped_heading(title)), justify="right", no_wrap=True)
     for child in found:
-        cells = [child.name, *(_cell(child, name, gain(sign)) for name in criteria)]
+        cells = [child.name, *(_cell(child, name, gain_metric(sign)) for name in criteria)]
         violation = child.metrics.get("violation")
         cells.append("-" if violation is None else f"{violation:.0e}" if violation else "0")
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
-    if not print_table(table, console, give_way(2 + len(criteria), len(names), [-1, 2])):
+    if not print_table(table, console, drop_order(2 + len(criteria), len(names), [-1, 2])):
         for child in found:
-            values = ", ".join(f"{heading(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
+            values = ", ".join(
+                f"{metric_heading(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics
+            )
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
     again = (
@@ -89,7 +91,8 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
     for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):
         table.add_row(
-            escape(short(name)), *(f"{e.metrics[name]:.6g}" if name in e.metrics else "-" for e in (first, second))
+            escape(without_group(name)),
+            *(f"{e.metrics[name]:.6g}" if name in e.metrics else "-" for e in (first, second)),
         )
     took = ["-" if e.seconds is None else f"{e.seconds:.0f} s" for e in (first, second)]
     table.add_row("took", *took)

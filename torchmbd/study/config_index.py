@@ -1,15 +1,15 @@
-"""The experiment files at hand: each with the question that it opens with."""
+"""The experiment files of a folder, each with the question in its first comment."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 QUESTION_MISSING = "(opens with no question)"
-RUNS = "mlartifacts"  # the folder of files that runs have filed, copies of experiment files among them
-CLUSTERS = "cluster"  # the folder of cluster files (cluster.py), which ask nothing
+RUNS = "mlartifacts"  # folder of the files of runs, copies of experiment files among them
+CLUSTERS = "cluster"  # folder of cluster files (cluster.py), which are no experiments
 
 
-def configs(folder: str | Path = "configs") -> dict[Path, str]:
+def configs(folder: str | Path) -> dict[Path, str]:
     """Return the experiment files below a folder and the first comment of each."""
     files = sorted(file for pattern in ("*.yaml", "*.yml") for file in Path(folder).rglob(pattern))
     own = (file for file in files if not any(x == RUNS or x[0] == "." for x in file.relative_to(folder).parts))

@@ -1,7 +1,7 @@
-"""The end of a study whose variables take steps, `step: 5`: the best design on them (branch_and_bound.py).
+"""Discrete search at the end of a study whose variables take steps (`step: 5`), see branch_and_bound.py.
 
-It begins where the starts of the study ended, for nothing: what they evaluated is known. Then designs on the steps are
-searched until no neighbor of the best is better.
+It begins with the ends of the starts of the study, whose evaluations are on disk. Then designs on the steps are searched until
+no neighbor of the best one is better.
 Checked in tests/study/test_discrete_polish.py.
 """
 
@@ -18,7 +18,7 @@ from torchmbd.study.journal import Journal, percent
 from torchmbd.study.settings import StudySettings
 
 
-def lay(
+def search_on_steps(
     study: StudySettings,
     target: Any,
     points: np.ndarray,
@@ -27,30 +27,33 @@ def lay(
     journal: Journal,
     console: Console,
 ) -> DiscreteResult:
-    """Search the designs on the steps from the start designs [count, n]; print and file the best of them."""
+    """Search the designs on the steps from the start designs `points` [count, n]; print and track the best of them.
+
+    target   the problem that optimizers see
+    options  of multistart and of the method
+    relaxed  result of the starts without steps
+    """
     limits = {"max_iterations": study.max_iterations, **options}
     if not console.is_terminal:
         console.print("searching designs on the steps")
     with console.status("searching designs on the steps"):
-        found = optimize_discrete(target, study.increments, study.method, list(points), **limits)
-    best, above = found.best, relaxed.best
-    journal.summary({}, {"status_on_steps": found.status, "message_on_steps": found.message})
+        result = optimize_discrete(target, study.increments, study.method, list(points), **limits)
+    best, continuous = result.best, relaxed.best
+    journal.summary({}, {"status_on_steps": result.status, "message_on_steps": result.message})
     if best is None:
-        console.print(f"on the steps: {escape(found.message)}", soft_wrap=True)
-        return found
-    rise = (
-        ""
-        if above is None
-        else f", {max(0.0, -percent(above.value, best.value)):.2g} % worse than the best of the table"
-    )
+        console.print(f"on the steps: {escape(result.message)}", soft_wrap=True)
+        return result
+    rise = ""
+    if continuous is not None:
+        rise = f", {max(0.0, -percent(continuous.value, best.value)):.2g} % worse than the best of the table"
     console.print(
         f"on the steps: {study.columns.sentence(best.x)}, objective {study.sign * best.value:.6g}{rise}; "
-        f"{escape(found.message)}",
+        f"{escape(result.message)}",
         soft_wrap=True,
         highlight=False,
     )
-    numbers = {"objective": study.sign * best.value, "violation": best.violation, **journal.shown(best.x)}
-    numbers |= {} if above is None else {"relaxed_objective": study.sign * above.value}
+    numbers = {"objective": study.sign * best.value, "violation": best.violation, **journal.design_metrics(best.x)}
+    numbers |= {} if continuous is None else {"relaxed_objective": study.sign * continuous.value}
     journal.summary(numbers, {})
     journal.design(best.x)
-    return found
+    return result

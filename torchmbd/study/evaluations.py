@@ -1,16 +1,16 @@
-"""Every evaluation of every study, on disk as soon as it is there: nothing that was simulated is simulated again.
+"""The evaluations of all studies on disk, written as soon as they are computed: no design is simulated twice.
 
-    problem    hash of all that the numbers depend on: the system as it is built (digest.py), start design, simulation,
-               objective, constraints, the source of torchmbd below the optimizers, torch's version (paths.py)
-    design     design vector, bit for bit [n] float64                      gradients  whether they were asked for
-    numbers    objective, constraints [m], gradients [n], [m, n] as float64; status "ok", or the reason of the failure;
-               behind them the checksum of the row: one that was altered is reported, and evaluated again
+    problem    hash of all that the numbers depend on (paths.problem_key)
+    design     design vector [n] float64, bit for bit                      gradients  whether they were requested
+    status     "ok", or the reason of the failure
+    numbers    objective, constraints [m], gradients [n], [m, n] as float64; behind them the checksum of the row: an altered
+               row is reported, and evaluated again
 
-Optimizers are deterministic, so a study that was killed asks for the same designs again: the store answers up to the
-batch that was in flight, and the study goes on from there as if nothing had happened.
-SQLite, one transaction for a batch, on the disk before it is returned. What cannot be written (a full disk) is
-kept in memory, reported once, and written with the next batch that can be.
-Assumed: a law that reads a file, or imports a module, while it runs, finds there what it found before.
+Optimizers are deterministic, so a study that was killed asks for the same designs again when it is continued: all of them
+up to the batch that was being computed are found here.
+SQLite, one transaction for each batch, which is on disk before it is returned. A batch that cannot be written (full disk) is
+kept in memory, reported once, and written together with a later batch.
+Assumed: a law that reads a file, or imports a module, while it is evaluated, always finds the same contents.
 Checked in tests/study/test_evaluations.py.
 """
 
@@ -54,7 +54,7 @@ class Evaluations:
             raise MbdError(f"the store of evaluations {file} cannot be opened: {error}") from error
 
     def find(self, X: np.ndarray, gradients: bool) -> list[Evaluation | None]:
-        """Return what is known of designs [lanes, n]."""
+        """Return the evaluation of each design [lanes, n], None where it is not stored."""
         return [self._row(np.ascontiguousarray(x, dtype=np.float64), gradients) for x in X]
 
     def _row(self, x: np.ndarray, gradients: bool) -> Evaluation | None:
@@ -76,13 +76,13 @@ class Evaluations:
             ) from error
 
     def _checksum(self, row: tuple[Any, ...], numbers: bytes) -> bytes:
-        """Of all that is known of an evaluation; `row` is its design, gradients, m and status."""
+        """Return the checksum of an evaluation; `row` is its design, gradients, m and status."""
         digest = hashlib.sha256(repr((self.problem, *row)).encode())
         digest.update(numbers)
         return digest.digest()[:_CHECKSUM]
 
     def _checked(self, row: tuple[bytes, Any, Any, Any], sealed: Any) -> bytes | None:
-        """The numbers of a row without their checksum; None, and a warning, where it is another's."""
+        """Return the numbers of a row without their checksum; None, with a warning, if the checksum does not fit."""
         numbers = bytes(sealed[:-_CHECKSUM]) if isinstance(sealed, bytes) else b""
         design, gradients, m, status = row
         if numbers and sealed == numbers + self._checksum((design, bool(gradients), m, status), numbers):
@@ -93,7 +93,7 @@ class Evaluations:
         return None
 
     def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[Evaluation]) -> None:
-        """Write a batch, and what could not be written before."""
+        """Write a batch, together with those that could not be written before."""
         for x, evaluation in zip(X, evaluations, strict=True):
             self._waiting[np.ascontiguousarray(x, dtype=np.float64).tobytes(), gradients] = _numbers(evaluation)
         rows = [
@@ -110,12 +110,15 @@ class Evaluations:
             self._waiting.clear()
 
     def forget(self) -> None:
-        """Remove what is known of this problem."""
-        with self._base:
-            self._base.execute("delete from evaluations where problem = ?", (self.problem,))
+        """Remove the evaluations of this problem."""
+        try:
+            with self._base:
+                self._base.execute("delete from evaluations where problem = ?", (self.problem,))
+        except sqlite3.Error as error:
+            raise MbdError(f"the store of evaluations {self.file} cannot be written: {error}") from error
 
     def count(self) -> int:
-        """Evaluations of this problem on disk."""
+        """Return the number of evaluations of this problem on disk."""
         query = "select count(*) from evaluations where problem = ?"
         return int(self._select(query, (self.problem,))[0][0])
 

@@ -1,9 +1,9 @@
-"""Figures that are no optimization: a function draws into a folder, and says in numbers and words what they show.
+"""Figures that are no optimization: a function draws into a folder, and returns numbers and words about them.
 
     def figures(folder: Path, steps: int = 300) -> dict[str, float | str]
 
-Every picture in the folder is filed under the run; numbers become metrics, words tags, and the key "sentence" the
-description that MLflow shows on top of the run. Checked in tests/study/test_figures.py.
+Every picture in the folder becomes an artifact of the run; numbers become metrics, words become tags, and the word of the key
+"sentence" is the description of the run in MLflow. Checked in tests/study/test_figures.py.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from torchmbd.study.journal import PARENT, flat
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.model import find_function
 from torchmbd.study.paths import figures_key
-from torchmbd.study.run import close, conclude
-from torchmbd.study.unfinished import claimed
+from torchmbd.study.run import close_tracker, print_outcome
+from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import seen_from, store_uri
@@ -36,13 +36,13 @@ PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
 def run_figures(
     plan: FiguresPlan, console: Console, tracker: MlflowTracker | None = None, uri: str | None = None
 ) -> int:
-    """Draw, and file what was drawn; return the exit code. `tracker`, `uri` as in run.run_plan."""
-    began = time.monotonic()
+    """Draw and track the figures; return the exit code. `tracker`, `uri` as in run.run_study."""
+    start_time = time.monotonic()
     with ExitStack() as stack:
         study = None
         if tracker is None:
             uri = store_uri(uri or plan.study.tracking.uri)
-            study = stack.enter_context(claimed(figures_key(plan, uri), plan.name, plan.file, plan.overrides, uri))
+            study = stack.enter_context(claim_study(figures_key(plan, uri), plan.name, plan.file, plan.overrides, uri))
             tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         resolved = plan.study.resolved()
@@ -59,8 +59,10 @@ def run_figures(
             status = "KILLED"
         finally:
             tracker.end(PARENT, status)
-            record = close(tracker, study, console)
-        return conclude(plan.name, "figures", status, f"{time.monotonic() - began:.1f} s", record, study, console)
+            record = close_tracker(tracker, study, console)
+        return print_outcome(
+            plan.name, "figures", status, f"{time.monotonic() - start_time:.1f} s", record, study, console
+        )
 
 
 def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:
@@ -69,7 +71,7 @@ def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Cons
         shown = draw(folder=folder, **plan.study.options)
     except MbdError:
         raise
-    except Exception as error:  # the user's own code: reported by its name, not as a crash of ours
+    except Exception as error:  # an error of the user's function, not of torchmbd
         raise MbdError(f"{plan.study.figures}: {type(error).__name__}: {error}") from error
     numbers = {key: float(value) for key, value in shown.items() if not isinstance(value, str)}
     words = {key: value for key, value in shown.items() if isinstance(value, str)}

@@ -1,9 +1,9 @@
-"""What is wrong with an experiment file: every fault of it at once, each with its place, and no traceback.
+"""Errors of experiment files: all faults of a file in one exception, each with its line.
 
     Fault       path `optimizer.max_iterations`, line 12, text "= -1: input should be greater than 0"
-    StudyError  all faults of one file; its text is what the terminal shows
+    StudyError  all faults of one file; the terminal shows its text, without a traceback
 
-Raised where input enters only (loader, overrides, schema, names of the model). Checked in tests/study/.
+Checked in tests/study/.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 from torchmbd.errors import InputError
 
-_MOST = 20  # faults that a message shows
-_LONGEST = 2000  # characters of one of them
+_MOST = 20  # faults in a message
+_LONGEST = 2000  # characters of a fault
 Path = tuple[str | int, ...]
 Lines = Mapping[Path, int | str]  # where a path was written: a line of the file, or an override's own text
 
@@ -58,27 +58,27 @@ def dotted(path: Path) -> str:
 
 
 def located(faults: Iterable[Fault], lines: Lines) -> list[Fault]:
-    """Return faults with the place of their path, or of its nearest parent that was written."""
-    return [replace(fault, where=_place(fault.path, lines)) for fault in faults]
+    """Return the faults with the line of their path, or of its nearest parent in the file."""
+    return [replace(fault, where=_line(fault.path, lines)) for fault in faults]
 
 
-def _place(path: Path, lines: Lines) -> int | str | None:
+def _line(path: Path, lines: Lines) -> int | str | None:
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path)
 
 
 def mentioned(text: str, lines: Lines) -> Path:
-    """The part of a file that a message most likely speaks of: of its keys most stand in the message, the last one early.
+    """Return the path of a file to which a message most likely refers, () if to none.
 
-    For what only the whole of a file tells, such as a setting that the method refuses by its name.
+    That is the path whose last key occurs in the message, and most of its other keys; among equals the one whose last key
+    occurs first. For errors of the study as a whole, such as an option that the method refuses.
     """
     words = {str(key) for path in lines for key in path if not isinstance(key, int)}
-    places = {
-        word: found.start() for word in words if (found := re.search(rf"(?<![\w.]){re.escape(word)}(?!\w)", text))
-    }
-    paths = [path for path in lines if path and str(path[-1]) in places]
-    return max(paths, key=lambda path: (sum(str(k) in places for k in path), -places[str(path[-1])]), default=())
+    matches = {word: re.search(rf"(?<![\w.]){re.escape(word)}(?!\w)", text) for word in words}
+    positions = {word: match.start() for word, match in matches.items() if match}
+    paths = [path for path in lines if path and str(path[-1]) in positions]
+    return max(paths, key=lambda path: (sum(str(k) in positions for k in path), -positions[str(path[-1])]), default=())
 
 
 def shown(value: object, limit: int = 60) -> str:

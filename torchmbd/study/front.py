@@ -15,8 +15,8 @@ from torchmbd.errors import InputError
 from torchmbd.optimization import Front
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.journal import Journal, child
-from torchmbd.study.progress import Searches, print_table, table_of
-from torchmbd.study.report import draw, no_picture_costs_a_result
+from torchmbd.study.progress import SearchCounter, print_table, table_of
+from torchmbd.study.report import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 
@@ -29,7 +29,7 @@ def run_front(
     journal.begin(study.kind)
     title = f"{study.name}: front of {', '.join(study.problem.criteria)}"
     try:
-        with Searches(title, console) as searches:
+        with SearchCounter(title, console) as searches:
             front = pareto_front(
                 study.over(remembered),
                 method=study.method,
@@ -46,7 +46,7 @@ def run_front(
         journal.begin_start(k, point.x, kind="point")
         numbers = dict(zip(journal.criteria.values(), point.criteria.tolist(), strict=True))
         numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
-        journal.tracker.metrics(child(k), numbers | journal.shown(point.x))
+        journal.tracker.metrics(child(k), numbers | journal.design_metrics(point.x))
         journal.tracker.tags(child(k), {"status": point.result.status, "message": point.result.message})
         journal.end(child(k), "FINISHED")
     _show(study, front, journal, console)
@@ -59,16 +59,16 @@ def _show(study: StudySettings, front: Front, journal: Journal, console: Console
     headings = [f"{name} [{unit}]" if unit else name for name, unit in zip(front.names, units, strict=True)]
     table = table_of(f"{study.name}: {len(front.points)} points", ["point", *headings, *study.columns.headings])
     for k, point in enumerate(front.points):
-        values = [f"{value:z.2f}" for value in study.columns.shown(point.x).values()]
+        values = [f"{value:z.2f}" for value in study.columns.by_name(point.x).values()]
         table.add_row(str(k), *(f"{value:.6g}" for value in point.criteria), *values)
     print_table(table, console)
-    with no_picture_costs_a_result(console):
+    with missing_picture_reported(console):
         file = journal.folder / "front.csv"
         with file.open("w", newline="", encoding="utf-8") as out:
             writer = csv.writer(out)
             writer.writerow([*front.names, *study.columns.names])
             for point in front.points:
-                writer.writerow([*point.criteria.tolist(), *study.columns.shown(point.x).values()])
+                writer.writerow([*point.criteria.tolist(), *study.columns.by_name(point.x).values()])
         journal.file(file)
     title = study.question or study.name
-    draw(front.plot, ["front.png", "front.pdf"], journal, console, headings=headings, title=title)
+    save_figure(front.plot, ["front.png", "front.pdf"], journal, console, headings=headings, title=title)

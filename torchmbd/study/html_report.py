@@ -23,9 +23,9 @@ from torchmbd.study.metric_names import (
     ITERATIONS,
     REDUCTION,
     STARTS,
-    asked,
-    heading,
+    criterion_metrics,
     is_design,
+    metric_heading,
 )
 from torchmbd.summary import few
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
@@ -120,9 +120,16 @@ def _children(store: str, entry: Entry) -> str:
     if not found:
         return ""
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
-    columns = [*asked(child.metrics for child in found), INCREASE, "violation", *names, ITERATIONS, ANALYSES]
+    columns = [
+        *criterion_metrics(child.metrics for child in found),
+        INCREASE,
+        "violation",
+        *names,
+        ITERATIONS,
+        ANALYSES,
+    ]
     columns = [name for name in columns if any(name in child.metrics for child in found)]
-    head = "".join(f"<th>{escape(heading(name))}</th>" for name in ("run", *columns, "status"))
+    head = "".join(f"<th>{escape(metric_heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []
     for child in found:
         cells = [child.name, *(_number(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]

@@ -1,4 +1,4 @@
-"""What a study tells its tracker: one parent run, one child per start (or per point of a sweep).
+"""The runs of a study in the tracking store: a parent, and a child for each start, point of a front or point of a sweep.
 
 parent   params: the resolved file; tags: versions, commit, machine, seed; metrics: best_objective over iterations,
          evaluations; names as in metric_names.py; files: config, best design, figures, animation, table
@@ -26,8 +26,8 @@ from torchmbd.study.metric_names import (
     FAILED,
     ITERATIONS,
     constraint_names,
-    gain,
-    legal,
+    gain_metric,
+    legal_key,
 )
 from torchmbd.study.paths import problem_key
 from torchmbd.study.settings import StudySettings
@@ -40,19 +40,22 @@ PARENT = "study"
 
 
 class Journal:
-    """Translates what happens in a study into calls of a tracker."""
+    """Tracks a study: translates iterates, evaluations and results into calls of a tracker.
+
+    folder  of the files that become artifacts
+    """
 
     def __init__(self, study: StudySettings, tracker: MlflowTracker, folder: Path) -> None:
         self.study, self.tracker, self.folder = study, tracker, folder
-        self.first: dict[int, float] = {}
+        self.first: dict[int, float] = {}  # objective of the first iterate of each start
         self.evaluations = self.iterates = 0
-        self.trouble: str | None = None  # why a file is missing
-        self.failures: list[str] = []  # reason and design
+        self.trouble: str | None = None  # why a file could not be written
+        self.failures: list[str] = []  # reason and design of each failed evaluation
         self._best = math.inf
         self._open: list[str] = []
 
     def begin(self, kind: str) -> None:
-        """Open the parent run and file the resolved study."""
+        """Open the parent run, with the resolved study as an artifact."""
         study, origin = self.study, self.study.origin
         resolved = study.resolved()
         tags = {"kind": kind, **provenance(Path() if origin is None else origin.file.parent)}
@@ -72,9 +75,9 @@ class Journal:
             self.text("config_as_given.yaml", origin.file.read_text(encoding="utf-8"))
 
     def _columns(self, kind: str) -> list[str]:
-        """Return what the table of the children shows."""
+        """Return the columns of the table of the children in MLflow."""
         own = {"sweep": ["ratio"], "front": ["violation"]}.get(
-            kind, [gain(self.study.sign), "violation", ITERATIONS, FAILED]
+            kind, [gain_metric(self.study.sign), "violation", ITERATIONS, FAILED]
         )
         first = list(self.criteria.values()) if kind == "front" else ["objective"]
         names = [*first, *own, *(DESIGN + name for name in self.study.columns.names)]
@@ -82,27 +85,27 @@ class Journal:
 
     @property
     def criteria(self) -> dict[str, str]:
-        """The metrics of the criteria of a front by their names, with units that are known: `criterion/mass_kg`."""
+        """The metrics of the criteria of a front by criterion, with known units: `criterion/mass_kg`."""
         problem = self.study.problem
         units = getattr(problem, "units", [None] * len(problem.criteria))
         ends = [f"_{unit}" if unit in UNITS else "" for unit in units]
-        return {name: CRITERION + legal(name + end) for name, end in zip(problem.criteria, ends, strict=True)}
+        return {name: CRITERION + legal_key(name + end) for name, end in zip(problem.criteria, ends, strict=True)}
 
     def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
         """Open the child of a start, or of a point of a sweep."""
-        shown = self.study.columns.shown(x)
+        shown = self.study.columns.by_name(x)
         run = child(index)
         params = {f"start_{name}": f"{value:.6g}" for name, value in shown.items()}
         name = f"{kind} {index}"
         self.tracker.begin(run, name, parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
         self._open.append(run)
 
-    def shown(self, x: np.ndarray) -> dict[str, float]:
-        """The metrics of a design [SI]."""
-        return {DESIGN + name: value for name, value in self.study.columns.shown(x).items()}
+    def design_metrics(self, x: np.ndarray) -> dict[str, float]:
+        """Return the metrics of a design [SI]."""
+        return {DESIGN + name: value for name, value in self.study.columns.by_name(x).items()}
 
     def constraints(self, values: Any) -> dict[str, float]:
-        """The metrics of the rows of the constraints."""
+        """Return the metrics of the rows of the constraints."""
         rows = np.atleast_1d(values).tolist()
         return dict(zip(constraint_names(getattr(self.study, "problem", None), len(rows)), rows, strict=True))
 
@@ -115,7 +118,7 @@ class Journal:
             "violation": iterate.violation,
             ANALYSES: iterate.analyses,
             **self.constraints(iterate.constraints),
-            **self.shown(iterate.x),
+            **self.design_metrics(iterate.x),
         }
         self.tracker.metrics(run, _finite(numbers), iterate.iteration)
         if iterate.iteration == 0:
@@ -127,7 +130,7 @@ class Journal:
             self.tracker.metrics(PARENT, {"best_objective": self.study.sign * self._best}, self.iterates)
 
     def evaluated(self, X: np.ndarray, evaluations: Sequence[Evaluation]) -> None:
-        """Count a batch of evaluations of designs [lanes, n]; a failed one is a metric, and a tag with its design."""
+        """Count a batch of evaluations of designs [lanes, n]; the last that failed is a tag."""
         self.evaluations += len(evaluations)
         for x, evaluation in zip(X, evaluations, strict=True):
             if evaluation.status != "ok":
@@ -146,8 +149,8 @@ class Journal:
             ANALYSES: result.analyses,
             ITERATIONS: result.iterations,
             FAILED: result.failures,
-            gain(self.study.sign): percent(self.first.get(0, math.nan), result.value),
-            **self.shown(result.x),
+            gain_metric(self.study.sign): percent(self.first.get(0, math.nan), result.value),
+            **self.design_metrics(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
         tags = {"status": result.status, "message": result.message, "method": result.method, "best": "false"}
@@ -161,12 +164,12 @@ class Journal:
         self.tracker.tags(PARENT, tags)
 
     def best(self, result: OptimizationResult) -> None:
-        """Mark the best start, and file its design."""
+        """Mark the best start, and write its design."""
         self.tracker.tags(child(result.start), {"best": "true"})
         self.design(result.x)
 
     def design(self, x: np.ndarray) -> None:
-        """File the best design [SI] by the names of the parameters, for torchmbd.study.stored_run."""
+        """Write the best design [SI] by the names of the parameters, for torchmbd.study.stored_run."""
         values: dict[str, list[float]] = {}
         space = getattr(self.study.simulated, "space", None)
         if space is not None:  # with the entries that follow others
@@ -178,7 +181,7 @@ class Journal:
         self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
 
     def text(self, name: str, content: str) -> None:
-        """Write a small file and file it; a full disk costs the file, not the study."""
+        """Write a text file as an artifact; a full disk loses the file, not the study."""
         try:
             (self.folder / name).write_text(content, encoding="utf-8")
         except OSError as error:
@@ -187,7 +190,7 @@ class Journal:
             self.file(self.folder / name)
 
     def file(self, path: Path, folder: str = "") -> None:
-        """File something under the parent."""
+        """Make a file an artifact of the parent."""
         self.tracker.artifact(PARENT, path, folder)
 
     def end(self, run: str, status: Status) -> None:
@@ -206,7 +209,7 @@ def child(index: int) -> str:
 
 
 def percent(first: float, last: float) -> float:
-    """Return the reduction from `first` to `last` in percent; nan where there is none to tell."""
+    """Return the reduction from `first` to `last` in percent; nan if `first` is zero."""
     return 100.0 * (first - last) / abs(first) if first else math.nan
 
 
@@ -219,10 +222,10 @@ def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
         elif isinstance(value, (list, tuple)) and any(isinstance(entry, Mapping) for entry in value):
             result |= flat({str(k): entry for k, entry in enumerate(value)}, f"{prefix}{key}.")
         else:
-            result[legal(f"{prefix}{key}")] = value
+            result[legal_key(f"{prefix}{key}")] = value
     return result
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Leave out what does not exist: a failed evaluation has no numbers, and is described by tags and counts instead."""
+    """Return the finite numbers: those of a failed evaluation are not logged."""
     return {key: float(value) for key, value in numbers.items() if math.isfinite(value)}

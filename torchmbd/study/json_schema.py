@@ -17,7 +17,7 @@ from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.study.key_meanings import KEYS
-from torchmbd.study.schema import ASKED, KINDS, SAMPLERS, UNITS, Figures, StudyFile
+from torchmbd.study.schema import LIMIT_KINDS, OBJECTIVE_KEYS, SAMPLERS, UNITS, Figures, StudyFile
 
 
 def json_schema() -> dict[str, Any]:
@@ -37,7 +37,7 @@ def json_schema() -> dict[str, Any]:
     parts["History"] = _history()
     parts["Measure"] = _measure()
     limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
-    own: dict[str, Any] = {kind: {"anyOf": limit} for kind in KINDS} | {
+    own: dict[str, Any] = {kind: {"anyOf": limit} for kind in LIMIT_KINDS} | {
         "scale": {"type": "number", "exclusiveMinimum": 0},
         "unit": {"type": "string", "enum": list(UNITS)},
     }
@@ -45,12 +45,12 @@ def json_schema() -> dict[str, Any]:
         "type": "object",
         "description": "A response of `Measure` with one limit.",
         "properties": _measure()["properties"] | own,
-        "oneOf": [{"required": [kind]} for kind in KINDS],
+        "oneOf": [{"required": [kind]} for kind in LIMIT_KINDS],
     }
     asked = {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": asked, "maximize": asked}
     study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
-    study["oneOf"] = [{"required": [key]} for key in ASKED]
+    study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
     for name, meanings in KEYS.items():
         section: Any = {**parts, "StudyFile": study, "Figures": figures}[name]["properties"]
         for key, meaning in meanings.items():

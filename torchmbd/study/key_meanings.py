@@ -1,4 +1,4 @@
-"""What the keys of an experiment file mean, a line each: for editors (json_schema.py) and for the reference page.
+"""Descriptions of the keys of an experiment file, for editors (json_schema.py) and for the reference page.
 
 A section is a class of schema.py. Checked in tests/study/test_json_schema.py: every key has one.
 """

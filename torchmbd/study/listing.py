@@ -14,7 +14,7 @@ from rich.text import Text
 
 from torchmbd.study.config_index import configs
 from torchmbd.study.metric_names import INCREASE, REDUCTION
-from torchmbd.study.progress import in_lines, print_table
+from torchmbd.study.progress import print_table, wrapped_heading
 from torchmbd.tracking.catalog import Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
 from torchmbd.tracking.store import store_uri
@@ -49,7 +49,7 @@ def print_studies(uri: str | None, console: Console) -> None:
         numbers = heading in ("took", "best objective", "better by")
         name = heading in ("experiment", "study")
         table.add_column(
-            in_lines(heading),
+            wrapped_heading(heading),
             justify="right" if numbers else "left",
             no_wrap=not name,
             overflow="fold" if name else "ellipsis",

@@ -1,7 +1,7 @@
-"""Options of methods: the keys of `simulate` and `optimizer` that the schema leaves to the method they are given to.
+"""Options of methods: the keys of `simulate` and `optimizer` that are not in the schema of experiment files.
 
-Names and types are read off the fields of integrators and the signatures of optimizers, so a method that gains an option
-needs no word here; ranges are the method's to refuse. Checked in tests/study/test_load.py, test_malformed.py.
+Names and types come from the fields of integrators and the signatures of optimizers; ranges are checked by the methods.
+Checked in tests/study/test_load.py, test_malformed.py.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from torchmbd.study.schema import Optimizer, Simulation
 
 
 def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
-    """Return unknown options, and values that are of another type than the method says."""
+    """Return the faults of the options of methods: unknown names, and values of a wrong type."""
     faults: list[Fault] = []
     simulation: Simulation | None = sections.get("simulate")
     if simulation is not None:
@@ -40,22 +40,24 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     if optimizer is not None:
         types, search = {}, pareto_front if sections.get("tradeoff") is not None else multistart
         for function in (search, OPTIMIZERS[optimizer.name]):
-            types |= _types(function, lambda p: p.kind is p.KEYWORD_ONLY or p.name == "divisions")
+            types |= _option_types(function)
         del types["max_iterations"]
         faults += _faults("optimizer", optimizer.name, optimizer.options, types, ("name", "max_iterations"))
     return faults
 
 
-def of_searches(front: Callable[..., Any] | None = None) -> list[str]:
-    """Return the options of all searches, whatever the method: of `multistart`, or of the function that finds fronts."""
-    given = {"problem", "method", "starts", "callback", "ended", "max_iterations", "options", "progress"}
-    return [name for name in inspect.signature(front or multistart).parameters if name not in given]
+def search_options(front: Callable[..., Any] | None = None) -> list[str]:
+    """Return the options that all methods share: of `multistart`, or of the function that finds fronts."""
+    own = {"problem", "method", "starts", "callback", "ended", "max_iterations", "options", "progress"}
+    return [name for name in inspect.signature(front or multistart).parameters if name not in own]
 
 
-def _types(function: Callable[..., Any], wanted: Callable[[inspect.Parameter], bool]) -> dict[str, Any]:
-    """Return the type of every parameter that is wanted, by name."""
+def _option_types(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return the types of the options of a search or a method by name."""
     hints = get_type_hints(function)
-    return {p.name: hints.get(p.name, Any) for p in inspect.signature(function).parameters.values() if wanted(p)}
+    parameters = inspect.signature(function).parameters.values()
+    options = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY or p.name == "divisions"]
+    return {name: hints.get(name, Any) for name in options}
 
 
 def _faults(
@@ -72,7 +74,7 @@ def _faults(
 
 
 def _misfit(value: Any, type_: Any) -> str | None:
-    """Say why a value is not of a type, None if it is: as in the file, a list may be a tuple and no text is a number."""
+    """Return why a value of a file is not of a type, None if it is; a list may be a tuple, a text is no number."""
     try:
         TypeAdapter(type_).validate_json(json.dumps(value), strict=True)
     except ValidationError as error:

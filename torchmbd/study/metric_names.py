@@ -1,10 +1,10 @@
-"""Names of the metrics of a study. MLflow's charts stand in groups by what is before the `/`; those without come first.
+"""Names of the metrics of a study. MLflow groups its charts by the part before `/`; metrics without one come first.
 
-    objective, violation, reduction_percent, best_objective    what was asked for; increase_percent where it is to be large
+    objective, violation, reduction_percent, best_objective    of minimized objectives; increase_percent of maximized ones
     constraint/max of strain energy of rod                     satisfied where it is not positive
     design/angle_1_deg                                         the design, in the units of the study
     criterion/mass_kg                                          of a point of a front
-    search/iterations, search/analyses, ...                    what it took
+    search/iterations, search/analyses, ...                    cost of the search
 
 Checked in tests/study/test_metric_names.py.
 """
@@ -23,8 +23,8 @@ EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
 STARTS, CONVERGED = f"{SEARCH}starts", f"{SEARCH}converged_starts"
 
 
-def gain(sign: float) -> str:
-    """The metric of how much better the objective has become."""
+def gain_metric(sign: float) -> str:
+    """Return the name of the metric of the improvement; `sign` is -1 for an objective that is maximized, else 1."""
     return REDUCTION if sign > 0.0 else INCREASE
 
 
@@ -33,52 +33,53 @@ def is_design(metric: str) -> bool:
     return metric.startswith(DESIGN)
 
 
-def asked(metrics: Iterable[Mapping[str, float]], sign: float = 1.0) -> list[str]:
-    """The metrics of what is asked for: the objective and how much better it has become, or the criteria of a front."""
+def criterion_metrics(metrics: Iterable[Mapping[str, float]], sign: float = 1.0) -> list[str]:
+    """Return the names of the criteria of a front, or of the objective and its improvement."""
     criteria = dict.fromkeys(name for found in metrics for name in found if name.startswith(CRITERION))
-    return list(criteria) or ["objective", gain(sign)]
+    return list(criteria) or ["objective", gain_metric(sign)]
 
 
-def short(metric: str) -> str:
-    """A metric without its group."""
-    return metric.partition("/")[2] or metric  # a unit such as N/mm has a stroke too
+def without_group(metric: str) -> str:
+    """Return the name of a metric without its group."""
+    return metric.partition("/")[2] or metric  # a unit such as N/mm contains a slash too
 
 
-def heading(metric: str) -> str:
-    """The title of a metric's column: `angle 1 [deg]`, `reduction [%]`."""
-    word, _, last = short(metric).replace("percent", "%").rpartition("_")
-    return f"{word.replace('_', ' ')} [{last}]" if last in (*UNITS, "%") else short(metric).replace("_", " ")
+def metric_heading(metric: str) -> str:
+    """Return the title of a column of a metric: `angle 1 [deg]`, `reduction [%]`."""
+    word, _, last = without_group(metric).replace("percent", "%").rpartition("_")
+    return f"{word.replace('_', ' ')} [{last}]" if last in (*UNITS, "%") else without_group(metric).replace("_", " ")
 
 
 def constraint_names(problem: Any, count: int) -> list[str]:
-    """A name for each of the rows of the constraints; by their numbers where the problem does not tell what they are."""
-    from torchmbd.design import Problem  # with torch, which commands that read names spare
+    """Return the names of the metrics of the constraint rows; numbers where the problem has no names for them."""
+    from torchmbd.design import Problem  # imports torch, which commands that only read names do not need
     from torchmbd.design.scenarios import Scenarios
     from torchmbd.design.words import words
 
-    said: list[str] = []
+    names: list[str] = []
     if isinstance(problem, Problem):
         cases = [f" in {name}" for name in problem.scenarios] if isinstance(problem, Scenarios) else []
-        text = legal(words(problem.objective))
-        said = [f"peak {k + 1}" for k in range(problem.peaks)]
+        text = legal_key(words(problem.objective))
+        names = [f"peak {k + 1}" for k in range(problem.peaks)]
         if cases and problem.peaks == len(cases):
-            said = [f"{text}{case}" for case in cases]
+            names = [f"{text}{case}" for case in cases]
         for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
-            text, each = legal(words(constraint.measure)), constraint.measure.rows
-            there = cases if cases and rows.stop - rows.start == each * len(cases) else [""]
-            said += [text + legal(case) + (f" {k + 1}" if each > 1 else "") for case in there for k in range(each)]
-    if len(said) != count:  # over tolerances: those of many designs
-        said = [str(k + 1) for k in range(count)]
-    return [CONSTRAINT + name for name in _unique(said)]
+            text, each = legal_key(words(constraint.measure)), constraint.measure.rows
+            suffixes = cases if cases and rows.stop - rows.start == each * len(cases) else [""]
+            numbers = [f" {k + 1}" for k in range(each)] if each > 1 else [""]
+            names += [text + legal_key(suffix) + number for suffix in suffixes for number in numbers]
+    if len(names) != count:  # over tolerances: the rows of many designs
+        names = [str(k + 1) for k in range(count)]
+    return [CONSTRAINT + name for name in _unique(names)]
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """The same names, with a number behind those that occur before."""
+    """Return the names, with a number behind each that has occurred before."""
     return [
         name if k == names.index(name) else f"{name} no {names[:k].count(name) + 1}" for k, name in enumerate(names)
     ]
 
 
-def legal(key: str) -> str:
-    """MLflow allows letters, digits and _-.:/ and spaces in a key."""
+def legal_key(key: str) -> str:
+    """Return a key with the characters that MLflow does not allow replaced: all but letters, digits, spaces and _-.:/"""
     return "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)

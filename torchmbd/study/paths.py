@@ -1,10 +1,10 @@
-"""Where studies keep what they must not lose: a folder of the working directory, and the names of things in it.
+"""The folder of the working directory in which studies keep their state, and the hashes that identify studies.
 
     .torchmbd/evaluations.db      every evaluation (evaluations.py)
     .torchmbd/<study>/            a study that has not finished (unfinished.py)
 
-TORCHMBD_STORE names another folder. A study is known by a hash of all that its results depend on, so that the same
-command goes on with it. Checked in tests/study/test_paths.py.
+The environment variable TORCHMBD_STORE names another folder. A study is identified by a hash of all that its results
+depend on, so that the same command continues it. Checked in tests/study/test_paths.py.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from torchmbd.study.settings import StudySettings
 from torchmbd.tracking.store import sqlite_file
 
 _PACKAGE = Path(__file__).parents[1]
-_UNCONCERNED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization")  # for an evaluation
+_NOT_HASHED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization")  # no evaluation depends on them
 
 
-def place() -> Path:
+def studies_folder() -> Path:
     """Return the folder of all studies (absolute)."""
     return Path(os.environ.get("TORCHMBD_STORE") or ".torchmbd").absolute()
 
 
 def evaluations_file() -> Path:
     """Return the file of all evaluations."""
-    return place() / "evaluations.db"
+    return studies_folder() / "evaluations.db"
 
 
 def problem_key(problem: Any) -> str:
-    """Return the hash of what the numbers of an evaluation depend on.
+    """Return the hash of all that the numbers of an evaluation depend on.
 
-    These are the system as it is built, with all that its tensors and laws hold, wherever the model has it from; the
-    settings; the code that computes; and torch's version. Bounds and the values of design variables move the search only.
+    These are the system with all its tensors and laws, the settings of the simulation, the responses, the source of
+    torchmbd and the version of torch. Bounds and start values of the design variables affect the search alone.
     """
     if isinstance(problem, Problem):
         varied = [problem.system.get_parameter(name) for name in problem.space.variables]
@@ -54,7 +54,7 @@ def problem_key(problem: Any) -> str:
 
 
 def study_key(study: StudySettings, uri: str) -> str:
-    """Return the hash of what the course of a study depends on."""
+    """Return the hash of all that the evaluated designs and the record of a study depend on."""
     problem = study.problem
     box = [np.asarray(x, dtype=float) for x in (problem.start, problem.lower, problem.upper)]
     around = [getattr(problem, name, None) for name in ("tolerance", "kind", "criteria")]
@@ -65,21 +65,21 @@ def study_key(study: StudySettings, uri: str) -> str:
 
 
 def relative_store(uri: str) -> str:
-    """Return a SQLite store as it is seen from the folder of studies, so that both can be copied; others as they are."""
+    """Return the URI of a SQLite store relative to the folder of studies, so that both can be copied; other URIs unchanged."""
     file = sqlite_file(uri)
-    return uri if file is None else f"sqlite:///{os.path.relpath(file, place())}"
+    return uri if file is None else f"sqlite:///{os.path.relpath(file, studies_folder())}"
 
 
 def figures_key(plan: FiguresPlan, uri: str) -> str:
-    """Return the hash of what figures are asked for."""
+    """Return the hash of an experiment file of figures, with its store."""
     return _hash([plan.study.resolved(), plan.name, relative_store(uri)])
 
 
 @cache
 def _code(package: Path) -> str:
-    """Return the digest of torchmbd's own source: a store must not answer for other code."""
+    """Return the digest of the source of torchmbd: evaluations of another version are not used."""
     parts = sorted(path.name for path in package.iterdir() if path.is_dir() or path.suffix == ".py")
-    return source_digest(package, [part for part in parts if part not in _UNCONCERNED])
+    return source_digest(package, [part for part in parts if part not in _NOT_HASHED])
 
 
 def _hash(data: Any) -> str:

@@ -1,5 +1,6 @@
-"""The terminal: a live table of the starts, and tables that fit it; without a terminal one line per iteration of the best,
-or per search of a front.
+"""Progress of a study on the terminal: a live table of the starts; tables that fit the width of the terminal.
+
+Without a terminal: a line for each iteration of the best start, or for each search of a front.
 
 Checked in tests/study/test_progress.py.
 """
@@ -69,44 +70,44 @@ class Progress:
             self.console.out(self._line(iterate), highlight=False)
 
     def _rank(self, iterate: Iterate) -> tuple[float, float]:
-        """Feasible iterates by their objectives, before all others by their violations; a failed one is the last."""
+        """Return a sort key: feasible iterates by objective, then infeasible ones by violation, then failed ones."""
         if iterate.status != "ok":
             return math.inf, math.inf
         violation = iterate.violation if iterate.violation > self.feasibility else 0.0
         return violation, iterate.objective
 
     def _line(self, iterate: Iterate) -> str:
-        """An iterate in a line, with its design where it fits."""
-        objective, less, violation = outcome(self.first, iterate.objective, iterate.violation, self.sign)
+        """Return the line of an iterate, with its design if it fits."""
+        objective, less, violation = outcome_cells(self.first, iterate.objective, iterate.violation, self.sign)
         line = (
             f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
-            f"objective {objective}  {better(self.sign)} {less}"
+            f"objective {objective}  {gain_heading(self.sign)} {less}"
         )
         line += f"  violation {violation}" if iterate.violation else ""
-        values = "".join(f"  {value:z8.3f}" for value in self.columns.shown(iterate.x).values())
+        values = "".join(f"  {value:z8.3f}" for value in self.columns.by_name(iterate.x).values())
         return line + values if len(line) + len(values) <= self.console.width else line
 
     def note(self, text: str) -> None:
-        """Say something once, above the table."""
+        """Print a text above the table, once."""
         if text not in self.notes:
             self.notes.append(text)
             self.console.print(escape(text), style="red", soft_wrap=True)
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
-        own, headings = ["start", "iter", "objective", better(self.sign), "viol."], self.columns.headings
+        own, headings = ["start", "iter", "objective", gain_heading(self.sign), "viol."], self.columns.headings
         table = table_of(title, [*own, *headings, "sims"])
         for start, iterate in enumerate(self.latest):
             if iterate is None:
                 table.add_row(str(start), "-")
                 continue
-            values = [f"{value:z.2f}" for value in self.columns.shown(iterate.x).values()]
-            numbers = outcome(self.first, iterate.objective, iterate.violation, self.sign)
+            values = [f"{value:z.2f}" for value in self.columns.by_name(iterate.x).values()]
+            numbers = outcome_cells(self.first, iterate.objective, iterate.violation, self.sign)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
-        return narrowed(table, self.console, give_way(len(own), len(headings), [-1, 4, 3]))
+        return fit_to_width(table, self.console, drop_order(len(own), len(headings), [-1, 4, 3]))
 
 
-class Searches:
+class SearchCounter:
     """Counts the searches of a front as they end; a context manager."""
 
     def __init__(self, title: str, console: Console) -> None:
@@ -115,7 +116,7 @@ class Searches:
         self._began = time.monotonic()
         self._status = console.status(escape(title))
 
-    def __enter__(self) -> Searches:
+    def __enter__(self) -> SearchCounter:
         if self.console.is_terminal:
             self._status.start()
         return self
@@ -140,24 +141,24 @@ def table_of(title: str, headings: Sequence[str]) -> Table:
     """Return an empty table of numbers."""
     table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     for heading in headings:
-        table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
+        table.add_column(escape(wrapped_heading(heading)), justify="right", no_wrap=True)
     return table
 
 
-def in_lines(heading: str) -> str:
-    """A heading in short lines, its unit below: columns of numbers are narrow."""
+def wrapped_heading(heading: str) -> str:
+    """Return a heading in short lines, its unit in the last, for narrow columns."""
     name, bracket, unit = heading.partition(" [")
     lines = textwrap.wrap(name, _HEADING, break_long_words=False)
     return "\n".join([*lines, f"[{unit}"] if bracket else lines)
 
 
-def give_way(first: int, count: int, then: Sequence[int] = ()) -> list[int]:
-    """Columns in the order in which they give way: `count` from `first` on, the last of them first; `then` others."""
+def drop_order(first: int, count: int, then: Sequence[int] = ()) -> list[int]:
+    """Return indices of columns in the order in which they are left out: `count` from `first` on, last first, `then` others."""
     return [*range(first + count - 1, first - 1, -1), *then]
 
 
-def narrowed(table: Table, console: Console, optional: Sequence[int] = ()) -> Table:
-    """The table without those of its columns that find no room; `optional`: which, in the order in which they give way."""
+def fit_to_width(table: Table, console: Console, optional: Sequence[int] = ()) -> Table:
+    """Return the table without as many of its `optional` columns (in this order) as do not fit the terminal."""
     left = list(range(len(table.columns)))
     part = table
     for index in (k % len(table.columns) for k in optional):
@@ -173,7 +174,7 @@ def _width(table: Table, console: Console) -> int:
 
 
 def _part(table: Table, left: Sequence[int]) -> Table:
-    """Some columns of a table, with dots for those that are left out."""
+    """Return the columns `left` of a table, with one column of dots for those that are left out."""
     part = Table(title=table.title, title_justify="left", box=table.box, pad_edge=False, padding=table.padding)
     gap = next(k for k in range(len(table.columns)) if k not in left)
     shown = sorted([*left, gap])
@@ -191,21 +192,21 @@ def _part(table: Table, left: Sequence[int]) -> Table:
 
 
 def print_table(table: Table, console: Console, optional: Sequence[int] = ()) -> bool:
-    """Print a table in the width of the terminal, columns as in `narrowed`; return whether all of them are there."""
-    title, table.title = table.title, None  # a title inside is broken to the table's width
+    """Print a table in the width of the terminal, see `fit_to_width`; return whether all its columns are printed."""
+    title, table.title = table.title, None  # rich would break the title to the width of the table
     console.print(title, style="italic", soft_wrap=True)
-    part = narrowed(table, console, optional)
+    part = fit_to_width(table, console, optional)
     console.print(part)
     return part is table
 
 
-def better(sign: float) -> str:
-    """The heading of how much better the objective is than at start 0, the first design of the study."""
+def gain_heading(sign: float) -> str:
+    """Return the heading of the improvement of the objective over start 0, the first design of the study."""
     return "less by" if sign > 0.0 else "more by"
 
 
-def outcome(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
-    """Return the cells objective (`sign` times what is minimized), its gain over the first design, violation."""
+def outcome_cells(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
+    """Return the cells of the objective (`sign` times what is minimized), its improvement over `first`, and the violation."""
     if math.isnan(objective):  # not evaluated
         return ["-", "-", "-"]
     less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first and not math.isnan(first) else "-"

@@ -1,4 +1,4 @@
-"""The end of a study: a table of the starts, and its pictures."""
+"""The report of a study on the terminal, and its pictures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
-from torchmbd.study.progress import better, give_way, outcome, print_table, table_of
+from torchmbd.study.progress import drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
 from torchmbd.viz import (
     animate,
@@ -34,21 +34,30 @@ from torchmbd.viz.panels import histories_of
 
 
 def print_results(study: StudySettings, found: MultistartResult, failures: Sequence[str], console: Console) -> None:
-    """Print the starts, the best first, and what failed on the way."""
+    """Print a table of the starts, the best first, and the failed evaluations."""
     if not found.results:
         console.print("No start came to a result.")
         return
-    columns = ["start", "objective", better(study.sign), "viol.", *study.columns.headings, "iter", "sims", "status"]
+    columns = [
+        "start",
+        "objective",
+        gain_heading(study.sign),
+        "viol.",
+        *study.columns.headings,
+        "iter",
+        "sims",
+        "status",
+    ]
     table = table_of(f"{study.name}: {len(found.results)} starts, {found.converged} converged", columns)
     best = found.best
     moved = [result for result in found.results if result.start == 0 and result.history]
     first = moved[0].history[0].objective if moved else float("nan")
     for result in sorted(found.results, key=lambda r: (not r.violation <= study.feasibility, r.value)):
-        angles = [f"{value:z.2f}" for value in study.columns.shown(result.x).values()]
-        cells = [str(result.start), *outcome(first, result.value, result.violation, study.sign), *angles]
+        angles = [f"{value:z.2f}" for value in study.columns.by_name(result.x).values()]
+        cells = [str(result.start), *outcome_cells(first, result.value, result.violation, study.sign), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
-    angles = give_way(4, len(study.columns.names), [-2, 3, -3, 2])
+    angles = drop_order(4, len(study.columns.names), [-2, 3, -3, 2])
     if not print_table(table, console, angles) and best is not None:
         console.print(f"best design: {study.columns.named(best.x)}", soft_wrap=True, highlight=False)
     if failures:
@@ -58,22 +67,22 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
         )
 
 
-_SHOWN = 6  # design variables that have room in a legend
+_SHOWN = 6  # design variables in a legend, at most
 
-Visited = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
+Evaluated = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
 
 
-def study_pictures(
-    study: StudySettings, found: MultistartResult, visited: Visited, journal: Journal, console: Console
+def save_pictures(
+    study: StudySettings, found: MultistartResult, evaluated: Evaluated, journal: Journal, console: Console
 ) -> None:
-    """Draw what the question asks for, over iterations and over time, start against best, and all starts; file the pictures."""
+    """Draw and track the pictures of a study: responses over iterations and time, start and best design, all starts."""
     searches = {f"start {r.start}": r.history for r in found.results if r.history}
     if not searches or not any(np.isfinite(r.value) for r in found.results):  # nothing could be evaluated
         return
     best, problem = found.best, study.simulated
     objective = heading(problem.asked) if isinstance(problem, Problem) else "objective"
     chosen, title = None if best is None else f"start {best.start}", study.question or study.name
-    draw(
+    save_figure(
         convergence,
         ["convergence.png"],
         journal,
@@ -83,61 +92,63 @@ def study_pictures(
         best=chosen,
         ylabel=objective,
     )
-    draw(design_map, ["design_map.png"], journal, console, **_map(study, found, visited, objective))
-    draw(
+    save_figure(design_map, ["design_map.png"], journal, console, **_map_arguments(study, found, evaluated, objective))
+    save_figure(
         parallel_coordinates,
         ["parallel_coordinates.png"],
         journal,
         console,
-        **_ends(study, found, objective),
+        **_coordinate_arguments(study, found, objective),
         title=title,
     )
     if (
         isinstance(problem, Problem) and study.problem is problem
     ):  # over tolerances the numbers are those of many designs
         given = {"problem": problem, "searches": searches, "best": chosen, "title": title}
-        draw(criteria_over_iterations, _both("criteria_over_iterations"), journal, console, **given)
-    with no_picture_costs_a_result(console):
-        # An interrupted study is not asked for two simulations more.
+        save_figure(criteria_over_iterations, _png_and_pdf("criteria_over_iterations"), journal, console, **given)
+    with missing_picture_reported(console):
+        # After an interruption nothing more is simulated.
         if best is not None and not found.interrupted and isinstance(problem, Problem):
             _motion_pictures(study, np.stack([problem.start, best.x[: len(problem.start)]]), problem, journal, console)
 
 
-def _both(name: str) -> list[str]:
-    """A picture for a browser and for print."""
+def _png_and_pdf(name: str) -> list[str]:
+    """Return the names of a picture for browsers and for print."""
     return [f"{name}.png", f"{name}.pdf"]
 
 
-def draw(
+def save_figure(
     figure: Callable[..., Any], files: Sequence[str], journal: Journal, console: Console, **arguments: Any
 ) -> None:
-    """File a figure of torchmbd.viz under one name or several; say why it is missing."""
+    """Draw a figure of torchmbd.viz and track it under each name; print why it is missing."""
     try:
         drawn = figure(**arguments)
-        if drawn is None:  # nothing of this kind to draw
+        if drawn is None:  # the problem has nothing of this kind
             return
         for name in files:
             journal.file(save(drawn, journal.folder / name), "figures")
-    except Exception as error:  # matplotlib's, the disk's: no picture costs a result
+    except Exception as error:  # of matplotlib or the disk: the study goes on without the picture
         console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red", soft_wrap=True)
 
 
 @contextmanager
-def no_picture_costs_a_result(console: Console) -> Iterator[None]:
-    """Say why a picture is missing (a motion that fails, a full disk), and go on."""
+def missing_picture_reported(console: Console) -> Iterator[None]:
+    """Print why a picture is missing (a motion that fails, a full disk), and go on."""
     try:
         yield
     except (MbdError, OSError) as error:
         console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)
 
 
-def _map(study: StudySettings, found: MultistartResult, visited: Visited, objective: str) -> dict[str, Any]:
-    """Return the arguments of a map of where the starts went, and in which of the distinct minima they ended."""
+def _map_arguments(
+    study: StudySettings, found: MultistartResult, evaluated: Evaluated, objective: str
+) -> dict[str, Any]:
+    """Return the arguments of `design_map`: the paths of the starts, and the minimum in which each ended."""
     factors = study.columns.factors
     moved = [result for result in found.results if result.history]
     ends = {f"start {start}": k for k, minimum in enumerate(found.minima) for start in minimum.starts}
     seen = (
-        (visited[0] / factors, study.sign * visited[1]) if visited[0].shape[1:] == factors.shape else None
+        (evaluated[0] / factors, study.sign * evaluated[1]) if evaluated[0].shape[1:] == factors.shape else None
     )  # extra variables
     return {
         "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
@@ -149,8 +160,8 @@ def _map(study: StudySettings, found: MultistartResult, visited: Visited, object
     }
 
 
-def _ends(study: StudySettings, found: MultistartResult, objective: str) -> dict[str, Any]:
-    """Return the arguments of parallel coordinates of where the starts ended."""
+def _coordinate_arguments(study: StudySettings, found: MultistartResult, objective: str) -> dict[str, Any]:
+    """Return the arguments of `parallel_coordinates`: the final designs of the starts."""
     ended = [result for result in found.results if np.isfinite(result.value)]
     factors = study.columns.factors
     return {
@@ -178,15 +189,15 @@ def _motion_pictures(
     if designs.shape[1] <= _SHOWN:
         labels = [f"{label} ({study.columns.sentence(x)})" for label, x in zip(labels, designs, strict=True)]
     given = {"motion": motion, "labels": labels, "title": title}
-    draw(criteria_over_time, _both("criteria_over_time"), journal, console, problem=problem, **given)
-    draw(weighted_parts, _both("weighted_parts"), journal, console, problem=problem, **given)
+    save_figure(criteria_over_time, _png_and_pdf("criteria_over_time"), journal, console, problem=problem, **given)
+    save_figure(weighted_parts, _png_and_pdf("weighted_parts"), journal, console, problem=problem, **given)
     measures = [problem.objective, *(constraint.measure for constraint in problem.constraints)]
     indices = [
         history for measure in measures for history, _ in histories_of(measure) if isinstance(history, PlyFailure)
     ]
     for body, criterion in dict.fromkeys((index.body, index.criterion) for index in indices):
         name = f"failure_{body}_{criterion}"
-        draw(failure_map, _both(name), journal, console, body=body, criterion=criterion, **given)
+        save_figure(failure_map, _png_and_pdf(name), journal, console, body=body, criterion=criterion, **given)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         title = f"{study.name}: {label}"
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=title, problem=problem)

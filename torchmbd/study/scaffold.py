@@ -91,7 +91,7 @@ EXAMPLE_PARTS = Parts(
 )
 
 
-def begin(file: Path, model: str | None = None) -> list[Path]:
+def write_experiment(file: Path, model: str | None = None) -> list[Path]:
     """Write an experiment file, and an example model beside it where none is given; return what was written."""
     if file.suffix not in (".yaml", ".yml"):
         raise InputError(f"file = {str(file)!r}: allowed: a name that ends in .yaml")

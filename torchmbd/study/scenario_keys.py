@@ -1,4 +1,4 @@
-"""The scenarios of an experiment file as data: what each sets, and what is asked over them; see schema.py.
+"""The sections `scenarios` and `combine` of an experiment file, see schema.py.
 
     scenarios  [{name: heavy, set: {tool.mass: 0.4, arm.laminate.thickness: {value: 1.2, unit: mm}}, weight: 1}, ...]
     combine    {objective: worst | mean, constraints: each | worst | mean}
@@ -30,9 +30,9 @@ class Setting(Section):
 
 
 class Scenario(Section):
-    """What a scenario sets: parameters of the model that are no design variables, and its weight in means.
+    """A scenario: values of parameters of the model that are no design variables, and its weight in means.
 
-    With `options` the model is built for it with these instead of those of the file; its topology may be another.
+    With `options`, the model is built for it with these in place of those of the file; its topology may differ.
     """
 
     name: str | None = None  # default: scenario 1, 2, ...
@@ -48,12 +48,12 @@ class Scenario(Section):
 
     @property
     def settings(self) -> dict[str, Numbers]:
-        """What it sets [SI]."""
+        """The values of parameters [SI]."""
         return {name: x.si if isinstance(x, Setting) else x for name, x in self.set.items()}
 
 
 class Combine(Section):
-    """What is asked over the scenarios."""
+    """How objective and constraints are combined over the scenarios."""
 
     objective: Annotated[str, one_of(OBJECTIVES)] = OBJECTIVES[0]
     constraints: Annotated[str, one_of(CONSTRAINTS)] = CONSTRAINTS[0]

@@ -54,14 +54,14 @@ from torchmbd.study.scenario_keys import Combine, Scenario
 from torchmbd.study.section import UNITS, Numbers, Section, one_of
 from torchmbd.tracking.store import uri_fault
 
-KINDS = ("at_most", "at_least", "equal")  # of constraints
+LIMIT_KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
 _SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
 NAME = re.compile(r"[^\x00-\x1f]{1,200}")  # of experiments and studies
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
-ASKED = ("minimize", "maximize", "tradeoff")  # one of them is the question
+OBJECTIVE_KEYS = ("minimize", "maximize", "tradeoff")  # one of them is the question
 
 
 def _fault(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
@@ -148,15 +148,15 @@ class Constraint(Section):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or "measure" in data:
             return data
-        own = (*KINDS, "scale", "unit")
+        own = (*LIMIT_KINDS, "scale", "unit")
         rest = {key: value for key, value in data.items() if key not in own}
         return {"measure": rest} | {key: data[key] for key in own if key in data}
 
     @model_validator(mode="after")
     def _one_limit(self) -> Self:
-        given = [key for key in KINDS if getattr(self, key) is not None]
+        given = [key for key in LIMIT_KINDS if getattr(self, key) is not None]
         if len(given) != 1:
-            text = f"has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(KINDS)}"
+            text = f"has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(LIMIT_KINDS)}"
             raise PydanticCustomError("kind", "{text}", {"text": text})
         return self
 
@@ -184,7 +184,7 @@ class Constraint(Section):
 
     @property
     def kind(self) -> str:
-        return next(key for key in KINDS if getattr(self, key) is not None)
+        return next(key for key in LIMIT_KINDS if getattr(self, key) is not None)
 
     @property
     def limit(self) -> float | str:
@@ -293,12 +293,12 @@ class StudyFile(Section):
 
     @model_validator(mode="after")
     def _one_question(self) -> Self:
-        given = [key for key in ASKED if getattr(self, key) is not None]
+        given = [key for key in OBJECTIVE_KEYS if getattr(self, key) is not None]
         if not given:
             text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
-            raise _fault(("minimize",), text + " or ".join(f"{key}:" for key in ASKED[1:]))
+            raise _fault(("minimize",), text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]))
         if len(given) > 1:
-            raise _fault((given[1],), f"and {given[0]} are both given; allowed: one of {', '.join(ASKED)}")
+            raise _fault((given[1],), f"and {given[0]} are both given; allowed: one of {', '.join(OBJECTIVE_KEYS)}")
         tolerant = any(variable.tolerance is not None for variable in self.design.values())
         if self.robust is not None and not tolerant:
             raise _fault(("robust",), f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design")

@@ -1,4 +1,4 @@
-"""What every section of an experiment file is: strict data with the names of registries; see schema.py."""
+"""The base class of the sections of an experiment file, and names of registries as values; see schema.py."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from torchmbd.optimization.pareto import pareto_front
 from torchmbd.optimization.robust import BETA
 from torchmbd.study.check import swept_index
 from torchmbd.study.columns import EXTRA, Columns
-from torchmbd.study.method_options import of_searches
+from torchmbd.study.method_options import search_options
 from torchmbd.study.schema import NAME, UNITS, StudyFile
 from torchmbd.summary import Summary
 from torchmbd.tracking.store import store_uri
@@ -216,7 +216,7 @@ class StudySettings(Summary):
 
 def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
     """InputError for options that nothing takes."""
-    taken = of_searches(pareto_front if front else None)
+    taken = search_options(pareto_front if front else None)
     find_method(method, {key: value for key, value in options.items() if key not in taken})
     for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
         if options.get(name) is not None:

@@ -28,7 +28,7 @@ from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, StudyError, located
 from torchmbd.study.load import study_of_document
 from torchmbd.study.paths import problem_key
-from torchmbd.study.schema import ASKED
+from torchmbd.study.schema import OBJECTIVE_KEYS
 from torchmbd.study.settings import StudySettings
 from torchmbd.study.yaml_file import Document, read_yaml
 from torchmbd.tracking.catalog import Entry, fetch, find
@@ -108,7 +108,7 @@ def _trusted(config: Document, named: list[str | Path]) -> Path:
     data = config.data if isinstance(config.data, dict) else {}
     simulate = data.get("simulate")
     given = [data.get("model"), simulate.get("phases") if isinstance(simulate, dict) else None]
-    given += functions([data.get(key) for key in (*ASKED, "subject_to")])
+    given += functions([data.get(key) for key in (*OBJECTIVE_KEYS, "subject_to")])
     folders = set()
     for code in {spec.rpartition(":")[0] for spec in given if isinstance(spec, str)}:
         parts = Path(code).parts

@@ -77,7 +77,7 @@ class Study(StudySettings):
         console                     where it shows its progress, of rich; None: standard output; Console(quiet=True): nowhere
         A script with workers keeps what it does under `if __name__ == "__main__":`, since every process imports it.
         """
-        run_study(self, console or Console(), workers=workers, scheduler=scheduler, fresh=fresh, again=True)
+        run_study(self, console or Console(), workers=workers, scheduler=scheduler, fresh=fresh, rerun_finished=True)
         return self
 
     def check(self, console: Console | None = None) -> Estimate | None:

@@ -17,9 +17,9 @@ from torchmbd.design import Problem
 from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
 from torchmbd.study.journal import Journal, child, percent
-from torchmbd.study.metric_names import gain
-from torchmbd.study.progress import give_way, print_table, table_of
-from torchmbd.study.report import draw, no_picture_costs_a_result
+from torchmbd.study.metric_names import gain_metric
+from torchmbd.study.progress import drop_order, print_table, table_of
+from torchmbd.study.report import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
@@ -58,15 +58,15 @@ def run_sweep(
         return "FAILED"
     value = study.sign * evaluations[best].objective
     numbers = {"objective": value, "best_objective": value}
-    numbers[gain(study.sign)] = percent(first.objective, evaluations[best].objective)
-    journal.summary(numbers | journal.shown(X[best]), {"best_point": str(best)})
+    numbers[gain_metric(study.sign)] = percent(first.objective, evaluations[best].objective)
+    journal.summary(numbers | journal.design_metrics(X[best]), {"best_point": str(best)})
     journal.design(X[best])
     return "FINISHED"
 
 
 def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation, first: Evaluation) -> None:
     journal.begin_start(k, x, kind="point")
-    numbers = journal.shown(x)
+    numbers = journal.design_metrics(x)
     if evaluation.status == "ok":
         numbers |= {
             "objective": journal.study.sign * evaluation.objective,
@@ -110,8 +110,8 @@ def _show(
     for k, value in enumerate(values):
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
         table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
-    print_table(table, console, give_way(2, len(criteria) - 1))
-    with no_picture_costs_a_result(console):
+    print_table(table, console, drop_order(2, len(criteria) - 1))
+    with missing_picture_reported(console):
         file = journal.folder / "sweep.csv"
         with file.open("w", newline="", encoding="utf-8") as out:
             writer = csv.writer(out)
@@ -120,4 +120,4 @@ def _show(
         journal.file(file)
     if np.isfinite(next(iter(criteria.values()))).any():
         files = ["sweep.png", "sweep.pdf"]
-        draw(criterion, files, journal, console, values=values, criteria=criteria, xlabel=heading, mark=start)
+        save_figure(criterion, files, journal, console, values=values, criteria=criteria, xlabel=heading, mark=start)

@@ -1,7 +1,8 @@
-"""`torchmbd sync`: studies whose tracking store was away, or that were killed, sent once more from what is on disk.
+"""`torchmbd sync`: send studies to a tracking store that could not be reached, or that were killed before they were sent.
 
-A study runs again by its own file, and its evaluations come from the disk; where they end, it ends as after Ctrl-C. So the
-store gets what it would have got. Figures are drawn again. Checked in tests/study/test_unfinished.py.
+A study is run again from its file with the evaluations on disk; at the first design that is not on disk it ends as after
+Ctrl-C. So the store gets the same runs as from the study itself. Figures are drawn again.
+Checked in tests/study/test_unfinished.py.
 """
 
 from __future__ import annotations
@@ -17,38 +18,38 @@ from torchmbd.study.figures import run_figures
 from torchmbd.study.load import FiguresPlan, load
 from torchmbd.study.paths import figures_key, study_key
 from torchmbd.study.run import run_study
-from torchmbd.study.unfinished import Unfinished, unsent
+from torchmbd.study.unfinished import StudyState, unsent
 from torchmbd.tracking.store import open_store
 
 
-class _Nothing:
-    """Evaluates nothing."""
+class _InterruptingEvaluator:
+    """Ends a study at the first design that is not on disk."""
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> NoReturn:
         raise KeyboardInterrupt
 
 
-def send_all(console: Console) -> int:
-    """Send every study that is not in its store; return how many still are not."""
+def send_unsent(console: Console) -> int:
+    """Send every study that is not in its store; return the number of those that could not be sent."""
     waiting = 0
     studies = unsent()
     for study in studies:
         try:
-            sent = _send(study)
+            name = _send(study)
         except (MbdError, OSError) as error:
             console.print(
                 f"{study.path or study.name} is not in {study.uri}: {escape(str(error))}", style="red", soft_wrap=True
             )
             waiting += 1
         else:
-            console.print(f"{sent}: in {study.uri}", soft_wrap=True)
+            console.print(f"{name}: in {study.uri}", soft_wrap=True)
     if not waiting:
         console.print("everything is in its tracking store")
     return waiting
 
 
-def _send(study: Unfinished) -> str:
-    """Send one study and return its name; MbdError says why it cannot be sent."""
+def _send(study: StudyState) -> str:
+    """Send one study and return its name; MbdError if it cannot be sent."""
     if study.path is None:
         raise MbdError("it was made in Python; allowed: run its script again, which sends it")
     plan = load(study.path, study.overrides)
@@ -63,8 +64,7 @@ def _send(study: Unfinished) -> str:
     if isinstance(plan, FiguresPlan):
         run_figures(plan, silent, uri=study.uri)
     else:
-        run_study(plan, silent, uri=study.uri, source=_Nothing())
-    left = [other for other in unsent() if other.folder == study.folder]
-    if left:
+        run_study(plan, silent, uri=study.uri, evaluator=_InterruptingEvaluator())
+    if any(other.folder == study.folder for other in unsent()):
         raise MbdError("the store has not taken all of it; allowed: torchmbd sync, when it is back")
     return study.name

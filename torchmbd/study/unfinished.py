@@ -1,13 +1,13 @@
-"""Studies and where they stand: what it takes to go on with one that has not finished, or is not in its tracking store.
+"""The state of studies on disk: how to continue one that has not finished, or is not in its tracking store.
 
-    .torchmbd/<study>/study.json   name, experiment file (none of a study that Python has made), overrides and store, both as
-                                   seen from .torchmbd, which can be copied with them; `id`, by which its runs are found in the
-                                   store; whether all its results so far are in it
-    .torchmbd/<study>/study.lock   held by the process of the study: the same study cannot run twice at once
+    .torchmbd/<study>/study.json   name, experiment file (null if made in Python), overrides and store; paths are relative to
+                                   .torchmbd, so that all can be copied together; `id`, by which its runs are found in the
+                                   store; whether all results so far are in the store
+    .torchmbd/<study>/study.lock   locked by the process that runs the study: no other can run it at the same time
 
-As long as a study has not finished, or its store does not have it, the same command goes on with it in its runs, and
-`torchmbd sync` sends again what is not in the store: the study is run once more, and every evaluation is taken from the
-disk. One that has finished makes no second run; where its store has it no more, or with `fresh`, it begins anew.
+Until a study has finished and is in its store, the same command continues it in the same runs, and `torchmbd sync` runs it
+again with the evaluations on disk to send what is missing. A study that has finished is not run again, unless its store has
+lost it or with `fresh`.
 Checked in tests/study/test_unfinished.py.
 """
 
@@ -26,64 +26,64 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from torchmbd.errors import InputError, MbdError
-from torchmbd.study.paths import place, relative_store
+from torchmbd.study.paths import relative_store, studies_folder
 
 _FILE, _LOCK = "study.json", "study.lock"
 
 
 @dataclass
-class Unfinished:
-    """A study and where it stands."""
+class StudyState:
+    """The state of a study on disk."""
 
     folder: Path
     name: str
-    file: str | None  # from the folder of all studies
+    file: str | None  # relative to the folder of all studies
     overrides: list[str]
-    store: str  # likewise
+    store: str  # URI, relative likewise
     id: str
-    sent: bool = False
-    run_id: str = ""  # in which it has finished; "": it has not
-    ended: str = ""  # when
-    continues: bool = False  # an earlier process has begun it
+    sent: bool = False  # whether all results so far are in the store
+    run_id: str = ""  # of the run in which it has finished; "": it has not finished
+    ended: str = ""  # time at which it finished
+    continues: bool = False  # whether an earlier process has begun it
 
     @property
     def path(self) -> Path | None:
-        """Its experiment file."""
+        """The experiment file."""
         return None if self.file is None else Path(os.path.normpath(self.folder.parent / self.file))
 
     @property
     def uri(self) -> str:
-        """Its store."""
+        """The URI of the store."""
         if not self.store.startswith("sqlite:///"):
             return self.store
         return f"sqlite:///{os.path.normpath(self.folder.parent / self.store.removeprefix('sqlite:///'))}"
 
     @property
     def command(self) -> str:
-        """What goes on with it."""
+        """The command that continues the study."""
         if self.path is None:
             return f"run() of mbd.Study(..., name={self.name!r}), in Python"
         return shlex.join(["torchmbd", "run", os.path.relpath(self.path), *self.overrides])
 
     def mark_sent(self) -> None:
-        """Everything that was logged so far is in the store."""
+        """Note that all results so far are in the store."""
         self.sent = True
-        with contextlib.suppress(OSError):  # a disk without room: it is sent once more
+        with contextlib.suppress(OSError):  # full disk: they are sent once more
             self._write()
 
-    def conclude(self, run_id: str) -> None:
-        """It has finished in this run: the same command makes no other."""
+    def mark_finished(self, run_id: str) -> None:
+        """Note that the study has finished in this run."""
         self.run_id, self.ended, self.sent = run_id, time.strftime("%d %b %Y %H:%M"), True
-        with contextlib.suppress(OSError):  # a disk without room: the same command goes through it once more
+        with contextlib.suppress(OSError):  # full disk: the same command runs it once more
             self._write()
 
     def renew(self) -> None:
-        """Its runs are gone: the same command makes others."""
+        """Note that the store has lost the runs: the same command makes others."""
         self.run_id, self.ended, self.id = "", "", uuid.uuid4().hex
         self._write()
 
     def forget(self) -> None:
-        """Nothing is there to go on with."""
+        """Remove the state."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _write(self) -> None:
@@ -94,22 +94,24 @@ class Unfinished:
 
 
 @contextlib.contextmanager
-def claimed(
+def claim_study(
     key: str, name: str, file: Path | None, overrides: Sequence[str], uri: str, fresh: bool = False
-) -> Iterator[Unfinished]:
-    """Hold a study, so that no other process runs it; MbdError if one does.
+) -> Iterator[StudyState]:
+    """Lock a study for this process and yield its state; MbdError if another process runs it.
 
-    key        its hash (paths.py)                        file, overrides   where it comes from
-    uri        its store                                  fresh             not that of an earlier life
+    key              hash of the study (paths.py)
+    file, overrides  the experiment file, None if made in Python
+    uri              the store
+    fresh            begin anew: do not continue the runs of an earlier process
     """
-    folder = place() / key
+    folder = studies_folder() / key
     folder.mkdir(parents=True, exist_ok=True)
-    with _locked(folder) as mine:
-        if not mine:
+    with _locked(folder) as locked:
+        if not locked:
             raise MbdError(f"the same study is running in another process (its folder is {folder})")
         earlier = None if fresh else _read(folder)
         seen = None if file is None else os.path.relpath(file, folder.parent)
-        study = earlier or Unfinished(folder, name, seen, list(overrides), relative_store(uri), uuid.uuid4().hex)
+        study = earlier or StudyState(folder, name, seen, list(overrides), relative_store(uri), uuid.uuid4().hex)
         study.continues = earlier is not None
         if not study.run_id:
             study.sent = False
@@ -117,21 +119,21 @@ def claimed(
         yield study
 
 
-def unsent() -> list[Unfinished]:
-    """Return the studies that are over, with something that is not in their store."""
+def unsent() -> list[StudyState]:
+    """Return the studies that no process runs and that are not, or not wholly, in their store."""
     found = []
-    for file in sorted(place().glob(f"*/{_FILE}")):
-        with contextlib.suppress(FileNotFoundError), _locked(file.parent) as over:  # its process may conclude it now
-            study = _read(file.parent) if over else None
+    for file in sorted(studies_folder().glob(f"*/{_FILE}")):
+        with contextlib.suppress(FileNotFoundError), _locked(file.parent) as locked:  # it may be removed now
+            study = _read(file.parent) if locked else None
             if study is not None and not study.sent:
                 found.append(study)
     return found
 
 
-def _read(folder: Path) -> Unfinished | None:
-    """Return what a folder says, None if it says nothing."""
+def _read(folder: Path) -> StudyState | None:
+    """Return the state in a folder, None if there is none."""
     try:
-        return Unfinished(folder, **json.loads((folder / _FILE).read_text(encoding="utf-8")))
+        return StudyState(folder, **json.loads((folder / _FILE).read_text(encoding="utf-8")))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError) as error:
@@ -142,7 +144,7 @@ def _read(folder: Path) -> Unfinished | None:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
-    """Hold the lock of a folder, which ends with its process; yields whether it is held."""
+    """Try to lock a folder, for this process at most; yield whether it is locked."""
     with (folder / _LOCK).open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,7 +1,7 @@
-"""From plain data to a Study, or to the list of everything that is wrong with them.
+"""Validation of the data of an experiment file: its valid sections, and the faults of the others.
 
-Pydantic's faults are rewritten in the words of the file: the path as an override spells it, the value, what is allowed
-and the nearest valid name. A faulty section does not hide the faults of the others: each is validated for itself.
+Messages of pydantic are rewritten: the path as an override spells it, the value, what is allowed and the nearest valid name.
+Where one section is faulty, each of the others is validated by itself.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
-from torchmbd.study.schema import KINDS, UNITS, Figures, Section, StudyFile
+from torchmbd.study.schema import LIMIT_KINDS, UNITS, Figures, Section, StudyFile
 
 _FUNCTION = "package.module:function or path/to/file.py:function"
-#: What stands under keys that may not be left out.
-_WANTED = {
+#: What is allowed as the value of required keys.
+_ALLOWED = {
     "model": _FUNCTION,
     "figures": _FUNCTION,
     "design": "parameters of the model, each with lower, upper and unit",
@@ -59,13 +59,13 @@ def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, An
 
 
 def _missing_bounds(data: dict[Any, Any]) -> list[Fault]:
-    """Bounds that the model is not needed to miss: both are, but where every entry of a variable follows others."""
+    """Return missing bounds: one of two, or both if no entry of any variable follows others (see check.py for the rest)."""
     design, links = data.get("design"), data.get("links")
     faults = []
     for name, variable in design.items() if isinstance(design, dict) else ():
         missing = [key for key in ("lower", "upper") if isinstance(variable, dict) and key not in variable]
         if len(missing) == 1 or not links:
-            faults += [Fault(("design", name, key), f"is missing; allowed: {_WANTED[key]}") for key in missing]
+            faults += [Fault(("design", name, key), f"is missing; allowed: {_ALLOWED[key]}") for key in missing]
     return faults
 
 
@@ -109,13 +109,13 @@ def _path(details: ErrorDetails, data: Any) -> Path:
 def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
     kind, value = details["type"], details["input"]
     if kind == "missing":
-        return f"is missing; allowed: {_WANTED.get(str(path[-1]), 'a value')}"
+        return f"is missing; allowed: {_ALLOWED.get(str(path[-1]), 'a value')}"
     if kind == "extra_forbidden":
         return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))} (given: {shown(value)})"
     if kind == "string_pattern_mismatch" and path in (("model",), ("figures",), ("simulate", "phases")):
-        return f"= {shown(value)}: matches no pattern; allowed: {_WANTED['model']}"
+        return f"= {shown(value)}: matches no pattern; allowed: {_ALLOWED['model']}"
     if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
-        return f"{details['msg']}; a limit is one of {', '.join(KINDS)}"
+        return f"{details['msg']}; a limit is one of {', '.join(LIMIT_KINDS)}"
     if kind == "response":
         return details["msg"]
     if kind == "name":
@@ -135,7 +135,7 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
 
 
 def _either(texts: list[str], value: object) -> str:
-    """Join what the branches of a union say about the same value; what is meant comes last."""
+    """Join the messages of the branches of a union about one value; a hint "did you mean" comes last."""
     first, *others = texts
     first, meant, hint = first.partition("; did you mean ")
     said = [other.removeprefix(f"= {shown(value)}: ").removeprefix("must be ") for other in others]

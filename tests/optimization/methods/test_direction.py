@@ -68,7 +68,7 @@ def test_bfgs_takes_in_the_curvature_along_the_step():
     H = np.diag([1.0, 4.0, 9.0]) + 0.3
     for _ in range(6):
         s = rng.normal(size=3)
-        metric.learn(s, H @ s)
+        metric.update(s, H @ s)
         assert np.allclose(metric.B @ s, H @ s)
         assert np.linalg.eigvalsh(metric.B).min() > 0.0
 
@@ -78,5 +78,5 @@ def test_bfgs_stays_positive_definite_where_the_function_is_concave():
     rng = np.random.default_rng(2)
     for _ in range(20):
         s = rng.normal(size=2)
-        metric.learn(s, np.array([[-1.0, 0.2], [0.2, -3.0]]) @ s)
+        metric.update(s, np.array([[-1.0, 0.2], [0.2, -3.0]]) @ s)
         assert np.linalg.eigvalsh(metric.B).min() > 0.0

@@ -6,8 +6,8 @@
                 dc_j's + c_j <= 0                j active: no push-off, s may follow the constraint or meet it
                 lower <= y + s <= upper          side constraints, exactly
 
-Active is what lies above CT, and what the step itself would cross, judged by the gradients already at hand. The
-metric B takes the place of the ball s's <= 1: with B = I the direction is the same.
+Active are the constraints above CT, and those that the step would violate, to first order. The metric B replaces the ball
+s's <= 1: with B = I the direction is the same.
 
 Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640,
 and the description of method MMFD in the DOT user's manual, there with push-off factors theta_j and theta_j = 0 for
@@ -23,16 +23,15 @@ import numpy as np
 from torchmbd.optimization.methods.quadratic import solve_quadratic
 from torchmbd.optimization.optimizer import Evaluation
 
-SUPPORT = 1e-8  # of Phi, added to the metric: it must not be dwarfed, or the digits are lost
-# Phi in units of the objective.
-PHI = (1e2, 1e3, 1e4)
+SUPPORT = 1e-8  # times Phi, added to the metric: beside a much larger Phi its digits would be lost
+PHI = (1e2, 1e3, 1e4)  # in units of the objective
 
 
 @dataclass(frozen=True)
 class Direction:
     s: np.ndarray  # [n]
     multipliers: np.ndarray  # [m], >= 0, zero where not active
-    beta: float  # share of the violation that s removes, to first order
+    beta: float  # share of the violation that s removes, to first order, 0 to 1
 
 
 def find_direction(
@@ -43,7 +42,7 @@ def find_direction(
     B: np.ndarray,
     active: np.ndarray,
 ) -> Direction:
-    """Return the direction from `y`; `active` [m] (bool) says which constraints to hold from the outset."""
+    """Return the direction from `y`; `active` [m] (bool): constraints in the first subproblem."""
     c, dc = evaluation.constraints, evaluation.constraint_gradients
     assert dc is not None
     held = active.copy()
@@ -76,7 +75,7 @@ def _solve(
 
 
 def _relaxed(evaluation: Evaluation, B: np.ndarray, A: np.ndarray, b: np.ndarray, held: np.ndarray) -> Direction:
-    """Solve with beta = 1 - t as an additional unknown, its weight Phi raised until most of the violation goes."""
+    """Solve with beta = 1 - t as an additional unknown; Phi, its weight, is raised until t < 0.5."""
     df, c = evaluation.objective_gradient, evaluation.constraints
     assert df is not None
     size = df.size

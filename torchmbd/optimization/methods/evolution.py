@@ -1,7 +1,7 @@
-"""SciPy's differential evolution: no gradients, one batch per generation. For comparison.
+"""SciPy's differential evolution: no gradients, one batch per generation.
 
-It needs finite bounds and many times the analyses of a method with gradients, and its end is as good as its population is
-narrow: use it to doubt the minima that a multistart found, not to find them. Constraints by Lampinen's rules (feasible
+It needs finite bounds and many times the analyses of a method with gradients, and its result is as exact as its population is
+narrow: it serves to check the minima that a multistart found. Constraints by Lampinen's rules (feasible
 before infeasible, then the smaller violation). A design that fails is the worst of its generation.
 
 Source: Storn and Price, Differential evolution, J. Global Optimization 11 (1997) 341-359; Lampinen, A constraint handling
@@ -44,7 +44,7 @@ def evolution(
     search.refuse_equalities("differential_evolution")
     if not np.isfinite(search.upper - search.lower).all():
         raise InputError("bounds are infinite: method = 'differential_evolution' draws its designs from finite bounds")
-    search.eager_gradients = False  # it would not look at them
+    search.eager_gradients = False  # the method does not use them
     first = search.begin(gradients=False)
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")

@@ -1,4 +1,4 @@
-"""The iterations of the modified method of feasible directions; mmfd.py tells the method and its options."""
+"""The iterations of the modified method of feasible directions; see mmfd.py for the method and its options."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
 from torchmbd.optimization.stationary import perturb_stationary_start
 
-# Longest change of a variable in one step, times the step just made: after one cut short, and after a full one of that length.
-REACH_IF_SHORT, REACH_IF_FULL = 3.0, 10.0
-PATIENCE = 5  # times ITRMOP iterations at rest may go on while a constraint is still violated
-RESETS = 2  # fresh starts of the metric before the search gives up
+# Longest change of a variable in the next step, as a multiple of that in the last step: if this was shortened, or a full step.
+GROWTH_IF_SHORTENED, GROWTH_IF_FULL = 3.0, 10.0
+PATIENCE = 5  # times ITRMOP: iterations without progress that are allowed while a constraint is violated
+RESETS = 2  # resets of the metric, at most
 ESCAPE = 0.25  # length of a step away from a saddle point (scaled)
-AT_REST = 0.1  # of the option kkt: a residual that needs no second look where the objective is at rest
-LOOSE = 2e-2  # Kuhn-Tucker residual up to which an objective at rest is believed to be optimal
+AT_REST = (
+    0.1  # times the option kkt: residual below which an objective that no longer changes is optimal without a reset
+)
+LOOSE = 2e-2  # Kuhn-Tucker residual up to which an objective that no longer changes counts as optimal
 NO_KUHN_TUCKER = "the Kuhn-Tucker conditions do not hold"
 
 
@@ -41,98 +43,102 @@ class Settings:
 
 
 class FeasibleDirections:
-    """One run: the current design `y`, its evaluation `here`, and what was learnt on the way."""
+    """One run: the current design `y` (scaled) with its `evaluation`, the metric, penalty weights and step limits."""
 
     def __init__(self, search: Search, settings: Settings, first: Evaluation) -> None:
         self.search, self.settings, self.metric = search, settings, VariableMetric(search.size)
-        self.y, self.here = perturb_stationary_start(search, first)
-        self.weights = np.zeros(self.here.constraints.size)
-        self.resets = self.quiet = 0
-        self.believed = np.inf  # the objective where it was at rest, and nearly optimal
-        self.reach = np.inf  # longest change of a variable in one step (scaled)
+        self.y, self.evaluation = perturb_stationary_start(search, first)
+        self.weights = np.zeros(self.evaluation.constraints.size)  # of the exact penalty
+        self.resets = 0
+        self.resting = 0  # iterations in which the objective has not changed
+        self.resting_objective = np.inf  # the objective where it did not change and was nearly optimal
+        self.max_change = np.inf  # of a variable in one step (scaled)
         self.metric.reset(self.first_curvature(self.weights))
 
     def run(self, max_iterations: int) -> Ending:
-        """Iterate until an ending is found; one at a saddle point is none."""
+        """Iterate until the run ends; leave saddle points."""
         for _ in range(max_iterations):
             ending = self.iterate()
-            if ending is not None and not (ending.status == "converged" and self.escaped()):
+            if ending is not None and not (ending.status == "converged" and self.escape_saddle()):
                 return ending
         return Ending(self.y, "max_iterations", f"{max_iterations} iterations were not enough to converge")
 
     def iterate(self) -> Ending | None:
         """Make one step."""
-        direction = self.direction()
-        ending = self.kuhn_tucker(direction)
+        direction = self.find_direction()
+        ending = self.check_optimality(direction)
         if ending is not None:
             return ending
-        line = self.line(direction)
+        line = self.line_search(direction)
         trial = line.run(1.0, self.metric.stretch)
         if trial is None or not (trial.y != self.y).any():
-            return self.no_step(direction, line)
+            return self.without_step(direction, line)
         return self.accept(direction, trial, line)
 
-    def direction(self) -> Direction:
-        """Return the direction to search along, within reach."""
-        search, active = self.search, self.here.constraints >= self.settings.ct * self.unit()
-        lower, upper = np.maximum(search.lower, self.y - self.reach), np.minimum(search.upper, self.y + self.reach)
-        direction = find_direction(self.here, self.y, lower, upper, self.metric.B, active)
-        if direction.beta == 1.0 and np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:
-            # Our own limit takes the multipliers of the constraints upon itself: those of the design tell more.
-            multipliers = np.maximum(direction.multipliers, self.quality().multipliers)
+    def find_direction(self) -> Direction:
+        """Return the direction to search along, within bounds and `max_change`."""
+        active = self.evaluation.constraints >= self.settings.ct * self.constraint_units()
+        lower = np.maximum(self.search.lower, self.y - self.max_change)
+        upper = np.minimum(self.search.upper, self.y + self.max_change)
+        direction = find_direction(self.evaluation, self.y, lower, upper, self.metric.B, active)
+        if direction.beta == 1.0 and np.abs(direction.s).max(initial=0.0) >= 0.999 * self.max_change:
+            # At the limit of the step the multipliers of constraints are too small: those at the design are better.
+            multipliers = np.maximum(direction.multipliers, self.multiplier_estimate().multipliers)
             direction = Direction(direction.s, multipliers, direction.beta)
         return direction
 
-    def unit(self) -> np.ndarray:
-        """Return what makes a distance of each constraint [m]: its gradient's length where that exceeds one."""
-        assert self.here.constraint_gradients is not None
-        return np.maximum(1.0, np.sqrt((self.here.constraint_gradients**2).sum(axis=1)))
+    def constraint_units(self) -> np.ndarray:
+        """Return the divisors [m] that make distances of constraints: the lengths of their gradients, at least 1."""
+        assert self.evaluation.constraint_gradients is not None
+        return np.maximum(1.0, np.sqrt((self.evaluation.constraint_gradients**2).sum(axis=1)))
 
-    def promise(self, direction: Direction) -> float:
-        """Return by how much the objective should fall along the direction, constraints weighed by multipliers."""
-        assert self.here.objective_gradient is not None
-        along = abs(float(self.here.objective_gradient @ direction.s))
-        return along + float(direction.multipliers @ np.abs(self.here.constraints))
+    def expected_decrease(self, direction: Direction) -> float:
+        """Return the decrease along the direction, to first order, of the objective and of constraints times multipliers."""
+        assert self.evaluation.objective_gradient is not None
+        along = abs(float(self.evaluation.objective_gradient @ direction.s))
+        return along + float(direction.multipliers @ np.abs(self.evaluation.constraints))
 
     @property
     def negligible(self) -> float:
-        """The change of the objective that ITRMOP iterations must not exceed."""
-        return max(self.settings.dabobj, self.settings.delobj * abs(self.here.objective))
+        """The change of the objective up to which it counts as unchanged."""
+        return max(self.settings.dabobj, self.settings.delobj * abs(self.evaluation.objective))
 
-    def quality(self) -> KuhnTucker:
-        """Return multipliers and Kuhn-Tucker residual here, which know nothing of the metric."""
+    def multiplier_estimate(self) -> KuhnTucker:
+        """Return multipliers and Kuhn-Tucker residual at the current design; they do not depend on the metric."""
         search = self.search
-        return kuhn_tucker(self.here, self.y, search.lower, search.upper, search.equality)
+        return kuhn_tucker(self.evaluation, self.y, search.lower, search.upper, search.equality)
 
-    def kuhn_tucker(self, direction: Direction) -> Ending | None:
-        """Return the ending if the direction promises nothing, and the Lagrangian's gradient vanishes indeed."""
-        if self.search.violation(self.here) > self.search.feasibility:
+    def check_optimality(self, direction: Direction) -> Ending | None:
+        """Return the ending if the direction gains nothing and the Kuhn-Tucker conditions hold; else None."""
+        if self.search.violation(self.evaluation) > self.search.feasibility:
             return None
-        if np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:  # short by our own limit
+        if np.abs(direction.s).max(initial=0.0) >= 0.999 * self.max_change:  # shortened by the limit
             return None
-        if self.promise(direction) > 0.3 * self.negligible or self.quality().residual > self.settings.kkt:
+        if self.expected_decrease(direction) > 0.3 * self.negligible:
+            return None
+        if self.multiplier_estimate().residual > self.settings.kkt:
             return None
         return Ending(self.y, "converged", "the Kuhn-Tucker conditions hold")
 
-    def line(self, direction: Direction) -> LineSearch:
-        """Return the line search along the direction, with as much slack for the constraints as the gain is worth."""
+    def line_search(self, direction: Direction) -> LineSearch:
+        """Return the line search along the direction, with a slack of constraints in proportion to the expected decrease."""
         search, settings = self.search, self.settings
-        slack = min(settings.ctmin, 0.1 * self.promise(direction))
-        self.weights = penalty(self.weights, direction, self.here, self.metric.B)
+        slack = min(settings.ctmin, 0.1 * self.expected_decrease(direction))
+        self.weights = penalty(self.weights, direction, self.evaluation, self.metric.B)
         return LineSearch(
             search,
             self.y,
-            self.here,
+            self.evaluation,
             direction,
             self.weights,
             self.metric.B,
-            self.unit(),
+            self.constraint_units(),
             slack,
         )
 
     def accept(self, direction: Direction, trial: Trial, line: LineSearch) -> Ending | None:
-        """Move to the trial and learn from the step; an Ending if the design or its numbers no longer change."""
-        search, before = self.search, self.here
+        """Move to the trial and update the metric; return an ending if the objective no longer changes."""
+        search, before = self.search, self.evaluation
         after = search.evaluate(trial.y, gradients=True)
         if not after.ok:
             return Ending(
@@ -145,75 +151,76 @@ class FeasibleDirections:
         assert after.constraint_gradients is not None
         q = after.objective_gradient - df + (after.constraint_gradients - dc).T @ direction.multipliers
         step = trial.y - self.y
-        self.metric.learn(step, q)
-        self.extend(trial.alpha, step, direction)
-        self.y, self.here = trial.y, after
+        self.metric.update(step, q)
+        self.update_max_change(trial.alpha, step, direction)
+        self.y, self.evaluation = trial.y, after
         search.record(self.y)
-        self.quiet = self.quiet + 1 if abs(after.objective - before.objective) <= self.negligible else 0
-        return self.at_rest(direction, line) if self.quiet >= self.settings.itrmop else None
+        self.resting = self.resting + 1 if abs(after.objective - before.objective) <= self.negligible else 0
+        return self.judge_rest(direction, line) if self.resting >= self.settings.itrmop else None
 
-    def extend(self, alpha: float, step: np.ndarray, direction: Direction) -> None:
-        """Set the reach of the next step by how this one went."""
+    def update_max_change(self, alpha: float, step: np.ndarray, direction: Direction) -> None:
+        """Set the limit of the next step by the last one."""
         length = float(np.abs(step).max())
         if alpha < 1.0:
-            self.reach = REACH_IF_SHORT * length
-        elif float(np.abs(direction.s).max()) >= 0.9 * self.reach:
-            self.reach *= REACH_IF_FULL
+            self.max_change = GROWTH_IF_SHORTENED * length
+        elif float(np.abs(direction.s).max()) >= 0.9 * self.max_change:
+            self.max_change *= GROWTH_IF_FULL
 
-    def at_rest(self, direction: Direction, line: LineSearch) -> Ending | None:
-        """Say what it means that the objective no longer changes, or None to go on."""
+    def judge_rest(self, direction: Direction, line: LineSearch) -> Ending | None:
+        """Return the ending of a run whose objective no longer changes, None if it goes on."""
         search = self.search
-        if search.violation(self.here) > search.feasibility:
-            patient = self.quiet < PATIENCE * self.settings.itrmop
-            return None if patient else self.no_step(direction, line)
+        if search.violation(self.evaluation) > search.feasibility:
+            if self.resting < PATIENCE * self.settings.itrmop:
+                return None
+            return self.without_step(direction, line)
         if line.failures:  # steps this short are no sign of an optimum
             return Ending(self.y, "stalled", f"the way down leads into designs that fail: {line.reason}")
-        residual = self.quality().residual
+        residual = self.multiplier_estimate().residual
         if residual <= LOOSE:
-            self.believed = self.here.objective
-        if residual > AT_REST * self.settings.kkt and self.afresh(direction):
+            self.resting_objective = self.evaluation.objective
+        if residual > AT_REST * self.settings.kkt and self.reset_metric(direction):
             return None
-        if self.here.objective >= self.believed - 10.0 * self.negligible:  # since then nothing came of a fresh start
-            return Ending(self.y, "converged", f"the objective no longer changes ({self.quiet} iterations)")
+        if self.evaluation.objective >= self.resting_objective - 10.0 * self.negligible:  # the reset has gained nothing
+            return Ending(self.y, "converged", f"the objective no longer changes ({self.resting} iterations)")
         return Ending(self.y, "stalled", f"the objective no longer changes, though {NO_KUHN_TUCKER}: a kink?")
 
-    def escaped(self) -> bool:
-        """Whether this Kuhn-Tucker point is no minimum, and a step along its negative curvature was made."""
+    def escape_saddle(self) -> bool:
+        """Step along negative curvature if the current Kuhn-Tucker point is no minimum; return whether a step was made."""
         if not self.settings.second_order:
             return False
-        quality, search = self.quality(), self.search
-        assert self.here.constraint_gradients is not None
-        Z = tangent_basis(self.here.constraint_gradients, quality, self.settings.kkt)
-        reduced = reduced_hessian(search, self.y, self.here, quality.multipliers, Z)
+        estimate, search = self.multiplier_estimate(), self.search
+        assert self.evaluation.constraint_gradients is not None
+        Z = tangent_basis(self.evaluation.constraint_gradients, estimate, self.settings.kkt)
+        reduced = reduced_hessian(search, self.y, self.evaluation, estimate.multipliers, Z)
         if reduced is None or not reduced.size:
             return False
         values, vectors = np.linalg.eigh(reduced)
         if -values[0] * ESCAPE**2 <= self.negligible:
             return False
         s = Z @ vectors[:, 0]
-        self.metric.know(Z @ reduced @ Z.T + values[-1] * (np.eye(len(Z)) - Z @ Z.T))
+        self.metric.set_hessian(Z @ reduced @ Z.T + values[-1] * (np.eye(len(Z)) - Z @ Z.T))
         s *= ESCAPE / np.abs(s).max()
         both = [np.clip(self.y + sign * s, search.lower, search.upper) for sign in (1.0, -1.0)]
         search.prefetch(both)
         for sign in (1.0, -1.0):
-            direction = Direction(sign * s, quality.multipliers, 1.0)
-            line = self.line(direction)
+            direction = Direction(sign * s, estimate.multipliers, 1.0)
+            line = self.line_search(direction)
             trial = line.run(1.0, np.inf)
-            gain = 0.0 if trial is None else self.here.objective - trial.evaluation.objective
+            gain = 0.0 if trial is None else self.evaluation.objective - trial.evaluation.objective
             if trial is not None and gain > self.negligible:
-                self.quiet = 0
-                self.reach = max(self.reach, ESCAPE)
+                self.resting = 0
+                self.max_change = max(self.max_change, ESCAPE)
                 return self.accept(direction, trial, line) is None
         return False
 
-    def no_step(self, direction: Direction, line: LineSearch) -> Ending | None:
-        """Say why no step was found, or None after a fresh start of the metric that may find one."""
-        violation = self.search.violation(self.here)
+    def without_step(self, direction: Direction, line: LineSearch) -> Ending | None:
+        """Return the ending where no step was found, None after a reset of the metric that may find one."""
+        violation = self.search.violation(self.evaluation)
         feasible = violation <= self.search.feasibility
-        precise = self.promise(direction) <= 10.0 * self.negligible and self.quality().residual <= self.settings.kkt
-        if feasible and precise:
+        small = self.expected_decrease(direction) <= 10.0 * self.negligible
+        if feasible and small and self.multiplier_estimate().residual <= self.settings.kkt:
             return Ending(self.y, "converged", "the Kuhn-Tucker conditions hold to the precision of the evaluations")
-        if self.afresh(direction):
+        if self.reset_metric(direction):
             return None
         if line.failures and line.failures == line.used:
             return Ending(self.y, "stalled", f"every design tried around x failed: {line.reason}")
@@ -227,19 +234,19 @@ class FeasibleDirections:
             "contradict each other or the bounds",
         )
 
-    def afresh(self, direction: Direction) -> bool:
-        """Forget what was learnt and go on; False if that has been done often enough."""
+    def reset_metric(self, direction: Direction) -> bool:
+        """Reset the metric and the limit of the step; return False after RESETS of them."""
         if self.resets >= RESETS:
             return False
         self.resets += 1
-        self.quiet = 0
-        self.reach = np.inf
+        self.resting = 0
+        self.max_change = np.inf
         self.metric.reset(self.first_curvature(direction.multipliers))
         return True
 
     def first_curvature(self, multipliers: np.ndarray) -> float:
-        """Return the curvature for which the first step changes objective and variables by DOBJ1 and DX1 at most."""
-        df, dc = self.here.objective_gradient, self.here.constraint_gradients
+        """Return the curvature with which the first step changes objective and variables by DOBJ1 and DX1 at most."""
+        df, dc = self.evaluation.objective_gradient, self.evaluation.constraint_gradients
         assert df is not None
         assert dc is not None
         slope = df + dc.T @ multipliers
@@ -249,19 +256,18 @@ class FeasibleDirections:
         if largest == 0.0:
             return 1.0
         step = self.settings.dx1 * max(float(np.abs(self.y).max()), 0.1) / largest
-        if self.here.objective != 0.0:
-            step = min(step, self.settings.dobj1 * abs(self.here.objective) / float(slope @ slope))
+        if self.evaluation.objective != 0.0:
+            step = min(step, self.settings.dobj1 * abs(self.evaluation.objective) / float(slope @ slope))
         return 1.0 / step
 
 
-def penalty(weights: np.ndarray, direction: Direction, here: Evaluation, B: np.ndarray) -> np.ndarray:
-    """Return the weights of the exact penalty: not below the multipliers, forgetting old ones by halves (Powell)."""
+def penalty(weights: np.ndarray, direction: Direction, evaluation: Evaluation, B: np.ndarray) -> np.ndarray:
+    """Return the weights of the exact penalty [m]: the multipliers, or the mean of these and the last weights (Powell)."""
     if direction.beta == 1.0:
         return np.maximum(direction.multipliers, 0.5 * (weights + direction.multipliers))
-    # The multipliers of a relaxed subproblem are of the order of Phi: take what makes the direction one of descent
-    # instead.
-    assert here.objective_gradient is not None
-    removed = direction.beta * float(np.maximum(here.constraints, 0.0).sum())
-    rise = float(here.objective_gradient @ direction.s + 0.5 * direction.s @ B @ direction.s)
+    # The multipliers of a relaxed subproblem are of the order of Phi: take weights for which the penalty descends instead.
+    assert evaluation.objective_gradient is not None
+    removed = direction.beta * float(np.maximum(evaluation.constraints, 0.0).sum())
+    rise = float(evaluation.objective_gradient @ direction.s + 0.5 * direction.s @ B @ direction.s)
     needed = 2.0 * max(rise, 0.0) / removed if removed > 0.0 else 0.0
     return np.maximum(0.5 * weights, needed)

@@ -21,10 +21,10 @@ from torchmbd.optimization.optimizer import Ending, register, require_count, req
 from torchmbd.optimization.search import Search
 
 ROUNDS = 40
-FIRST_TOLERANCE = 1e-2  # of the first minimum of L, a tenth in each further one
+FIRST_TOLERANCE = 1e-2  # of the first minimum of L; a tenth of the last in each further one
 LARGEST_PENALTY = 1e8
 LINE_SEARCH = 60  # evaluations: where a constraint begins to count, the slope of L turns within a thousandth of a step
-FAR = 10.0  # violation by that of the begin of a round, at least of 1, beyond which L is taken as unbounded below
+FAR = 10.0  # violation beyond which L counts as unbounded below, times that at the start of a round (at least 1)
 
 
 @register("lbfgs")
@@ -37,7 +37,7 @@ def lbfgs(
     memory: int = 30,
     kkt: float = 1e-4,
 ) -> Ending:
-    """Run L-BFGS-B on one start. `gtol`, `ftol`: SciPy's; `memory`: steps that curvature is learnt from.
+    """Run L-BFGS-B on one start. `gtol`, `ftol`: SciPy's; `memory`: last steps that give the curvature.
 
     `kkt`: Kuhn-Tucker residual at which an early stop is good enough.
     """
@@ -107,7 +107,7 @@ class _Lagrangian:
         return f, df + pushed @ self.wrapped.jacobian(y, self.rows) if self.rows.size else df
 
     def renew(self, y: np.ndarray) -> bool:
-        """Take the next multipliers; whether the design is feasible and they stay."""
+        """Update the multipliers; return whether y is feasible and they have not changed."""
         if not self.rows.size:
             return True
         c = self.wrapped.value(y).constraints
@@ -126,7 +126,7 @@ class _Lagrangian:
         return bool(np.abs(self._violated(self.wrapped.value(y).constraints)).max(initial=0.0) > far)
 
     def stiffen(self) -> bool:
-        """Raise the penalty tenfold; False where it is as large as it may be."""
+        """Raise the penalty tenfold; return False if it has its largest value."""
         if self.penalty >= LARGEST_PENALTY:
             return False
         self.penalty = min(10.0 * self.penalty, LARGEST_PENALTY)

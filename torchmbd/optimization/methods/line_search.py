@@ -2,14 +2,14 @@
 
     phi(alpha) = f + sum_j w_j max(0, c_j)       at P(y + alpha s), P the projection onto the side constraints
 
-Polynomials through values and slopes known so far stand for f and for each c_j; the next alpha minimizes phi made of
-them, so that a constraint about to be crossed and a minimum of the objective are found by the same rule. A step that
-ends beyond the thickness of a curved constraint is returned to it by Newton's method with the gradients at hand,
-before it is given up. A failed evaluation shortens the step.
+f and each c_j are modeled by polynomials through the values and slopes known so far; the next alpha minimizes phi of these
+models, at a minimum of the objective or where a constraint becomes violated. A design that violates a curved constraint by
+more than its thickness is moved back to the constraint by a step of Newton's method, before a shorter step is tried. A
+failed evaluation shortens the step.
 
 Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design (one-dimensional search with
-constraints; the return to the constraints in the modified method); the exact penalty as arbiter is Han's and
-Powell's, not DOT's.
+constraints; the return to the constraints in the modified method). That the exact penalty decides is due to Han and Powell,
+not to DOT.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from torchmbd.optimization.methods.quadratic import solve_quadratic
 from torchmbd.optimization.optimizer import Evaluation
 from torchmbd.optimization.search import Search
 
-SUFFICIENT = 1e-2  # share of the promised decrease that a step must bring
-NOISE = 1e-10  # of phi: below this a step counts by the violation that it removes
-SHORTEN_FAILED = 0.25  # a step to a failed evaluation is cut to this
-LONGEST_STRETCH = 3.0  # one extrapolation goes at most so many times farther
+SUFFICIENT = 1e-2  # share of the decrease to first order that a step must reach
+NOISE = 1e-10  # of phi: rise that is allowed to a step that halves the violation
+MOST_EVALUATIONS = 12
+SHORTEN_FAILED = 0.25  # factor of a step to a failed evaluation
+LONGEST_STRETCH = 3.0  # factor of alpha in one extrapolation, at most
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Trial:
 
 @dataclass
 class LineSearch:
-    """One search from (y, base) along a direction; `trials` ends with at most `most` evaluations."""
+    """One search from y with evaluation `base` along a direction, with at most MOST_EVALUATIONS."""
 
     search: Search
     y: np.ndarray
@@ -47,9 +48,8 @@ class LineSearch:
     direction: Direction
     weights: np.ndarray  # [m]
     B: np.ndarray
-    unit: np.ndarray  # [m], what makes a distance of each constraint
-    slack: float  # distances up to here are left to the next direction
-    most: int = 12
+    unit: np.ndarray  # [m], divisors that make distances of constraints
+    slack: float  # distance up to which a violation is left to the next direction
 
     def __post_init__(self) -> None:
         assert self.base.objective_gradient is not None
@@ -61,7 +61,7 @@ class LineSearch:
         self.worst0 = self.worst(self.base)
         removed = float(self.weights @ np.maximum(self.base.constraints, 0.0)) * self.direction.beta
         self.slope = self.df0 - removed
-        self.trials: list[Trial] = []
+        self.trials: list[Trial] = []  # that could be evaluated
         self.used = 0
         self.failures = 0
         self.reason = ""
@@ -74,16 +74,17 @@ class LineSearch:
     def run(self, alpha: float, stretch: float) -> Trial | None:
         """Return the best acceptable trial, or None.
 
-        `stretch`: an extrapolation must promise an alpha so many times longer.
+        alpha    of the first trial
+        stretch  factor by which the model must lengthen alpha before a longer step is tried
         """
         shortened = False
-        while not self.used or (self.used < self.most and alpha >= self.shortest):
+        while not self.used or (self.used < MOST_EVALUATIONS and alpha >= self.shortest):
             trial = self.attempt(self.y + alpha * self.direction.s, alpha)
             if trial is None:
                 alpha, shortened = alpha * SHORTEN_FAILED, True
                 continue
             if not self.near_feasible(trial):
-                returned = self.returned(trial)
+                returned = self.back_to_constraints(trial)
                 if returned is not None and (returned.merit < trial.merit or self.acceptable(returned)):
                     trial = returned
             if self.acceptable(trial):
@@ -105,13 +106,13 @@ class LineSearch:
         return trial
 
     def near_feasible(self, trial: Trial) -> bool:
-        """Whether no violation exceeds the thickness, or half of what the direction should have left."""
+        """Whether no violation exceeds the thickness of its constraint, or the violation that the direction should leave."""
         before = np.maximum(self.base.constraints, 0.0)
         allowed = np.maximum(self.thickness, (1.0 - 0.5 * self.direction.beta * min(trial.alpha, 1.0)) * before)
         return not np.any(trial.evaluation.constraints > allowed)
 
     def acceptable(self, trial: Trial) -> bool:
-        """Whether phi fell enough; from a feasible design, only a step to a feasible one."""
+        """Whether phi has fallen enough; from a feasible design, only if the trial is feasible."""
         if self.feasible and not self.near_feasible(trial):
             return False
         restored = self.worst(trial.evaluation) < 0.5 * self.worst0
@@ -122,8 +123,8 @@ class LineSearch:
         """Return the largest violation as a distance."""
         return float((np.maximum(evaluation.constraints, 0.0) / self.unit).max(initial=0.0))
 
-    def returned(self, trial: Trial) -> Trial | None:
-        """Return the trial moved back to the constraints that it crossed: the smallest step in the metric B."""
+    def back_to_constraints(self, trial: Trial) -> Trial | None:
+        """Return the trial moved back to the constraints that it violates, by the smallest step in the metric B."""
         known = trial.evaluation.constraint_gradients
         gradients = self.base.constraint_gradients if known is None else known
         assert gradients is not None
@@ -132,30 +133,30 @@ class LineSearch:
         bounded_above, bounded_below = np.isfinite(self.search.upper), np.isfinite(self.search.lower)
         identity = np.eye(self.y.size)
         A = np.vstack([gradients[rows], identity[bounded_above], -identity[bounded_below]])
-        room = ((self.search.upper - trial.y)[bounded_above], (trial.y - self.search.lower)[bounded_below])
-        solution = solve_quadratic(self.B, np.zeros(self.y.size), A, np.concatenate([-c[rows], *room]))
+        gaps = ((self.search.upper - trial.y)[bounded_above], (trial.y - self.search.lower)[bounded_below])
+        solution = solve_quadratic(self.B, np.zeros(self.y.size), A, np.concatenate([-c[rows], *gaps]))
         if solution is None or np.abs(solution.s).max() > np.abs(trial.y - self.y).max():
             return None
         return self.attempt(trial.y + solution.s, trial.alpha)
 
     def shorter(self, trial: Trial) -> float:
-        """Return the alpha below the one just tried at which the polynomials see the lowest phi, inside if we are."""
+        """Return the smaller alpha with the lowest phi of the models; from a feasible design, where they are feasible."""
         grid = np.linspace(0.05 * trial.alpha, 0.7 * trial.alpha, 66)
         values, constraints = self.modeled(grid, trial)
         if self.feasible:
             outside = np.any(constraints > self.thickness, axis=1)
-            outside[0] = False  # something must be tried
+            outside[0] = False  # the smallest step of all is always allowed
             values = np.where(outside, np.inf, values)
         return float(grid[np.argmin(values)])
 
     def extrapolated(self, trial: Trial, stretch: float) -> Trial:
-        """Go on along the direction while the polynomials promise much at a much longer step."""
+        """Try longer steps while the models expect a much lower phi there."""
         best = trial
-        while self.used < self.most:
+        while self.used < MOST_EVALUATIONS:
             grid = np.linspace(best.alpha, LONGEST_STRETCH * best.alpha, 81)
-            promised, _ = self.modeled(grid, best)
-            choice = int(np.argmin(promised))
-            worthwhile = best.merit - promised[choice] > 0.3 * (self.merit0 - best.merit)
+            merits, _ = self.modeled(grid, best)
+            choice = int(np.argmin(merits))
+            worthwhile = best.merit - merits[choice] > 0.3 * (self.merit0 - best.merit)
             if grid[choice] < stretch * best.alpha or not worthwhile:
                 return best
             longer = self.attempt(self.y + grid[choice] * self.direction.s, float(grid[choice]))
@@ -165,9 +166,9 @@ class LineSearch:
         return best
 
     def modeled(self, grid: np.ndarray, newest: Trial) -> tuple[np.ndarray, np.ndarray]:
-        """Return phi [k] and c [k, m] on the grid [k], of polynomials through what is known at the start and `newest`.
+        """Return phi [k] and c [k, m] of the polynomial models at the alphas of `grid` [k].
 
-        A cubic where the trial came with gradients; else through the values of the last two trials.
+        They meet values and slopes at the start, and at `newest`; without gradients there, the values of the last two trials.
         """
         base, last = self.base, newest.evaluation
         starts, slopes = np.append(base.objective, base.constraints), np.append(self.df0, self.dc0)
@@ -186,7 +187,10 @@ class LineSearch:
 def _polynomial(
     starts: np.ndarray, slopes: np.ndarray, known: list[tuple[float, int, np.ndarray]], grid: np.ndarray
 ) -> np.ndarray:
-    """Return [grid, m]: values and slopes at 0 as given, at each (alpha, 0 | 1, [m]) that value (0) or slope (1)."""
+    """Return the values [grid, m] of m polynomials.
+
+    starts, slopes  at 0 [m];  known  (alpha, 0, values [m]) or (alpha, 1, slopes [m]) at further points
+    """
     powers = np.arange(2, 2 + len(known))
     rows = [a**powers if order == 0 else powers * a ** (powers - 1) for a, order, _ in known]
     right = [v - starts - a * slopes if order == 0 else v - slopes for a, order, v in known]

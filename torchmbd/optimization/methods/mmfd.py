@@ -9,12 +9,12 @@ Each iteration
 
 From a feasible design only designs are accepted that violate no constraint by more than the slack. The slack is CTMIN in
 the first iterations and shrinks with the promised gain down to the problem's feasibility tolerance. An infeasible start
-is restored first, with the weight Phi on the violation. A failed evaluation shortens the step. The end must be a minimum,
-not only a Kuhn-Tucker point (curvature.py): a saddle point is left.
+becomes feasible first, with the weight Phi on the violation. A failed evaluation shortens the step. Saddle points are left:
+the end must be a minimum, not only a Kuhn-Tucker point (curvature.py).
 
-Options have the names of DOT. What differs from DOT: the metric of a direction is learnt along the way (metric.py), all
-constraints are linearized and not only the active, an exact penalty arbitrates the line search, the tolerances are tighter
-(DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the first step is bolder (DOT: DOBJ1 0.1).
+Options have the names of DOT. Differences from DOT: the metric of a direction is updated by every step (metric.py), all
+constraints are linearized and not only the active ones, an exact penalty decides in the line search, the tolerances are
+tighter (DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the first step is longer (DOT: DOBJ1 0.1).
 
 Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640;
 Vanderplaats, Numerical Optimization Techniques for Engineering Design; DOT user's manual (options and criteria). Own
@@ -46,9 +46,8 @@ def mmfd(
 ) -> Ending:
     """Run the method on one start.
 
-    `dobj1`, `dx1`: share of objective and variables that the first step may change. `second_order`: check that the end
-    is no saddle point and leave it if it is; costs as many analyses as there are ways along the active constraints, in
-    one batch.
+    `dobj1`, `dx1`: share of objective and variables that the first step may change. `second_order`: leave saddle points;
+    the check takes one analysis for each direction along the active constraints, in one batch.
     """
     require_range("ct", ct, -1.0, 0.0)
     positive = {"ctmin": ctmin, "delobj": delobj, "dabobj": dabobj, "dobj1": dobj1, "dx1": dx1, "kkt": kkt}

@@ -2,8 +2,8 @@
 
     minimize  c's + 1/2 s'B s   subject to   A s <= b,      B [n, n] positive definite
 
-Starts at the unconstrained minimum and adds the most violated constraint until none is left, so it needs no feasible
-start, its multipliers are exact, and contradictory constraints are found out (None is returned).
+Starts at the unconstrained minimum and adds the most violated constraint until none is left. So it needs no feasible start,
+its multipliers are exact, and it returns None for contradictory constraints.
 
 Source: Goldfarb and Idnani, A numerically stable dual method for solving strictly convex quadratic programs,
 Math. Programming 27 (1983) 1-33. The factors are recomputed at each change: n is the number of design variables.
@@ -57,15 +57,15 @@ def _enter(
     u: np.ndarray,
     new: int,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Make constraint `new` active, dropping those in its way; `active` changes in place."""
+    """Make constraint `new` active; `active` is changed in place: constraints whose multiplier becomes zero leave it."""
     gained = 0.0
     while True:
         N = normals[active].T
         d = np.linalg.lstsq(N, normals[new], rcond=None)[0] if active else np.zeros(0)
         free = normals[new] - N @ d
-        room = free @ free
-        independent = room > 1e-12 * (normals[new] @ normals[new])
-        full = (A[new] @ s - b[new]) / room if independent else np.inf
+        square = free @ free
+        independent = square > 1e-12 * (normals[new] @ normals[new])
+        full = (A[new] @ s - b[new]) / square if independent else np.inf
         ratios = np.full(d.size, np.inf)
         ratios[d > 1e-14] = u[d > 1e-14] / d[d > 1e-14]
         leaving = int(np.argmin(ratios)) if d.size else -1
@@ -84,7 +84,7 @@ def _enter(
 
 
 def _refined(L: np.ndarray, A: np.ndarray, b: np.ndarray, normals: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Meet the active constraints to the last digit: s is the small difference of large numbers when B is small."""
+    """Return s corrected to meet the active constraints to the last digit: with a small B it has lost digits."""
     for _ in range(2 if b.size else 0):
         w = np.linalg.lstsq(normals, b - A @ s, rcond=None)[0]
         s = s + solve_triangular(L, w, lower=True, trans=1)

@@ -1,6 +1,6 @@
 """SciPy's trust-constr (a trust-region interior point method).
 
-The slowest and the most patient of the family: a second opinion on ill-conditioned problems.
+The slowest of the methods with gradients, and the most robust one on ill-conditioned problems.
 Source: scipy.optimize.minimize, method "trust-constr"; Byrd, Hribar and Nocedal, SIAM J. Optim. 9 (1999) 877-900.
 """
 
@@ -16,7 +16,7 @@ from torchmbd.optimization.methods.adapters import Stop, WrappedProblem, run_ada
 from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
 
-INSIDE = 1e-2
+INSIDE = 1e-2  # distance of the start from the bounds, of the variable's size
 BARRIER = 0.1
 
 
@@ -39,10 +39,9 @@ def trust_constr(
 
 def _run(wrapped: WrappedProblem, options: dict[str, float]) -> Stop:
     # Its barrier needs a start inside the bounds; a later run begins nearer to them, with a lower barrier.
-    room = (
-        np.minimum(INSIDE * np.maximum(np.abs(wrapped.y), 1.0), 0.25 * (wrapped.upper - wrapped.lower)) * wrapped.shrink
-    )
-    inside = np.clip(wrapped.y, wrapped.lower + room, wrapped.upper - room)
+    distance = np.minimum(INSIDE * np.maximum(np.abs(wrapped.y), 1.0), 0.25 * (wrapped.upper - wrapped.lower))
+    distance *= wrapped.shrink
+    inside = np.clip(wrapped.y, wrapped.lower + distance, wrapped.upper - distance)
 
     def accepted(y: np.ndarray, state) -> bool:
         wrapped.record(np.array(y))
@@ -78,5 +77,5 @@ def _run(wrapped: WrappedProblem, options: dict[str, float]) -> Stop:
             },
         )
     words = {1: "trust-constr's gradient criterion holds", 2: "trust-constr's steps are too small to go on"}
-    # Its criteria hold for the barrier problem, which is not ours: only the Kuhn-Tucker residual counts as success.
+    # Its criteria are those of the barrier problem: only the Kuhn-Tucker residual counts as success.
     return Stop(result.x, False, words.get(int(result.status), f"trust-constr: {result.message}"))
