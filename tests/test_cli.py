@@ -194,7 +194,7 @@ def test_list_names_configs_and_studies(folder, capsys):
     assert "No studies yet" in output
     assert not (folder / "mlflow.db").exists()
 
-    tracker = MlflowTracker("shelf")
+    tracker = MlflowTracker("demo")
     tracker.begin("study", "rod_study", tags={"kind": "study"})
     tracker.begin("start_0", "start 0", parent="study", tags={"kind": "start"})
     tracker.metrics("study", {"best_objective": 0.125, "reduction_percent": 91.5})
@@ -203,7 +203,7 @@ def test_list_names_configs_and_studies(folder, capsys):
     tracker.close()
     assert cli.main(["list"]) == 0
     (row,) = [line for line in capsys.readouterr().out.splitlines() if "rod_study" in line]
-    for cell in ("shelf", "finished", "0.125", "91.50 %"):
+    for cell in ("demo", "finished", "0.125", "91.50 %"):
         assert cell in row
     assert len(row) <= 80
 

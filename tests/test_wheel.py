@@ -1,4 +1,4 @@
-"""The wheel: one package, its data, and a study that is begun and run without the repository."""
+"""The wheel: one package, its data, and a study that is made and run without the repository."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def wheel(tmp_path_factory):
     subprocess.run(command, check=True)
     (file,) = made.glob("*.whl")
     assert file.name.startswith(f"torchmbd-{torchmbd.__version__}-py3-none-any")
-    with zipfile.ZipFile(file) as archive:
-        archive.extractall(made / "site")
+    with zipfile.ZipFile(file) as wheel:
+        wheel.extractall(made / "site")
     return made / "site"
 
 

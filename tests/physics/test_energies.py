@@ -1,4 +1,4 @@
-"""The books of energy: against sums over the nodes, and balanced to the order of the method."""
+"""The energy balance: energies against sums over the nodes, and balanced to the order of the method."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def test_energies_are_those_of_the_nodes():
         assert_close(getattr(found, name)[0], getattr(expected, name), rtol=1e-9, atol=1e-12)
 
 
-def fed() -> mbd.System:
-    """A driven arm, a soft damped plate on a spring and a bushing, a load in time, gravity: every term of the books."""
+def driven_arm() -> mbd.System:
+    """A driven arm, a soft damped plate on a spring and a bushing, a load in time, gravity: all terms of the balance."""
     ground = mbd.Ground()
     arm = box("arm", axes=turned(0.0, 0.0, 0.3))
     soft = laminate((20.0, -50.0), 3e-3, SOFT)
@@ -41,7 +41,7 @@ def fed() -> mbd.System:
 
 @pytest.mark.thorough
 def test_the_balance_closes_to_second_order():
-    system, worst = fed(), []
+    system, worst = driven_arm(), []
     for steps in (100, 200):
         motion = mbd.simulate(system, 0.1, steps=steps, spectral_radius=0.95).require_ok()
         found = motion.energies

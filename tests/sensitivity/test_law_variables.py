@@ -276,8 +276,8 @@ def test_loads_and_bushings(method, options):
     sizes = found.abs().amax((0, 1))
     assert float(sizes.min()) > 1e-4
     assert float(((motion.dq_db[0] - found).abs().amax((0, 1)) / sizes).max()) < 1e-6
-    books = motion.energies
-    assert float(books.balance.abs().max()) < 1e-2 * float(books.applied.abs().max())
+    energies = motion.energies
+    assert float(energies.balance.abs().max()) < 1e-2 * float(energies.applied.abs().max())
 
 
 def test_variables_where_they_would_not_be_differentiated():

@@ -56,11 +56,11 @@ def test_a_jump_located_has_its_closed_form(method):
         slope = torch.stack([torch.func.jacfwd(lambda x, t=t: place(t, x))(g) for t in motion.t])  # pyright: ignore
         assert_close(motion.q[lane, :, 0], exact, rtol=0, atol=1e-10)
         assert_close(motion.dq_db[lane, :, 0, 0], slope, rtol=0, atol=1e-10)
-    books = motion.energies
+    energies = motion.energies
     gained = MASS * fields[:, None] * motion.q[..., 0] + FIRST * BORDER + SECOND * (motion.q[..., 0] - BORDER)
     after = motion.t > motion.switches[0].t[:, None]
-    assert_close(books.kinetic[after], gained[after], rtol=0, atol=1e-9)
-    assert float(books.balance.abs().max()) < 1e-9
+    assert_close(energies.kinetic[after], gained[after], rtol=0, atol=1e-9)
+    assert float(energies.balance.abs().max()) < 1e-9
 
 
 @pytest.mark.thorough

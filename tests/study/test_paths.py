@@ -1,4 +1,4 @@
-"""Keys: what changes a number changes the key of the problem, what changes the course changes the key of the study."""
+"""Keys: what changes a number changes the key of the problem, what changes the iteration changes the key of the study."""
 
 from __future__ import annotations
 

@@ -55,9 +55,9 @@ def test_energies_of_independent_codes(angles):
 
 def test_the_books_of_energy_balance():
     """What the drive gives is where it went, to a ten-thousandth of the kinetic energy."""
-    books = motion((45.0, -45.0, 45.0)).energies
-    assert float(books.driven.abs().max()) > 0.5 * float(books.kinetic.max())
-    assert float(books.balance.abs().max()) < 1e-4 * float(books.kinetic.max())
+    energies = motion((45.0, -45.0, 45.0)).energies
+    assert float(energies.driven.abs().max()) > 0.5 * float(energies.kinetic.max())
+    assert float(energies.balance.abs().max()) < 1e-4 * float(energies.kinetic.max())
 
 
 @pytest.mark.parametrize("angles", PRINTED, ids=str)

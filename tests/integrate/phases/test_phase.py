@@ -294,18 +294,18 @@ def test_energy_lost_at_switches():
     """The balance goes on through locks and impacts to second order, and a lock loses what a plastic joint does."""
     phases = [mbd.Phase(until=0.0325), mbd.Phase(until=0.06, lock=["hinge"]), mbd.Phase()]
     motion = mbd.simulate(rotors(), 0.1, steps=20, phases=phases).require_ok()
-    books = motion.energies
-    drop = books.kinetic[0, 6] - books.kinetic[0, 7]
-    assert float(drop) > 0.05 * float(books.kinetic[0, 0])
-    assert_close(books.lost[0, 7:12], drop.expand(5), rtol=1e-3, atol=0)
-    assert float(books.lost[0, :7].abs().max()) == 0.0
+    energies = motion.energies
+    drop = energies.kinetic[0, 6] - energies.kinetic[0, 7]
+    assert float(drop) > 0.05 * float(energies.kinetic[0, 0])
+    assert_close(energies.lost[0, 7:12], drop.expand(5), rtol=1e-3, atol=0)
+    assert float(energies.lost[0, :7].abs().max()) == 0.0
     errors = []
     halves = [mbd.Phase(until=0.022), mbd.Phase(lock=["hook"])]  # the switch lies on the grid
     for steps in (30, 60):
         motion = mbd.simulate(pushed(0.7), 0.06, steps=steps, phases=halves, iterations=(5, 1)).require_ok()
-        books = motion.energies
-        errors.append(float(books.balance.abs().max()))
-        assert float(books.lost[0, -1].abs()) > 10.0 * errors[-1]
+        energies = motion.energies
+        errors.append(float(energies.balance.abs().max()))
+        assert float(energies.lost[0, -1].abs()) > 10.0 * errors[-1]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.3)
 
 

@@ -1,4 +1,4 @@
-"""The folder of compiled code: a library that is cut, foreign or open to others is not loaded, and never ends a process."""
+"""The folder of compiled code: a library that is cut, or another user's, is not loaded, and never ends a process."""
 
 from __future__ import annotations
 

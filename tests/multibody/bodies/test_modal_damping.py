@@ -72,9 +72,9 @@ def test_gradients_of_a_damped_motion():
     motion = mbd.simulate(system, 0.03, designs=designs, gradients="forward", variables=[name], **options).require_ok()
     value, gradient = energy.value_and_gradient(motion)
     assert_close(gradient[0], (value[1:3] - value[3:]) / (2 * h), rtol=1e-5, atol=0)
-    books = motion.energies
-    assert float(books.dissipated[0, -1]) > 0.1 * float(books.strain.max())
-    assert float(books.balance.abs().max()) < 5e-3 * float(books.kinetic.max())
+    energies = motion.energies
+    assert float(energies.dissipated[0, -1]) > 0.1 * float(energies.strain.max())
+    assert float(energies.balance.abs().max()) < 5e-3 * float(energies.kinetic.max())
 
 
 def test_bad_ratios_are_named():

@@ -31,8 +31,8 @@ def test_a_load_of_fixed_direction_is_weight():
     one, other = (mbd.simulate(door(loaded, gravity), 0.05, steps=50).require_ok() for loaded in (True, False))
     assert float(other.body("door").strain_energy.max()) > 1e-4
     assert_close(one.q, other.q, rtol=0, atol=1e-10)
-    books = one.energies
-    assert float(books.balance.abs().max()) < 5e-3 * float(books.kinetic.max())
+    energies = one.energies
+    assert float(energies.balance.abs().max()) < 5e-3 * float(energies.kinetic.max())
 
 
 def shell(kind: str = "triangle") -> mbd.FlexibleBody:
