@@ -15,7 +15,7 @@ ENERGY = mbd.StrainEnergy("arm")
 TIP = abs(mbd.Displacement("arm", "z", node="right"))
 
 
-def system() -> mbd.System:
+def system(hinge_name: str = "hinge") -> mbd.System:
     """The arm, whose tool has a mass that can be set."""
     carbon, plate = mbd.examples.carbon(), mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
     body = mbd.FlexibleBody.plate(
@@ -27,7 +27,7 @@ def system() -> mbd.System:
         axes=[[1, 0, 0], [0, 0, 1], [0, -1, 0]],
     )
     tool = mbd.RigidBody("tool", mass=mbd.variable(0.2), inertia=(1e-4, 1e-4, 1e-4), position=(0.5, 0, 0))
-    hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at("left"), axis="z", name="hinge")
+    hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at("left"), axis="z", name=hinge_name)
     grip = mbd.Fixed(body.at("right"), tool.at(0, 0, 0), name="grip")
     return mbd.System([body, tool], [hinge, grip], gravity=(0, -9.81, 0))
 
@@ -145,7 +145,7 @@ def test_systems_of_different_topology(asked):
         steps=8,
         gradients="reverse",
     )
-    assert [(g.places, list(g.settings)) for g in problem.groups] == [
+    assert [(g.indices, list(g.settings)) for g in problem.groups] == [
         ([0, 2], ["loaded", "loaded and thick"]),
         ([1, 3], ["plain", "thick"]),
     ]
@@ -186,3 +186,29 @@ def test_its_motion_is_that_of_a_scenario_and_not_of_the_model_as_it_is_built():
     assert float(mbd.Max(abs(TIP))(asked.motion(X))[0]) == pytest.approx(of["heavy"], rel=1e-12)
     with pytest.raises(mbd.InputError, match=r"scenario 'hevy' .*did you mean 'heavy'"):
         asked.simulate(X[None], scenario="hevy")
+
+
+@pytest.mark.parametrize("kind", ["at_most", "at_least"])
+def test_the_initial_design_keeps_the_worst_of_its_own_limits(kind):
+    cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}}
+    constraint = mbd.Constraint(mbd.Integral(TIP), "initial", kind)
+    asked = problem(cases, objective="mean", subject_to=constraint, constraints="worst")
+    [found] = asked.evaluate(asked.start[None], False)
+    assert found.constraints == pytest.approx([0.0], abs=1e-12)
+
+
+def test_an_initial_design_that_nothing_refers_to_is_not_needed(monkeypatch):
+    asked = problem(dict(list(CASES.items())[:2]), objective="mean", subject_to=mbd.Integral(TIP) <= 1.0)
+
+    def refuse(x):
+        raise AssertionError("the initial design is simulated")
+
+    monkeypatch.setattr(asked, "motions_by_system", refuse)
+    assert asked.limits.tolist() == [1.0, 1.0]
+
+
+def test_phases_that_a_system_of_a_scenario_cannot_have_are_refused():
+    phases = [mbd.Phase(until=0.01, lock=["hinge"]), mbd.Phase()]
+    other = system(hinge_name="axle")
+    with pytest.raises(mbd.InputError, match="hinge"):
+        problem({"a": {"system": other}}, phases=phases)

@@ -186,7 +186,7 @@ def test_scenarios_with_options_of_the_model(write):
         steps=8,
     )
     asked = same(file, own)
-    assert [group.places for group in asked.groups] == [[0], [1, 2]]
+    assert [group.indices for group in asked.groups] == [[0], [1, 2]]
     for wrong, message in (
         ([{"options": {"payloda": 1}}], r"scenarios.0.options.payloda unknown option; .*did you mean 'payload'"),
         ([{"options": {"layers": "two"}}], r"scenarios.0.options = \{'layers': 'two'\}: TypeError in"),

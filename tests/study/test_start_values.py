@@ -30,7 +30,9 @@ def text(asked: mbd.Problem) -> str:
 def test_values_are_those_of_the_motion():
     asked = problem(mbd.Mass("arm") >= 0.5, mbd.Max(ENERGY) <= "initial", mbd.Max(mbd.Angle("arm", "z")) <= 0.1)
     motion = asked.motion(asked.start)
-    energy, mass, angle = (float(m(motion)[0]) for m in (asked.asked, *(c.measure for c in asked.constraints[::2])))
+    energy, mass, angle = (
+        float(m(motion)[0]) for m in (asked.stated_objective, *(c.measure for c in asked.constraints[::2]))
+    )
     found = start_values(asked)
     assert not isinstance(found, str)
     np.testing.assert_allclose([one.value for one in found], [energy, mass, energy, np.degrees(angle)], rtol=1e-12)

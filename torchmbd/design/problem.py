@@ -9,9 +9,9 @@ AtTimes) is the min-max problem (18), solved by an extra variable, the last of t
 
 with y_0 the largest row of the initial design. Max(...) as objective is the same problem directly.
 
-Arrays in, arrays out: optimizers know nothing of mechanics (torchmbd/optimization/optimizer.py tells what they ask for).
-A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the others
-of the batch are not touched. What is said to be "initial" comes from one simulation of the initial design.
+Designs and evaluations are NumPy arrays, as torchmbd/optimization/optimizer.py requires of a problem: optimizers know no
+mechanics. A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the
+other designs of its batch are evaluated. Limits and scales "initial" come from one simulation of the initial design.
 Over 300 lines: one class, whose arguments are explained and checked here.
 """
 
@@ -27,14 +27,20 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import ROWS, differentiate
-from torchmbd.design.question import Reference, asked_of, constraints_of, largest, scale_of
+from torchmbd.design.problem_parts import (
+    Reference,
+    constraints_of,
+    evaluation_of,
+    largest_row,
+    scale_of,
+    stated_objective,
+)
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure, argument_names
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check, check_backend, check_gradients, start_of
-from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import lanes_at_once, require_memory
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
@@ -62,12 +68,12 @@ class Problem(Summary):
     bounds      (lower, upper) of the design variables: numbers for all, one for each, or a mapping from parameter
                 names to such pairs [rad for angles]
     variables   names of parameters; default: every parameter that requires a gradient
-    start       initial design [n]; default: the system's own. A word, "equilibrium", is `motion_start`
+    start       initial design [n]; default: the values of the system. A string such as "equilibrium" is `motion_start`
     motion_start   where every motion starts: `start` of `simulate`, such as "equilibrium"
-    links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
+    links       entries that depend on others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows
     gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where the method has an adjoint and objective and
-                constraints have no more numbers than there are design variables. `problem.gradients` says which
+                constraints have no more numbers than there are design variables. `problem.gradients` is the choice
     method, steps, phases, backend, options   as in `simulate`
 
     >>> problem = mbd.Problem(
@@ -80,8 +86,8 @@ class Problem(Summary):
     ... )
     >>> problem.names
     ['arm.laminate.angles[0]', 'arm.laminate.angles[1]']
-    >>> [found] = problem.evaluate(problem.start[None], True)  # of one design, with gradients
-    >>> found.status, found.objective_gradient.shape, found.constraint_gradients.shape
+    >>> [evaluation] = problem.evaluate(problem.start[None], True)  # of one design, with gradients
+    >>> evaluation.status, evaluation.objective_gradient.shape, evaluation.constraint_gradients.shape
     ('ok', (2,), (1, 2))
     """
 
@@ -112,8 +118,8 @@ class Problem(Summary):
             start, motion_start = None, start
         start_of(system, motion_start)
         integrator = check(duration, method, steps, options, phases is not None, argument_names(Problem))
-        self.asked, self.sign = asked_of(minimize, maximize)
-        minimize = self.asked if self.sign > 0.0 else -self.asked
+        self.stated_objective, self.sign = stated_objective(minimize, maximize)
+        minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
         if phases is not None:
             plan(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
@@ -122,21 +128,23 @@ class Problem(Summary):
                 raise InputError(
                     f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
                 )
-        two = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(is_real, bound))
-        if not two or not 0.0 < bound[0] <= bound[1]:
+        is_pair = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(is_real, bound))
+        if not is_pair or not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, "backend": backend, **options}
         self.simulation |= {} if motion_start == "assembled" else {"start": motion_start}
-        # Rows of the extra variable come first among the constraints.
+        # Rows of a min-max objective, 0 for an objective of one number; they come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
         check_gradients(gradients, integrator)
         check_backend(backend)
-        self.gradients = self._way(integrator) if gradients in ("auto", "none") else gradients
-        self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
+        self._tangents = len(self.space.entries)
+        reverse_is_cheaper = integrator.adjoint and self._count <= self._tangents
+        cheaper = "reverse" if reverse_is_cheaper else "forward"
+        self.gradients = cheaper if gradients in ("auto", "none") else gradients
         require_memory(
             system,
             1,
@@ -146,20 +154,20 @@ class Problem(Summary):
         )
 
     def settings(self) -> list[Any]:
-        """All settings that decide its numbers, except the values of the design variables."""
-        space, asked = self.space, [self.objective, *self.constraints]
+        """All settings that determine the evaluations, except the values of the design variables."""
+        space, responses = self.space, [self.objective, *self.constraints]
         motion = [self.system, self.simulation, self.duration, self.gradients]
-        return [*motion, asked, space.map, space.offset, space.variables, space.start]
+        return [*motion, responses, space.map, space.offset, space.variables, space.start]
 
     @property
     def rows(self) -> int:
-        """Numbers of the constraints, of the extra variable among them."""
+        """Number of rows of the constraints, with those of a min-max objective."""
         return self._count - (0 if self.peaks else 1)
 
     def _summary(self) -> list[tuple[str, Any]]:
         start = [f"{name} = {x:.6g}" for name, x in zip(self.names, self.start, strict=True)]
         return [
-            ("minimize" if self.sign > 0.0 else "maximize", self.asked),
+            ("minimize" if self.sign > 0.0 else "maximize", self.stated_objective),
             ("subject to", few(self.constraints)),
             ("variables", few(start)),
             (
@@ -169,14 +177,9 @@ class Problem(Summary):
             ("gradients", self.gradients),
         ]
 
-    def _way(self, integrator: Integrator) -> str:
-        """The cheaper way to gradients, by counting."""
-        count = sum(self.system.get_parameter(name).numel() for name in self.space.variables)
-        return "reverse" if integrator.adjoint and self._count <= count else "forward"
-
     @property
     def _count(self) -> int:
-        """Numbers of a motion whose gradients are asked for."""
+        """How many numbers of a motion have gradients: rows of the objective and of the constraints."""
         return (self.peaks or 1) + sum(c.measure.rows for c in self.constraints)
 
     @property
@@ -209,20 +212,25 @@ class Problem(Summary):
 
     @property
     def equalities(self) -> np.ndarray:
-        """Indices of the rows that must vanish."""
-        own = zip(self.constraints, self.constraint_rows, strict=True)
-        kinds = ["at_most"] * self.peaks + [c.kind for c, rows in own for _ in range(rows.start, rows.stop)]
+        """Indices of the constraint rows that are equalities."""
+        pairs = zip(self.constraints, self.constraint_rows, strict=True)
+        kinds = ["at_most"] * self.peaks + [c.kind for c, rows in pairs for _ in range(rows.start, rows.stop)]
         return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
 
     @property
     def constraint_rows(self) -> list[slice]:
-        """Rows of every constraint, after those of the extra variable."""
+        """Rows of every constraint, counted after those of a min-max objective."""
         ends = np.cumsum([0, *(c.measure.rows * self._repeats for c in self.constraints)]).tolist()
         return [slice(first, last) for first, last in itertools.pairwise(ends)]
 
     @property
     def _repeats(self) -> int:
-        """Rows of a constraint for each one of its measure."""
+        """How many rows of a constraint each row of its measure makes."""
+        return 1
+
+    @property
+    def simulations(self) -> int:
+        """Motions of one design."""
         return 1
 
     def _checked(self, X: Any, *sizes: int) -> np.ndarray:
@@ -233,15 +241,16 @@ class Problem(Summary):
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], differentiable by all design variables if `gradients`."""
-        n = len(self.space.names)  # the extra variable may be there: it moves nothing
-        designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
-        way = self.gradients if gradients else "none"
-        names = self.space.variables
-        options: dict[str, Any] = {**self.simulation, "steps": self.steps}
-        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **options)
+        n = len(self.space.names)  # X may have the extra variable, which changes no motion
+        return self._motion(self.system, self.space.designs(self._checked(X, n, len(self.names))[:, :n]), gradients)
+
+    def _motion(self, system: System, designs: dict[str, Tensor], gradients: bool) -> Trajectory:
+        options: dict[str, Any] = {**self.simulation, "steps": self.steps, "variables": self.space.variables}
+        mode = self.gradients if gradients else "none"
+        return simulate(system, self.duration, designs=designs, gradients=mode, **options)
 
     def cases(self, X: np.ndarray) -> list[tuple[System, dict[str, Tensor]]]:
-        """Every system that designs [lanes, n] are simulated with, and the designs of its lanes."""
+        """The systems that simulate designs [lanes, n], each with the parameters [lanes, ...] of its batch."""
         return [(self.system, self.space.designs(X[:, : len(self.space.names)]))]
 
     def motion(self, x: np.ndarray) -> Trajectory:
@@ -250,25 +259,37 @@ class Problem(Summary):
 
     @cached_property
     def reference(self) -> Reference:
-        """Measures and limits; from a simulation of the initial design, if anything refers to it.
+        """Measures, limits and scales; the initial design is simulated if one of them refers to it.
 
         Raises SimulationFailure if the initial design is needed and cannot be simulated.
         """
         measures = [self.objective, *(c.measure for c in self.constraints)]
-        initial = [c.limit == "initial" for c in self.constraints]
-        limits = [0.0 if first else float(c.limit) for c, first in zip(self.constraints, initial, strict=True)]
+        limits: list[Any] = [c.limit for c in self.constraints]
         unit = 1.0
-        if self.peaks or any(initial) or any(measure.refers_to_start for measure in measures):
+        if self._refers_to_start:
             motion = self.motion(self.start).require_ok()
             measures = [measure.at_start(motion) for measure in measures]
-            for i, measure in enumerate(measures[1:]):
-                limits[i] = largest(measure, motion) if initial[i] else limits[i]
-            unit = largest(measures[0], motion) if self.peaks else 1.0
-            if not unit > 0.0:
-                raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
+            limits = [
+                largest_row(measure, motion) if c.limit == "initial" else c.limit
+                for c, measure in zip(self.constraints, measures[1:], strict=True)
+            ]
+            unit = self._positive_unit(largest_row(measures[0], motion)) if self.peaks else 1.0
         scale = [scale_of(c, limit) for c, limit in zip(self.constraints, limits, strict=True)]
         rows = [c.measure.rows for c in self.constraints]
-        return Reference(measures, unit, np.repeat(limits, rows), np.repeat(scale, rows))
+        return Reference(measures, unit, np.repeat(np.array(limits, dtype=float), rows), np.repeat(scale, rows))
+
+    @property
+    def _refers_to_start(self) -> bool:
+        """Whether the problem has numbers of the initial design: limits, scales of a weighted sum, the unit of min-max."""
+        measures = [self.objective, *(c.measure for c in self.constraints)]
+        initial = any(c.limit == "initial" for c in self.constraints)
+        return bool(self.peaks) or initial or any(measure.refers_to_start for measure in measures)
+
+    def _positive_unit(self, unit: float) -> float:
+        """The largest row of a min-max objective at the initial design; InputError unless it is positive."""
+        if not unit > 0.0:
+            raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
+        return unit
 
     @property
     def limits(self) -> np.ndarray:
@@ -282,92 +303,105 @@ class Problem(Summary):
 
     @cached_property
     def steps(self) -> int | None:
-        """Steps of every motion: those that are asked for, else as many as the motion of the initial design needs.
+        """Steps of every motion: `steps` of the problem, else as many as the motions of the initial design need.
 
         All designs have the same: a criterion that changes its number of steps with the design is not smooth. None: the initial
         design cannot be simulated, and each batch chooses.
         """
         if self.simulation["steps"]:
             return self.simulation["steps"]
-        try:
-            designs = self._initial_designs()
-            motion = simulate(self.system, self.duration, designs=designs, gradients="none", **self.simulation)
-        except (CutCluster, InputError, SimulationFailure):
-            return None
-        return motion.integration.steps if all(x == OK for x in motion.status) else None
-
-    def _initial_designs(self) -> dict[str, Tensor]:
-        """What one evaluation of the initial design simulates."""
-        return self.space.designs(self.space.start[None])
+        counts = []
+        for system, designs in self.cases(self.space.start[None]):
+            try:
+                motion = simulate(system, self.duration, designs=designs, gradients="none", **self.simulation)
+            except (InputError, SimulationFailure):
+                return None
+            if motion.integration.steps is None or any(status != OK for status in motion.status):
+                return None
+            counts.append(motion.integration.steps)
+        return max(counts)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""
         X = self._checked(X, len(self.names))
-        rows = self.rows
+        batch = max(1, self._lanes_at_once(gradients) // self.simulations) if len(X) > 1 else 1
+        if len(X) > batch:
+            parts = [X[first : first + batch] for first in range(0, len(X), batch)]
+            return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
         try:
-            most = self._lanes_at_once(gradients) if len(X) > 1 else 1
-            if len(X) > most:
-                parts = [X[first : first + most] for first in range(0, len(X), most)]
-                return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
-            motion = self.simulate(X, gradients)
-        except CutCluster as error:  # the others of the batch go on together
-            failed = {lane: Evaluation.failure(f"failed: {error}", rows) for lane in error.lanes}
+            motions = self._motions(X, gradients)
+        except CutCluster as error:  # names its lanes, so that the other designs remain one batch
+            failed = {lane: Evaluation.failure(f"failed: {error}", self.rows) for lane in error.lanes}
             rest = [lane for lane in range(len(X)) if lane not in failed]
-            found = dict(zip(rest, self.evaluate(X[rest], gradients), strict=True)) if rest else {}
-            return [failed[lane] if lane in failed else found[lane] for lane in range(len(X))]
+            evaluations = dict(zip(rest, self.evaluate(X[rest], gradients), strict=True)) if rest else {}
+            return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
-            # The structure stage refused a design: find out which.
             if len(X) == 1:
-                return [Evaluation.failure(f"failed: {error}", rows)]
+                return [Evaluation.failure(self._refusal(X, gradients, error), self.rows)]
+            # The structure stage refuses some design of the batch: each design alone shows which.
             return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._rows(motion, X)
-        result = []
-        for lane, status in enumerate(motion.status):
-            numbers, slope = values[lane], None if slopes is None else slopes[lane]
-            if status == OK and not np.isfinite(numbers).all():
-                status = "failed: a response is not finite"
-            elif status == OK and slope is not None and not np.isfinite(slope).all():
-                status = "failed: the gradient of a response is not finite"
-            if status != OK:
-                result.append(Evaluation.failure(status, rows))
-            elif slope is None:
-                result.append(Evaluation(float(numbers[0]), numbers[1:]))
-            else:
-                result.append(Evaluation(float(numbers[0]), numbers[1:], slope[0], slope[1:]))
-        return result
+        values, slopes = self._rows(motions, X)
+        each = slopes if slopes is not None else [None] * len(X)
+        statuses = self._statuses(motions, len(X))
+        return [evaluation_of(status, v, s, self.rows) for status, v, s in zip(statuses, values, each, strict=True)]
 
-    def _rows(self, motion: Trajectory, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
+        """Motions of designs [lanes, n], one for each system."""
+        return [self.simulate(X, gradients)]
+
+    def _refusal(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
+        """The status of a design [1, n] that the structure stage refuses with `error`."""
+        return f"failed: {error}"
+
+    def _statuses(self, motions: Sequence[Trajectory], count: int) -> Sequence[str]:
+        """The status of each of `count` designs."""
+        return motions[0].status
+
+    def _measured(self, motion: Trajectory) -> list[Tensor]:
+        """Rows [lanes, rows] of all measures, in order.
+
+        A measure with many rows is a tensor of its own, and others that follow each other are one: `differentiate` pulls back
+        each tensor by itself.
+        """
+        groups: list[list[Tensor]] = [[]]
+        for measure in self.reference.measures:
+            many = measure.rows > ROWS
+            groups += [[]] if many else []
+            groups[-1].append(measure.value(motion).reshape(motion.lanes, -1))
+            groups += [[]] if many else []
+        return [torch.cat(group, 1) for group in groups if group]
+
+    def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
-        reference = self.reference
-        lanes, first = len(X), self.peaks or 1
+        measured = differentiate(self._measured, motions[0])
+        slopes = None if measured.gradient is None else measured.gradient.numpy() @ self.space.map
+        return self._normalized(measured.value.numpy(), slopes, X)
 
-        def rows(motion: Trajectory) -> list[Tensor]:
-            """Of measures with many rows each by itself, of others those that follow each other together."""
-            groups: list[list[Tensor]] = [[]]
-            for measure in reference.measures:
-                many = measure.rows > ROWS
-                groups += [[]] if many else []
-                groups[-1].append(measure.value(motion).reshape(lanes, -1))
-                groups += [[]] if many else []
-            return [torch.cat(group, 1) for group in groups if group]
-
-        found = differentiate(rows, motion)
-        values, slopes = found.value.numpy(), None
+    def _normalized(
+        self, values: np.ndarray, slopes: np.ndarray | None, X: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Rows and gradients with constraints as (g - c) / scale, and with the extra variable of a min-max objective."""
+        reference, first = self.reference, self.peaks or 1
         values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
-        if found.gradient is not None:
-            slopes = found.gradient.numpy() @ self.space.map
+        if slopes is not None:
             slopes[:, first:] /= reference.scale[:, None]
         return self._with_extra_variable(values, slopes, X[:, -1], reference.unit) if self.peaks else (values, slopes)
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
-        """The same design [n] with the least extra variable that its rows allow: its objective is its largest row."""
+        """The design [n] and its evaluation with the least extra variable that its rows allow.
+
+        The objective is then the largest row.
+        """
         unit = self.reference.unit if self.peaks else 1.0
         return with_least_extra_variable(x, evaluation, self.peaks, unit, 0.0, self._bound[1])
 
     def _with_extra_variable(
         self, values: np.ndarray, slopes: np.ndarray | None, beta: np.ndarray, unit: float
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """The same for the objective beta y_0, its rows among the constraints; eqs. (19), (20)."""
+        """Rows and gradients of the problem with the objective beta y_0; eqs. (19), (20).
+
+        values [lanes, peaks + m], slopes [lanes, peaks + m, n], beta [lanes], unit y_0
+        """
         values[:, : self.peaks] = values[:, : self.peaks] / unit - beta[:, None]
         values = np.concatenate([beta[:, None] * unit, values], 1)
         if slopes is None:

@@ -1,4 +1,4 @@
-"""What a caller gives of scenarios: names, weights, values of parameters, each checked.
+"""Scenarios as a user states them: names, weights and values of parameters, checked; and how rows of scenarios are combined.
 
 Checked in tests/design/test_scenarios.py.
 """
@@ -16,39 +16,64 @@ from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import is_real
 
 
-def by_name(given: Any) -> Any:
-    """A list of scenarios by names."""
-    if isinstance(given, Sequence) and not isinstance(given, str):
-        return {f"scenario {k + 1}": settings for k, settings in enumerate(given)}
-    return given
+def scenarios_by_name(scenarios: Any) -> Any:
+    """The scenarios as name -> settings; scenarios of a list have the names "scenario 1", "scenario 2", ..."""
+    if isinstance(scenarios, Sequence) and not isinstance(scenarios, str):
+        return {f"scenario {k + 1}": settings for k, settings in enumerate(scenarios)}
+    return scenarios
 
 
-def weights_of(given: Any, count: int) -> np.ndarray:
-    """Weights of `count` scenarios in means [count], of sum one; InputError for what are none."""
-    if given is None:
+def normalized_weights(weights: Any, count: int) -> np.ndarray:
+    """Weights of `count` scenarios [count], divided by their sum; None: equal weights. InputError for other values."""
+    if weights is None:
         return np.full(count, 1.0 / count)
     if (
-        not isinstance(given, (Sequence, np.ndarray))
-        or len(given) != count
-        or not all(map(is_real, given))
-        or min(given) < 0
+        not isinstance(weights, (Sequence, np.ndarray))
+        or len(weights) != count
+        or not all(map(is_real, weights))
+        or min(weights) < 0
     ):
-        raise InputError(f"weights is {given!r}; allowed: {count} numbers that are not negative, one for each scenario")
-    if not sum(given) > 0.0:
-        raise InputError(f"weights is {given!r}; allowed: one that is positive at least")
-    return np.asarray(given, dtype=float) / float(sum(given))
-
-
-def value_of(scenario: str, name: str, given: Any, own: Tensor) -> Tensor:
-    """The value of a parameter in a scenario; its own where the scenario says nothing."""
-    if given is None:
-        return own
-    try:
-        value = torch.as_tensor(given, dtype=own.dtype)
-    except (TypeError, ValueError, RuntimeError):
-        value = torch.full_like(own, torch.nan)
-    if value.shape not in (own.shape, torch.Size([])) or not torch.isfinite(value).all():
         raise InputError(
-            f"{name} in scenario {scenario!r} is {given!r}; allowed: finite numbers of shape {list(own.shape)}, or one for all"
+            f"weights is {weights!r}; allowed: {count} numbers that are not negative, one for each scenario"
         )
-    return value.detach().expand(own.shape)
+    if not sum(weights) > 0.0:
+        raise InputError(f"weights is {weights!r}; allowed: one that is positive at least")
+    return np.asarray(weights, dtype=float) / float(sum(weights))
+
+
+def parameter_value(scenario: str, name: str, setting: Any, default: Tensor) -> Tensor:
+    """The value of a parameter in a scenario; `default`, the value of the system, where the scenario does not set it."""
+    if setting is None:
+        return default
+    try:
+        value = torch.as_tensor(setting, dtype=default.dtype)
+    except (TypeError, ValueError, RuntimeError):
+        value = torch.full_like(default, torch.nan)
+    if value.shape not in (default.shape, torch.Size([])) or not torch.isfinite(value).all():
+        raise InputError(
+            f"{name} in scenario {scenario!r} is {setting!r}; allowed: finite numbers of shape {list(default.shape)}, "
+            "or one for all"
+        )
+    return value.detach().expand(default.shape)
+
+
+def combined(
+    rule: str, values: np.ndarray, slopes: np.ndarray | None, weights: np.ndarray, lower_limit: bool
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Rows and gradients of a measure over all scenarios, from those in each scenario.
+
+    rule         "each": the rows of all scenarios [lanes, scenarios * rows]; "mean": their weighted means [lanes, rows];
+                 "worst": each row in the scenario where it is largest, or smallest for a lower limit [lanes, rows]
+    values       [lanes, scenarios, rows]
+    slopes       [lanes, scenarios, rows, n], or None
+    weights      of the scenarios, of sum one [scenarios]
+    """
+    lanes, scenarios, rows = values.shape
+    if rule == "each":
+        return values.reshape(lanes, -1), None if slopes is None else slopes.reshape(lanes, scenarios * rows, -1)
+    if rule == "mean":
+        mean = np.einsum("s,ls...->l...", weights, values)
+        return mean, None if slopes is None else np.einsum("s,ls...->l...", weights, slopes)
+    worst = np.argmax(-values if lower_limit else values, 1)[:, None]
+    rows_of_worst = np.take_along_axis(values, worst, 1)[:, 0]
+    return rows_of_worst, None if slopes is None else np.take_along_axis(slopes, worst[..., None], 1)[:, 0]

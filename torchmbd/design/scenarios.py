@@ -5,13 +5,13 @@
     payloads = {"light": {"tool.mass": 0.1}, "heavy": {"tool.mass": 0.4}}
     problem = mbd.Scenarios(system, 0.1, mbd.Max(deflection), mbd.Max(failure) <= 1.0, scenarios=payloads)
 
-A scenario sets parameters of the system that are no design variables: lane l S + s of the batch is design l in scenario s,
-so that the topology is the same and each further scenario costs a lane. It may have a system of its own, with another
-topology: scenarios of one system are one batch, and the batches are simulated one after another.
+A scenario sets parameters of the system that are no design variables: lane l S + s of the batch is design l in scenario s, so
+each further scenario costs a lane. A scenario may have another system, also one of another topology. Scenarios of one system
+are one batch, and the batches are simulated one after another.
 
     {"alone": {}, "in pairs": {"system": build(arms=2), "tool.mass": 0.1}}
 
-Over 300 lines: a batch of several systems answers all that a Problem answers.
+Over 300 lines: a batch of several systems provides all that a Problem provides.
 Checked in tests/design/test_scenarios.py.
 """
 
@@ -27,15 +27,15 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.problem import Problem
-from torchmbd.design.question import Reference, scale_of
+from torchmbd.design.problem_parts import Reference, scale_of
 from torchmbd.design.response import Constraint, Measure
-from torchmbd.design.scenario_settings import by_name, value_of, weights_of
+from torchmbd.design.scenario_settings import combined, normalized_weights, parameter_value, scenarios_by_name
 from torchmbd.errors import InputError, SimulationFailure, nearest, unknown
 from torchmbd.fem.reduction import CutCluster
-from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate import Trajectory
 from torchmbd.integrate.arguments import start_of
+from torchmbd.integrate.phases.phase import plan
 from torchmbd.multibody.system import System
-from torchmbd.optimization import Evaluation
 from torchmbd.results.motion_data import OK
 
 SYSTEM = "system"  # key of a scenario
@@ -43,14 +43,14 @@ OBJECTIVES, CONSTRAINTS = ("worst", "mean"), ("each", "worst", "mean")
 
 
 class Group(NamedTuple):
-    """Scenarios of one system, which are simulated together.
+    """Scenarios of one system, which are simulated as one batch.
 
-    places    of the scenarios among all
-    settings  name of a scenario -> parameter -> value; all of the same parameters
+    indices   of these scenarios in the order of all scenarios
+    settings  name of a scenario -> parameter -> value; all scenarios of the group have the same parameters
     """
 
     system: System
-    places: list[int]
+    indices: list[int]
     settings: dict[str, dict[str, Tensor]]
 
 
@@ -59,14 +59,15 @@ class Scenarios(Problem):
 
     system, duration, minimize, subject_to   as in Problem
     scenarios    name -> {parameter: value}, or a list of such settings; parameters that are no design variables [SI]. The key
-                 "system" gives a scenario a system of its own, which has all design variables in the same shapes
+                 "system" gives a scenario another system, which has all design variables in the same shapes
     objective    "worst": the largest over the scenarios (a min-max problem, with an extra variable); "mean"
     constraints  "each": hold in every scenario; "worst": one row, of the scenario that is nearest to its limit; "mean"
     weights      of the scenarios in means; None: equal. They are divided by their sum
     options      maximize, bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
 
-    A limit "initial" is the value of the initial design in the same scenario. A WeightedSum is normalized by its
-    value in the first scenario. A design that fails in one scenario is a failed evaluation that names the scenario.
+    A limit "initial" is the value of the initial design in the same scenario; of constraints "worst" and "mean", the worst
+    and the mean of these values. A WeightedSum is normalized by its value in the first scenario. A design that fails in one
+    scenario is a failed evaluation that names the scenario.
 
     >>> problem = mbd.Scenarios(
     ...     mbd.examples.arm(),
@@ -77,8 +78,8 @@ class Scenarios(Problem):
     ...     variables=["arm.laminate.angles"],
     ...     steps=20,
     ... )
-    >>> [found] = problem.evaluate(problem.start[None], True)
-    >>> found.status, found.objective_gradient.shape
+    >>> [evaluation] = problem.evaluate(problem.start[None], True)
+    >>> evaluation.status, evaluation.objective_gradient.shape
     ('ok', (2,))
     >>> problem.motions(problem.start).lanes  # one for each scenario
     2
@@ -98,9 +99,9 @@ class Scenarios(Problem):
         **options: Any,
     ):
         super().__init__(system, duration, minimize, subject_to, **options)
-        for what, given, allowed in (("objective", objective, OBJECTIVES), ("constraints", constraints, CONSTRAINTS)):
-            if given not in allowed:
-                raise InputError(f"{what} is {given!r}; allowed: {', '.join(allowed)}")
+        for name, rule, allowed in (("objective", objective, OBJECTIVES), ("constraints", constraints, CONSTRAINTS)):
+            if rule not in allowed:
+                raise InputError(f"{name} is {rule!r}; allowed: {', '.join(allowed)}")
         if constraints != "each" and any(c.kind == "equal" for c in self.constraints):
             raise InputError(f"constraints is {constraints!r}, and one is an equality; allowed: 'each'")
         if self.peaks and objective == "mean":
@@ -113,67 +114,73 @@ class Scenarios(Problem):
             )
         self.groups = self._grouped(scenarios)
         self.scenarios = {name: settings for group in self.groups for name, settings in group.settings.items()}
-        self.scenarios = {str(name): self.scenarios[str(name)] for name in by_name(scenarios)}
-        self._of_objective, self._of_constraints = objective, constraints
-        self.weights = weights_of(weights, len(self.scenarios))
+        self.scenarios = {str(name): self.scenarios[str(name)] for name in scenarios_by_name(scenarios)}
+        self._objective_rule, self._constraint_rule = objective, constraints
+        self.weights = normalized_weights(weights, len(self.scenarios))
         if objective == "worst":
             self.peaks = self.objective.rows * len(self.scenarios)
 
-    def _grouped(self, given: Any) -> list[Group]:
+    def _grouped(self, scenarios: Any) -> list[Group]:
         """The scenarios by their systems."""
-        given = by_name(given)
-        if not isinstance(given, Mapping) or not given or not all(isinstance(x, Mapping) for x in given.values()):
-            raise InputError(f"scenarios is {given!r}; allowed: name -> {{parameter: value}}, one at least")
-        if not any(given.values()):
-            raise InputError(f"scenarios is {given!r}, and sets nothing; allowed: a parameter, or a system, at least")
+        scenarios = scenarios_by_name(scenarios)
+        is_mapping = isinstance(scenarios, Mapping) and all(isinstance(x, Mapping) for x in scenarios.values())
+        if not is_mapping or not scenarios:
+            raise InputError(f"scenarios is {scenarios!r}; allowed: name -> {{parameter: value}}, one at least")
+        if not any(scenarios.values()):
+            raise InputError(
+                f"scenarios is {scenarios!r}, and sets nothing; allowed: a parameter, or a system, at least"
+            )
         systems: list[System] = []
-        for key, settings in given.items():
+        for key, settings in scenarios.items():
             system = settings.get(SYSTEM, self.system)
             if not any(system is known for known in systems):
-                self._require_like(key, system)
+                self._check_system(key, system)
                 systems.append(system)
-        return [self._group(system, given) for system in systems]
+        return [self._group(system, scenarios) for system in systems]
 
-    def _require_like(self, scenario: str, system: Any) -> None:
-        """A system of a scenario has the design variables, and what the responses need."""
+    def _check_system(self, scenario: str, system: Any) -> None:
+        """InputError unless the system of a scenario has the design variables, and what responses, start and phases need."""
         if not isinstance(system, System):
             raise InputError(f"system of scenario {scenario!r} is {system!r}; allowed: a System")
-        own = {name: x.shape for name, x in system.named_parameters()}
+        shapes = {name: x.shape for name, x in system.named_parameters()}
         for name, shape in self.space.shapes.items():
-            if own.get(name) != shape:
-                has = "no such parameter" if name not in own else f"one of shape {list(own[name])}"
+            if shapes.get(name) != shape:
+                has = "no such parameter" if name not in shapes else f"one of shape {list(shapes[name])}"
                 raise InputError(
                     f"system of scenario {scenario!r} has {has}: {name!r}; allowed: all design variables, {name!r} of "
                     f"shape {list(shape)}"
                 )
         start_of(system, self.simulation.get("start", "assembled"))
+        if self.simulation["phases"] is not None:
+            plan(system, self.simulation["phases"], self.duration)
         for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
             measure.check(system)
 
-    def _group(self, system: System, given: Mapping[str, Mapping[str, Any]]) -> Group:
+    def _group(self, system: System, scenarios: Mapping[str, Mapping[str, Any]]) -> Group:
         """The scenarios of one system, all with values of the same parameters."""
-        mine = {key: x for key, x in given.items() if x.get(SYSTEM, self.system) is system}
-        own = dict(system.named_parameters())
-        names = list(dict.fromkeys(name for settings in mine.values() for name in settings if name != SYSTEM))
+        of_system = {key: x for key, x in scenarios.items() if x.get(SYSTEM, self.system) is system}
+        parameters = dict(system.named_parameters())
+        names = list(dict.fromkeys(name for settings in of_system.values() for name in settings if name != SYSTEM))
         for name in names:
-            if name not in own:
+            if name not in parameters:
                 hint = "a plain number of a constructor becomes a parameter by mbd.variable(...)"
-                raise InputError(f"parameter of a scenario {name!r} does not exist{nearest(name, own)}; {hint}")
+                raise InputError(f"parameter of a scenario {name!r} does not exist{nearest(name, parameters)}; {hint}")
             if name in self.space.variables:
                 raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
-        settings = {
-            str(key): {name: value_of(key, name, settings.get(name), own[name].detach()) for name in names}
-            for key, settings in mine.items()
+        values = {
+            str(key): {
+                name: parameter_value(key, name, settings.get(name), parameters[name].detach()) for name in names
+            }
+            for key, settings in of_system.items()
         }
-        return Group(system, [k for k, key in enumerate(given) if key in mine], settings)
+        return Group(system, [k for k, key in enumerate(scenarios) if key in of_system], values)
 
     def settings(self) -> list[Any]:
-        asked = [self._of_objective, self._of_constraints, self.weights]
-        return [*super().settings(), *[list(group) for group in self.groups], *asked]
+        rules = [self._objective_rule, self._constraint_rule, self.weights]
+        return [*super().settings(), *[list(group) for group in self.groups], *rules]
 
     @property
     def simulations(self) -> int:
-        """Motions of one design."""
         return len(self.scenarios)
 
     @property
@@ -182,16 +189,16 @@ class Scenarios(Problem):
 
     @property
     def _repeats(self) -> int:
-        return len(self.scenarios) if self._of_constraints == "each" else 1
+        return len(self.scenarios) if self._constraint_rule == "each" else 1
 
     def largest(self, x: np.ndarray) -> str:
         """Name of the scenario in which the objective of a design [n] is largest; a motion that fails counts least."""
-        found: dict[str, float] = {}
+        objectives: dict[str, float] = {}
         for group, motion in zip(self.groups, self.motions_by_system(x), strict=True):
             values = self.reference.measures[0].value(motion).detach().reshape(motion.lanes, -1).amax(1).tolist()
             for name, value, status in zip(group.settings, values, motion.status, strict=True):
-                found[name] = value if status == OK else -np.inf
-        return max(found, key=lambda name: found[name])
+                objectives[name] = value if status == OK else -np.inf
+        return max(objectives, key=lambda name: objectives[name])
 
     def simulate(self, X: np.ndarray, gradients: bool = False, scenario: str | None = None) -> Trajectory:
         """Motions of designs [lanes, n] in one scenario; None: in the one where the objective of the last is largest."""
@@ -200,7 +207,7 @@ class Scenarios(Problem):
         if name not in self.scenarios:
             raise unknown("scenario", name, self.scenarios)
         group = next(group for group in self.groups if name in group.settings)
-        return self._simulated(X, gradients, group, [group.settings[name]])
+        return self._motion(group.system, self._designs(X, [group.settings[name]]), gradients)
 
     def motions(self, x: np.ndarray) -> Trajectory:
         """Motions of one design [n], a lane for each scenario; InputError where they have several systems."""
@@ -211,165 +218,105 @@ class Scenarios(Problem):
         return self.motions_by_system(x)[0]
 
     def motions_by_system(self, x: np.ndarray) -> list[Trajectory]:
-        """Motions of one design [n], one for each system, a lane for each of its scenarios (`groups` names them)."""
-        X = np.asarray(x, dtype=float)[None]
-        return [self._simulated(X, False, group, list(group.settings.values())) for group in self.groups]
+        """Motions of one design [n], one for each system, a lane for each of its scenarios (`groups` has their names)."""
+        return self._motions(np.asarray(x, dtype=float)[None], False)
 
-    def _simulated(
-        self, X: np.ndarray, gradients: bool, group: Group, scenarios: Sequence[dict[str, Tensor]]
-    ) -> Trajectory:
-        designs = self._designs(self._checked(X, len(self.space.names), len(self.names)), scenarios)
-        way = self.gradients if gradients else "none"
-        names = self.space.variables
-        options: dict[str, Any] = {**self.simulation, "steps": self.steps}
-        return simulate(group.system, self.duration, designs=designs, gradients=way, variables=names, **options)
+    def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
+        X = self._checked(X, len(self.space.names), len(self.names))
+        try:
+            return [self._motion(system, designs, gradients) for system, designs in self.cases(X)]
+        except CutCluster as error:  # its lanes count scenarios, so they are no indices of designs
+            raise InputError(str(error)) from error
 
     def cases(self, X: np.ndarray) -> list[tuple[System, dict[str, Tensor]]]:
         return [(group.system, self._designs(X, list(group.settings.values()))) for group in self.groups]
 
-    def _designs(self, X: np.ndarray, scenarios: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-        """Of designs [lanes, n], each in all scenarios."""
-        designs = self.space.designs(X[:, : len(self.space.names)].repeat(len(scenarios), axis=0))
-        for name in scenarios[0]:
-            values = torch.stack([settings[name] for settings in scenarios])
+    def _designs(self, X: np.ndarray, settings: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+        """Parameters of designs [lanes, n], each in all scenarios of some settings [lanes * scenarios, ...]."""
+        designs = self.space.designs(X[:, : len(self.space.names)].repeat(len(settings), axis=0))
+        for name in settings[0]:
+            values = torch.stack([values_of_scenario[name] for values_of_scenario in settings])
             designs[name] = values.repeat(len(X), *[1] * (values.dim() - 1))
         return designs
 
-    @cached_property
-    def steps(self) -> int | None:
-        """Steps of every motion: those that are asked for, else the most that the initial design needs in a scenario."""
-        if self.simulation["steps"]:
-            return self.simulation["steps"]
-        counts = []
-        for group in self.groups:
-            designs = self._designs(self.space.start[None], list(group.settings.values()))
-            try:
-                motion = simulate(group.system, self.duration, designs=designs, gradients="none", **self.simulation)
-            except (CutCluster, InputError, SimulationFailure):
-                return None
-            if any(x != OK for x in motion.status) or motion.integration.steps is None:
-                return None
-            counts.append(motion.integration.steps)
-        return max(counts)
-
-    def _by_place(self, parts: Sequence[Any]) -> Any:
-        """Arrays [lanes, scenarios of a group, ...] as one of all scenarios, in their order."""
-        order = np.argsort([place for group in self.groups for place in group.places])
+    def _in_scenario_order(self, parts: Sequence[Any]) -> Any:
+        """One array [lanes, scenarios, ...] of arrays [lanes, scenarios of a group, ...]."""
+        order = np.argsort([index for group in self.groups for index in group.indices])
         return np.concatenate(parts, 1)[:, order]
 
     @cached_property
     def reference(self) -> Reference:
+        measures = [self.objective, *(c.measure for c in self.constraints)]
+        motions, unit = [], 1.0
+        if self._refers_to_start:
+            motions = self._initial_motions()
+            first = next(motion for group, motion in zip(self.groups, motions, strict=True) if 0 in group.indices)
+            measures = [measure.at_start(first) for measure in measures]
+            if self.peaks:
+                unit = self._positive_unit(max(float(measures[0].value(motion).max()) for motion in motions))
+        limits, scales = [np.zeros(0)], [np.zeros(0)]
+        for constraint, measure in zip(self.constraints, measures[1:], strict=True):
+            rows = self._limits(constraint, measure, motions).repeat(measure.rows)
+            limits.append(rows)
+            scales.append(np.array([scale_of(constraint, float(limit)) for limit in rows]))
+        return Reference(measures, unit, np.concatenate(limits), np.concatenate(scales))
+
+    def _initial_motions(self) -> list[Trajectory]:
+        """Motions of the initial design in all scenarios; SimulationFailure names one that fails."""
         motions = self.motions_by_system(self.start)
         for group, motion in zip(self.groups, motions, strict=True):
             for name, status in zip(group.settings, motion.status, strict=True):
                 if status != OK:
                     raise SimulationFailure(f"the initial design in scenario {name!r}: {status}")
-        first = next(motion for group, motion in zip(self.groups, motions, strict=True) if 0 in group.places)
-        measures = [m.at_start(first) for m in (self.objective, *(c.measure for c in self.constraints))]
-        unit = max(float(measures[0].value(motion).max()) for motion in motions) if self.peaks else 1.0
-        if not unit > 0.0:
-            raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
-        limits, scales = [], []
-        for c, measure in zip(self.constraints, measures[1:], strict=True):
-            count = len(self.scenarios)
-            own = np.full(count, np.nan if c.limit == "initial" else c.limit, dtype=float)
-            if c.limit == "initial":
-                found = [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
-                own = self._by_place([x.max(2) for x in found])[0]
-            if self._of_constraints != "each":
-                own = np.array([self.weights @ own if self._of_constraints == "mean" else own.max()])
-            limits.append(own.repeat(measure.rows))
-            scales.append(np.array([scale_of(c, float(limit)) for limit in limits[-1]]))
-        return Reference(measures, unit, np.concatenate([np.zeros(0), *limits]), np.concatenate([np.zeros(0), *scales]))
+        return motions
 
-    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n] in all scenarios as one batch, or as several where it would fill much of the memory."""
-        X = self._checked(X, len(self.names))
-        most = max(1, self._lanes_at_once(gradients) // len(self.scenarios))
-        if len(X) > most:
-            parts = [X[first : first + most] for first in range(0, len(X), most)]
-            return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
-        try:
-            motions = [self._simulated(X, gradients, group, list(group.settings.values())) for group in self.groups]
-        except (CutCluster, InputError, SimulationFailure) as error:
-            if len(X) == 1:
-                return [Evaluation.failure(self._refused(X, gradients, error), self.rows)]
-            return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._rows(motions, X)
-        statuses = self._by_place([np.array(motion.status, dtype=object).reshape(len(X), -1) for motion in motions])
-        return [
-            self._evaluation(statuses[lane], v, s)
-            for lane, (v, s) in enumerate(zip(values, slopes if slopes is not None else [None] * len(X), strict=True))
-        ]
+    def _limits(self, constraint: Constraint, measure: Measure, motions: Sequence[Trajectory]) -> np.ndarray:
+        """The limit in every scenario [scenarios], or of all scenarios together [1] where constraints are "worst" or "mean"."""
+        if constraint.limit == "initial":
+            values = [measure.value(motion).detach().reshape(1, motion.lanes, -1).amax(2).numpy() for motion in motions]
+            limits = self._in_scenario_order(values)[0]
+        else:
+            limits = np.full(len(self.scenarios), float(constraint.limit))
+        if self._constraint_rule == "each":
+            return limits
+        if self._constraint_rule == "mean":
+            return np.array([self.weights @ limits])
+        return np.array([limits.min() if constraint.kind == "at_least" else limits.max()])
 
-    def _refused(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
-        """Which scenario the structure stage refuses, and why."""
-        each = [(group, name, settings) for group in self.groups for name, settings in group.settings.items()]
-        for group, name, settings in each:
-            try:
-                self._simulated(X, gradients, group, [settings])
-            except (CutCluster, InputError, SimulationFailure) as own:
-                return f"failed: scenario {name!r}: {own}"
+    def _refusal(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
+        for group in self.groups:
+            for name, settings in group.settings.items():
+                try:
+                    self._motion(group.system, self._designs(X, [settings]), gradients)
+                except (InputError, SimulationFailure) as refusal:
+                    return f"failed: scenario {name!r}: {refusal}"
         return f"failed: {error}"
 
-    def _evaluation(self, statuses: Sequence[str], values: np.ndarray, slope: np.ndarray | None) -> Evaluation:
+    def _statuses(self, motions: Sequence[Trajectory], count: int) -> Sequence[str]:
+        """The status of each design: that of its first scenario that fails, with the name of the scenario."""
+        by_group = [np.array(motion.status, dtype=object).reshape(count, -1) for motion in motions]
+        return [self._status(statuses) for statuses in self._in_scenario_order(by_group)]
+
+    def _status(self, statuses: Sequence[str]) -> str:
         for name, status in zip(self.scenarios, statuses, strict=True):
             if status != OK:
-                return Evaluation.failure(f"failed: scenario {name!r}: {status.removeprefix('failed: ')}", self.rows)
-        if not np.isfinite(values).all():
-            return Evaluation.failure("failed: a response is not finite", self.rows)
-        if slope is None:
-            return Evaluation(float(values[0]), values[1:])
-        if not np.isfinite(slope).all():
-            return Evaluation.failure("failed: the gradient of a response is not finite", self.rows)
-        return Evaluation(float(values[0]), values[1:], slope[0], slope[1:])
+                return f"failed: scenario {name!r}: {status.removeprefix('failed: ')}"
+        return OK
 
     def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n], over the scenarios."""
-        reference = self.reference
-
-        def rows(motion: Trajectory) -> list[Tensor]:
-            return [m.value(motion).reshape(motion.lanes, -1) for m in reference.measures]
-
-        found = [differentiate(rows, motion) for motion in motions]
-        values = self._by_place(
-            [
-                one.value.numpy().reshape(len(X), motion.lanes // len(X), -1)
-                for one, motion in zip(found, motions, strict=True)
-            ]
-        )
-        slopes, gradients = None, [one.gradient for one in found if one.gradient is not None]
-        if gradients:
-            mapped = [x.numpy() @ self.space.map for x in gradients]
-            slopes = self._by_place([x.reshape(len(X), -1, *x.shape[1:]) for x in mapped])
+        measured = [differentiate(self._measured, motion) for motion in motions]
+        by_group = [x.value.numpy() for x in measured]
+        values = self._in_scenario_order([x.reshape(len(X), -1, x.shape[1]) for x in by_group])
+        by_group = [x.gradient.numpy() @ self.space.map for x in measured if x.gradient is not None]
+        slopes = None
+        if by_group:
+            slopes = self._in_scenario_order([x.reshape(len(X), -1, *x.shape[1:]) for x in by_group])
+        rules = [("each" if self._objective_rule == "worst" else "mean", False)]
+        rules += [(self._constraint_rule, c.kind == "at_least") for c in self.constraints]
         parts, first = [], 0
-        ways = [("each" if self._of_objective == "worst" else "mean", 1.0)]
-        ways += [(self._of_constraints, -1.0 if c.kind == "at_least" else 1.0) for c in self.constraints]
-        for measure, (way, sign) in zip(reference.measures, ways, strict=True):
-            own = slice(first, first := first + measure.rows)
-            parts.append(self._over(way, sign, values[:, :, own], None if slopes is None else slopes[:, :, own]))
-        combined = np.concatenate([v for v, _ in parts], 1)
-        gradient = None if slopes is None else np.concatenate([s for _, s in parts if s is not None], 1)
-        own = self.peaks or 1
-        combined[:, own:] = (combined[:, own:] - reference.limits) / reference.scale
-        if gradient is not None:
-            gradient[:, own:] /= reference.scale[:, None]
-        return (
-            self._with_extra_variable(combined, gradient, X[:, -1], reference.unit)
-            if self.peaks
-            else (combined, gradient)
-        )
-
-    def _over(
-        self, way: str, sign: float, values: np.ndarray, slopes: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Rows of a measure [lanes, scenarios, rows] as what is asked of the scenarios."""
-        lanes, count, rows = values.shape
-        if way == "each":
-            return values.reshape(lanes, -1), None if slopes is None else slopes.reshape(lanes, count * rows, -1)
-        if way == "mean":
-            weigh = np.einsum("s,ls...->l...", self.weights, values)
-            return weigh, None if slopes is None else np.einsum("s,ls...->l...", self.weights, slopes)
-        worst = np.argmax(sign * values, 1)[:, None]
-        chosen = np.take_along_axis(values, worst, 1)[:, 0]
-        return chosen, None if slopes is None else np.take_along_axis(slopes, worst[..., None], 1)[:, 0]
+        for measure, (rule, lower_limit) in zip(self.reference.measures, rules, strict=True):
+            rows = slice(first, first := first + measure.rows)
+            own_slopes = None if slopes is None else slopes[:, :, rows]
+            parts.append(combined(rule, values[:, :, rows], own_slopes, self.weights, lower_limit))
+        gradients = None if slopes is None else np.concatenate([s for _, s in parts if s is not None], 1)
+        return self._normalized(np.concatenate([v for v, _ in parts], 1), gradients, X)

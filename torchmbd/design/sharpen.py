@@ -108,7 +108,7 @@ def sharpened(problem: Problem, factor: float) -> Problem:
 
     result = copy.copy(problem)
     result.__dict__.pop("reference", None)
-    result.asked, result.objective = change(problem.asked), change(problem.objective)
+    result.stated_objective, result.objective = change(problem.stated_objective), change(problem.objective)
     result.constraints = [replace(c, measure=change(c.measure)) for c in problem.constraints]
     return result
 
@@ -120,4 +120,4 @@ def _aggregates(problem: Problem) -> list[Aggregate]:
         own = [measure] if isinstance(measure, Aggregate) else []
         return own + [found for operand in measure.operands for found in of(operand)]
 
-    return [found for m in (problem.asked, *(c.measure for c in problem.constraints)) for found in of(m)]
+    return [found for m in (problem.stated_objective, *(c.measure for c in problem.constraints)) for found in of(m)]

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.design.problem import Problem
-from torchmbd.design.question import constraints_of
+from torchmbd.design.problem_parts import constraints_of
 from torchmbd.design.response import Constraint, Measure, all_measures
 from torchmbd.design.words import unit
 from torchmbd.errors import InputError

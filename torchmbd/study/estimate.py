@@ -217,7 +217,7 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     if not isinstance(problem, Problem):
         console.print(f"{valid}: {_count(len(study.columns.names), 'design variable')}", markup=False)
         return None
-    asked = ", ".join(study.problem.criteria) if study.front else words(problem.asked)
+    asked = ", ".join(study.problem.criteria) if study.front else words(problem.stated_objective)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
         f"{valid}: {asked}, {_count(sum(x not in EXTRA for x in study.columns.labels), 'design variable')}, "

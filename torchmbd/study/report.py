@@ -80,7 +80,7 @@ def save_pictures(
     if not searches or not any(np.isfinite(r.value) for r in found.results):  # nothing could be evaluated
         return
     best, problem = found.best, study.simulated
-    objective = heading(problem.asked) if isinstance(problem, Problem) else "objective"
+    objective = heading(problem.stated_objective) if isinstance(problem, Problem) else "objective"
     chosen, title = None if best is None else f"start {best.start}", study.question or study.name
     save_figure(
         convergence,

@@ -45,8 +45,8 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
     if not found.ok:
         return found.status
     what, value = ("minimize", found.objective) if problem.sign > 0.0 else ("maximize", -found.objective)
-    factor, name = _shown(unit(problem.asked))
-    values = [Value(what, words(problem.asked), factor * value, name, "")]
+    factor, name = _shown(unit(problem.stated_objective))
+    values = [Value(what, words(problem.stated_objective), factor * value, name, "")]
     own = found.constraints[problem.peaks :]
     for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
         c, limits, scales = own[rows], problem.limits[rows], problem.reference.scale[rows]

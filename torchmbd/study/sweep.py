@@ -81,9 +81,9 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
 
 def _criteria(problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
     """Return the objective, and the constrained responses, each divided by its value at the start design."""
-    measures = [problem.asked, *(constraint.measure for constraint in problem.constraints)]
+    measures = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
     bodies = len({words(m).removeprefix(words(m, bodies=False)) for m in measures}) > 1  # they need their names
-    name = words(problem.asked, bodies)
+    name = words(problem.stated_objective, bodies)
     result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
     row = 0
     for constraint in problem.constraints:

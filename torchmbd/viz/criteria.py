@@ -104,8 +104,8 @@ def criteria_over_iterations(
         steps = [iterate.iteration for iterate in searches[name]]
         for axes, curve in zip(rows, _curves(problem, searches[name]), strict=True):
             axes.plot(steps, curve, marker="o", ms=2.5, **style)
-    factor, name = shown(unit(problem.asked))
-    rows[0].set_ylabel(_label(words(problem.asked), name, _SHORT), fontsize=8)
+    factor, name = shown(unit(problem.stated_objective))
+    rows[0].set_ylabel(_label(words(problem.stated_objective), name, _SHORT), fontsize=8)
     if all(value > 0.0 for line in rows[0].lines for value in np.asarray(line.get_ydata(), dtype=float)):
         rows[0].set_yscale("log")
     for axes, constraint, limit in zip(rows[1:], problem.constraints, first_limits(problem), strict=True):
@@ -134,7 +134,7 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
     """
     _require(problem)
     require_motion(motion)
-    if not isinstance(problem.asked, Total) or len(problem.asked.terms) < 2:
+    if not isinstance(problem.stated_objective, Total) or len(problem.stated_objective.terms) < 2:
         return None
     measure = problem.reference.measures[0]
     if problem.sign < 0.0:  # it is the negative of what is asked for
@@ -173,7 +173,7 @@ def _require(problem: Any) -> None:
 
 def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     """Objective, and every constrained response, over the iterates; of several rows the one nearest to its limit."""
-    factor, _ = shown(unit(problem.asked))
+    factor, _ = shown(unit(problem.stated_objective))
     curves = [problem.sign * factor * np.array([iterate.objective for iterate in history])]
     scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
     for constraint, own in zip(problem.constraints, problem.constraint_rows, strict=True):

@@ -32,7 +32,7 @@ def panels_of(problem: Problem) -> list[Panel]:
     """One for every history, in the order of the question."""
     found: list[Panel] = []
     limits = first_limits(problem)
-    for asked, limit in [(problem.asked, None), *zip(problem.constraints, limits, strict=True)]:
+    for asked, limit in [(problem.stated_objective, None), *zip(problem.constraints, limits, strict=True)]:
         outer = asked.measure if isinstance(asked, Constraint) else asked
         for history, measure in histories_of(outer):
             panel = next((known for known in found if known.history == history), None)
