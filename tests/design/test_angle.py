@@ -60,6 +60,7 @@ def test_errors_name_the_argument():
         ({"axis": "x", "seen_from": "c"}, "'c'"),
         ({"axis": "x", "seen_from": "a"}, "seen from itself"),
         ({"axis": "x", "center": math.nan}, "center of an angle is nan"),
+        ({"axis": "x", "center": "half"}, "center of an angle is 'half'"),
     ):
         with pytest.raises(mbd.InputError, match=said):
             Angle("a", **given).check(system)

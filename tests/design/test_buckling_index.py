@@ -283,3 +283,13 @@ def test_what_cannot_buckle_so_is_named(tmp_path):
         mbd.BucklingIndex("rod").check(other)
     with pytest.raises(mbd.InputError, match="'block' is rigid"):
         mbd.BucklingFactor("block").check(other)
+
+
+def test_loads_that_differ_in_the_fifth_digit_are_two_cases():
+    body = rod(cells=4)
+    system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))])
+    motion = mbd.simulate(system, 1e-4, steps=2)
+    loads = [torch.tensor([-force, 0.001, 0.0], dtype=torch.float64) for force in (1234.51, 1234.54)]
+    assert repr(loads[0]) == repr(loads[1])
+    first, second = (mbd.BucklingFactor("rod", {"end": load})(motion).item() for load in loads)
+    assert first / second == pytest.approx(1234.54 / 1234.51, rel=1e-9)

@@ -184,6 +184,7 @@ def test_points_that_are_not_in_order_are_named(points, message):
         (lambda: Damage(mbd.StrainEnergy("rod")), "curve is None"),
         (lambda: FatigueDamage("rod", {"33": 4.0}), "stress component '33'"),
         (lambda: FatigueDamage("rod", {"11": -4.0}), "exponent 11 is -4.0"),
+        (lambda: FatigueDamage("rod", {}), "exponent is {}; allowed: a positive number"),
         (lambda: FatigueDamage("rod", curves={}), "curves is {}"),
         (lambda: FatigueDamage("rod", curves={"11": 3}), "curve of component '11' is 3"),
         (lambda: FatigueDamage("rod", repeats=0), "repeats is 0"),

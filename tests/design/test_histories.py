@@ -140,6 +140,7 @@ def test_action_is_reaction_and_a_hinge_turns_freely(motion):
     ("history", "words"),
     [
         (Velocity("rod", "w"), "axis is 'w'; allowed: 'x', 'y', 'z', or a direction"),
+        (Velocity("rod", "100"), "axis is '100'; allowed: 'x', 'y', 'z', or a direction"),
         (Velocity("rod", (0.0, 0.0, 0.0)), "axis is (0.0, 0.0, 0.0)"),
         (Velocity("rod", "x", node="lefft"), "did you mean 'left'"),
         (Velocity("arm", "x", node="left"), "body 'arm' is rigid"),

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON
-from torchmbd.design.lamination import LaminationRules, between
+from torchmbd.design.lamination import LaminationRules, angle_between
 from torchmbd.errors import InputError
 
 PLY: dict = CARBON
@@ -19,7 +19,7 @@ ALL = LaminationRules(symmetric=True, balanced=True, max_step=45.0, min_share=0.
     ("a", "b", "expected"), [(0, 0, 0), (90, -90, 0), (60, -60, 60), (80, -80, 20), (45, -45, 90), (-30, 100, 50)]
 )
 def test_fibers_have_no_head(a, b, expected):
-    assert between(a, b) == between(b, a) == expected
+    assert angle_between(a, b) == angle_between(b, a) == expected
 
 
 @pytest.mark.parametrize(

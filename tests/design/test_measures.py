@@ -126,6 +126,24 @@ def test_few_numbers_in_reverse_and_many_in_forward_mode_have_the_same_gradients
             torch.testing.assert_close(one.gradient, many.gradient[:, k], rtol=1e-10, atol=1e-13)
 
 
+def test_the_value_at_a_time_is_that_of_a_history():
+    with pytest.raises(mbd.InputError, match=r"AtTime of 'rod'; allowed: a history, such as StrainEnergy\('rod'\)"):
+        AtTime("rod", 0.1)
+
+
+def test_an_equilibrium_has_values_at_its_times():
+    """One time, and times at unequal distances: a bead on a rail under a force of 50 t^2 across it."""
+    bead = mbd.RigidBody("bead", 1.0, (0.01, 0.01, 0.01))
+    rail = mbd.Prismatic(mbd.Ground().at(), bead.at(), axis="x", name="rail")
+    push = mbd.Force(bead.at(), lambda t: torch.stack([0.0 * t, 50.0 * t**2, 0.0 * t]), name="push")
+    system, reaction = mbd.System([bead], [rail], [push]), mbd.Reaction("rail", "y")
+    rest = mbd.equilibrium(system, 1.0)
+    assert AtTime(reaction, float(rest.t[0]))(rest).item() == pytest.approx(-50.0)
+    path = mbd.equilibrium(system, [0.0, 0.01, 0.02, 0.5, 1.0])
+    assert Min(reaction)(path).item() == pytest.approx(-50.0)
+    assert AtTime(reaction, 0.25)(path).item() == pytest.approx(-3.125)
+
+
 @pytest.mark.parametrize("number", [0, -1, 3, 1.5, True])
 def test_a_frequency_that_does_not_exist_is_named(number):
     """Also where no Problem has looked at the measure: 0 and -1 would be the last ones."""

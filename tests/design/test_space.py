@@ -64,6 +64,9 @@ def test_bounds_and_start_one_for_each(system):
         ({"bounds": (0.5, 2.0)}, ["start of one.laminate.angles[0]", "0.349", "0.5", "2.0"]),
         ({"start": [0.0, 1.0]}, ["start has shape (2,)", "5 numbers"]),
         ({"start": [np.nan] * 5}, ["start", "nan", "numbers"]),
+        ({"bounds": ("low", 1.0)}, ["lower is 'low'", "numbers"]),
+        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower is", "'b'", "numbers"]),
+        ({"variables": ["two.laminate.angles"] * 2}, ["variables is", "each parameter once"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )

@@ -115,7 +115,7 @@ def test_the_gradient_of_a_peak_is_the_slope_of_its_value(curvature):
 
     def highest(x: Tensor) -> Tensor:
         y, m, c = x.unbind(-2)
-        return Spline(t, y, m, (), c).highest()[:, 0]
+        return Spline(t, y, m, (), c).interval_maxima()[:, 0]
 
     slope = (highest(knots + 1e-7 * along) - highest(knots - 1e-7 * along)) / 2e-7
     assert_close(torch.func.jvp(highest, (knots,), (along,))[1], slope, rtol=1e-5, atol=1e-6)
@@ -265,3 +265,16 @@ def test_a_state_at_rest_has_one_time(rates):
         assert torch.autograd.grad(found.sum(), y, retain_graph=True)[0].tolist() == [[1.0], [1.0]]
     assert curve.mean(torch.square).tolist() == [4.0, 9.0]
     assert curve.integral().tolist() == [0.0, 0.0]
+
+
+def test_a_single_knot_has_its_value_at_its_time():
+    state = Spline.of(torch.zeros(1, dtype=torch.float64), torch.tensor([[3.0], [4.0]], dtype=torch.float64))
+    assert state.sampled(torch.zeros(2, dtype=torch.float64)).tolist() == [[3.0, 3.0], [4.0, 4.0]]
+
+
+@pytest.mark.parametrize(("times", "power"), [([0.0, 0.01], 1), ([0.0, 0.01, 0.02, 0.5, 1.0], 2)])
+def test_a_polynomial_at_unequal_times_is_exact(times, power):
+    t = torch.tensor(times, dtype=torch.float64)
+    curve, between = Spline.of(t, 50.0 * t**power), torch.linspace(0.0, times[-1], 7, dtype=torch.float64)
+    assert_close(curve.at(between), 50.0 * between**power)
+    assert float(curve.maximum()) == pytest.approx(50.0 * times[-1] ** power)

@@ -31,6 +31,10 @@ def tip_deviation(motion, factor=1.0):
         (1e3 * mbd.Mass(), "1000 · mass"),
         (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
         (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of z reaction of hinge [N m]"),
+        (
+            mbd.Damage(mbd.Reaction("hinge", "z"), curve=mbd.SNCurve([(1e3, 4e8), (1e6, 2e8)])),
+            "damage of z reaction of hinge",
+        ),
     ],
 )
 def test_titles(response, said):

@@ -1,10 +1,10 @@
-"""Many limits as one smooth number, whose gradient costs one reverse pass, and the sharpness that it needs.
+"""Many rows with one limit as one smooth number, whose gradient costs one reverse pass.
 
     ks       c/rho ln sum exp(rho y_k / c)     above the largest row by at most c ln(rows) / rho
     p_norm   (sum max(y_k, 0)^p)^(1/p)         above the largest row by at most the factor rows^(1/p)
 
-Both are above: who keeps the aggregate below a limit keeps all rows below it, with a margin that costs some of the optimum.
-`sharpen` (sharpen.py) takes the margin away.
+Both are not below the largest row: if the aggregate is below a limit, all rows are below it, with a margin that makes the
+optimum somewhat worse. `sharpen` (sharpen.py) removes the margin.
 
 Source: Kreisselmeier and Steinhauser, IFAC Symp. Computer Aided Design of Control Systems (1979) 113-117.
 Checked in tests/design/test_aggregate.py.
@@ -40,8 +40,8 @@ class Aggregate(Measure):
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
     >>> limits = [mbd.Max(mbd.Displacement("arm", axis, node="right")) for axis in ("y", "z")]
-    >>> together = mbd.Aggregate(limits, scale=1e-3)
-    >>> bool(together(motion) >= together.largest(motion))
+    >>> aggregate = mbd.Aggregate(limits, scale=1e-3)
+    >>> bool(aggregate(motion) >= aggregate.largest(motion))
     True
     """
 
@@ -79,7 +79,7 @@ class Aggregate(Measure):
         rows, rho = self._rows(motion), float(self.sharpness)
         if self.kind == "ks":
             return torch.logsumexp(rho / self.scale * rows, 1) * (self.scale / rho)
-        # By logarithms: no power overflows.
+        # Logarithms avoid overflow of powers.
         return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)
 
     def largest(self, motion: Trajectory) -> Tensor:

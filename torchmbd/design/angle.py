@@ -1,11 +1,11 @@
-"""Angle of a body about an axis, seen from another one or from the ground: how far a hinge is open, how well panels align.
+"""Angle of a body about an axis, seen from another body or from the ground, such as the angle of a hinge.
 
     theta = atan2(e . (u x R u), u . R u)        R = A_observer' A_body, u a unit vector across e
 
 e       axis, in the axes of the observer
-theta   the body's rotation about e where it turns about e alone; else that of u, projected along e    [rad]
+theta   the body's rotation about e if it turns about e alone; else the angle of u, projected along e    [rad]
 
-Told within half a turn to both sides of `center`. Differentiable where u is not turned into e.
+theta is within half a turn of `center`. Differentiable where the turned u is not parallel to e.
 Checked in tests/design/test_angle.py.
 """
 
@@ -17,16 +17,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchmbd.design.histories import GROUND, Direction, direction
+from torchmbd.design.histories import GROUND, Direction, unit_vector
 from torchmbd.design.response import History
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 
 
 @dataclass(frozen=True)
 class Angle(History):
-    """Rotation of a body about an axis of another one [lanes, times] [rad].
+    """Rotation of a body about an axis of another body, or of the ground [lanes, times] [rad].
 
     body       the body that turns
     axis       "x", "y", "z" or a direction of three numbers, in the axes of the observer
@@ -44,18 +45,16 @@ class Angle(History):
     center: float = 0.0
 
     def check(self, system: System) -> None:
-        direction(self.axis)
+        unit_vector(self.axis)
         system.body(self.body)
         if self.seen_from != GROUND:
             system.body(self.seen_from)
         if self.seen_from == self.body:
             raise InputError(f"angle of {self.body!r} seen from itself is zero; allowed: another body, or 'ground'")
-        if isinstance(self.center, bool) or not math.isfinite(self.center):
-            raise InputError(f"center of an angle is {self.center!r}; allowed: a finite number [rad]")
+        scalar("center of an angle", self.center, "a finite number [rad]")
 
     def values(self, motion: Trajectory) -> Tensor:
-        """Angle [lanes, times] [rad]."""
-        e = direction(self.axis)
+        e = unit_vector(self.axis)
         u = torch.eye(3, dtype=e.dtype)[int(e.abs().argmin())]
         u = torch.linalg.cross(e, u)
         u = u / u.norm()

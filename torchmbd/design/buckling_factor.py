@@ -2,7 +2,7 @@
 
     BucklingFactor("panel", {"right": (-1e3, 0, 0)}, {"left": "all"}) >= 1.5
 
-It is infinite, without a gradient, for a design that the loads do not buckle.
+The factor is infinite, without a gradient, for a design that the loads do not buckle.
 Checked in tests/contracts/test_responses.py, tests/multibody/statics/test_buckling.py.
 """
 
@@ -16,18 +16,21 @@ from weakref import WeakKeyDictionary
 from torch import Tensor, nn
 
 from torchmbd.design.buckling_index import BucklingIndex
-from torchmbd.design.histories import flexible
+from torchmbd.design.histories import flexible_body
 from torchmbd.design.measures import Max
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.digest import digest
 from torchmbd.math.module_call import call_module, outside_transforms
 from torchmbd.multibody.statics import BucklingCase
 from torchmbd.multibody.statics.buckling import reciprocal
 from torchmbd.multibody.system import System
 
-_CASES: WeakKeyDictionary[nn.Module, list[tuple[Any, BucklingCase]]] = WeakKeyDictionary()
+_CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = (
+    WeakKeyDictionary()
+)  # body -> digest of loads and supports
 
 
 @dataclass(frozen=True)
@@ -77,18 +80,15 @@ class BucklingFactor(Measure):
         return Max(BucklingIndex(self.body, self.supports, self.number))
 
     def _case(self, system: System, loads: Mapping[Any, Sequence[float]]) -> BucklingCase:
-        body = flexible(system, self.body)
-        asked = repr((loads, self.supports))
-        known = _CASES.setdefault(body, [])
-        for key, case in known:
-            if key == asked:
-                return case
-        known.append((asked, outside_transforms(lambda: BucklingCase(body, loads, self.supports))))
-        return known[-1][1]
+        body = flexible_body(system, self.body)
+        cases, key = _CASES.setdefault(body, {}), digest(loads, self.supports)
+        if key not in cases:
+            cases[key] = outside_transforms(lambda: BucklingCase(body, loads, self.supports))
+        return cases[key]
 
 
 class _Factors(nn.Module):
-    """Factors as a module of the whole system, so that designs go by their names."""
+    """Buckling factors of a case, as a module that holds the system: designs replace its parameters."""
 
     def __init__(self, system: nn.Module, case: BucklingCase, number: int):
         super().__init__()

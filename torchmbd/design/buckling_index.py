@@ -19,18 +19,19 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor, nn
 
-from torchmbd.design.histories import flexible
+from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.digest import digest
 from torchmbd.math.module_call import call_module, outside_transforms
 from torchmbd.multibody.bodies import FlexibleBeam
 from torchmbd.multibody.statics import BucklingSeries, UnitLoads
 from torchmbd.multibody.system import System
 from torchmbd.results.body_loads import body_loads, carriers
 
-_SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()
+_SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()  # body -> digest of supports
 
 
 @dataclass(frozen=True)
@@ -62,12 +63,14 @@ class BucklingIndex(History):
 
     def values(self, motion: Trajectory) -> Tensor:
         system, view = motion.system, motion.body(self.body)
-        series, body = self._series(system), flexible(system, self.body)
+        series, body = self._series(system), flexible_body(system, self.body)
         loads = body_loads(motion, body)
         unit = outside_transforms(lambda: UnitLoads(body, carriers(system, body)))
-        present = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
-        designs = {f"system.{name}": x for name, x in present.items()}
-        c = torch.cat([view.w, loads.inertia, loads.carried.flatten(2)], -1)
+        parameters = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
+        designs = {f"system.{name}": x for name, x in parameters.items()}
+        c = torch.cat(
+            [view.w, loads.inertia, loads.carried.flatten(2)], -1
+        )  # amplitudes of modes and static displacements
         index = call_module(_Index(system, series, unit, self.number), designs, view.psi, view.stiffness[0], c)
         return index[..., -1]
 
@@ -76,20 +79,20 @@ class BucklingIndex(History):
             raise InputError(
                 f"body {self.body!r} is a flexible beam, which buckles in its motion; allowed: a FlexibleBody of elements"
             )
-        body = flexible(system, self.body)
-        known, asked = _SERIES.setdefault(body, {}), repr(self.supports)
-        if asked not in known:
-            known[asked] = outside_transforms(lambda: BucklingSeries(body, self.supports))
-        return known[asked]
+        body = flexible_body(system, self.body)
+        series, key = _SERIES.setdefault(body, {}), digest(self.supports)
+        if key not in series:
+            series[key] = outside_transforms(lambda: BucklingSeries(body, self.supports))
+        return series[key]
 
 
 class _Index(nn.Module):
-    """Indices as a module of the whole system, so that designs go by their names."""
+    """Buckling indices of a series of stresses, as a module that holds the system: designs replace its parameters."""
 
     def __init__(self, system: nn.Module, series: BucklingSeries, unit: UnitLoads, number: int):
         super().__init__()
         self.system, self.series, self.unit, self.number = system, series, unit, number
 
     def forward(self, psi: Tensor, Kr: Tensor, c: Tensor) -> Tensor:
-        moved = torch.cat([psi, self.unit(psi, Kr)], -1)
-        return self.series(moved, c, self.number)
+        displacements = torch.cat([psi, self.unit(psi, Kr)], -1)
+        return self.series(displacements, c, self.number)

@@ -1,13 +1,13 @@
-"""Time-dependent criteria as rows: one limit that holds at many times; eqs. (20), (22), (23).
+"""Time-dependent criteria as rows: one limit for the values at many times; eqs. (20), (22), (23).
 
     AtTimes    y(t_k) at fixed times                         all points of eq. (23)
-    AtPeaks    the highest local maxima of y, wherever they are in this design: critical points, located anew each time
+    AtPeaks    the highest local maxima of y: critical points, located in the motion of each design
 
     AtPeaks(StrainEnergy("rod"), count=8) <= 0.5            a constraint at critical points
     Problem(minimize=AtPeaks(StrainEnergy("rod")), ...)     min-max by an extra variable (problem.py)
 
-A maximum that moves, grows or gives way to another is a kink of Max, but not of the rows together: each of several
-equal peaks keeps its own gradient. Lower limits: AtPeaks(-y) <= -c.
+Max is not smooth where another peak becomes the largest. The rows of AtPeaks keep the gradients of all peaks there.
+Lower limits: AtPeaks(-y) <= -c.
 Checked in tests/contracts/test_responses.py, tests/design/test_formulations.py.
 """
 
@@ -27,7 +27,7 @@ from torchmbd.errors import InputError
 
 @dataclass(frozen=True)
 class AtTimes(OfHistory):
-    """A history at many times [lanes, rows], in its unit: one limit holds for all; eq. (23).
+    """Values of a history at many times [lanes, rows], in its unit, with one limit; eq. (23).
 
     count  number of equally spaced times of the window, ends included
     times  [s], instead of count and window
@@ -45,7 +45,7 @@ class AtTimes(OfHistory):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _positive("count", self.count, 2)
+        _check_count(self.count, 2)
         if self.times is None:
             return
         if self.window is not None:
@@ -83,7 +83,7 @@ class AtPeaks(OfHistory):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _positive("count", self.count, 1)
+        _check_count(self.count, 1)
 
     @property
     def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -98,6 +98,6 @@ class AtPeaks(OfHistory):
         raise InputError("AtPeaks >= limit looks at maxima; allowed: AtPeaks(-history) <= -limit")
 
 
-def _positive(name: str, count: int, least: int) -> None:
+def _check_count(count: object, least: int) -> None:
     if isinstance(count, bool) or not isinstance(count, int) or count < least:
-        raise InputError(f"{name} is {count!r}; allowed: an integer, at least {least}")
+        raise InputError(f"count is {count!r}; allowed: an integer, at least {least}")

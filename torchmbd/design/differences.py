@@ -1,12 +1,12 @@
-"""Finite differences: the third route to gradients, for comparison only (eq. 29).
+"""Gradients by finite differences, for comparison with the exact ones only (eq. 29).
 
     central    df/db_k = (f(b + h_k/2 e_k) - f(b - h_k/2 e_k)) / h_k        error of order h^2, 2 n more simulations
     forward    df/db_k = (f(b + h_k e_k) - f(b)) / h_k                      error of order h, n more simulations
 
-`Differences(problem)` is a problem like the one that it wraps, with gradients by differences in the same Evaluation, so
-that optimizers, studies and figures take either. A large step cuts the Taylor series off, a small one divides what the
-integrator left of the rounding by h: which step is good is not known beforehand, and depends on the design (section 5.1).
-All neighbors are simulated in one batch with the designs. Differences by a step forward turn back at an upper bound.
+`Differences(problem)` wraps a problem: its evaluations have gradients by differences, so that optimizers, studies and figures
+accept either. A large step has a large truncation error; a small step divides errors of rounding and of the integrator by h.
+The best step depends on the design and is not known beforehand (section 5.1).
+The shifted designs are simulated in one batch with the designs. Near an upper bound "forward" steps backward.
 Checked in tests/design/test_differences.py.
 """
 
@@ -33,7 +33,7 @@ def differences(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values [lanes, ...] and slopes [lanes, ..., n] of a function of a batch of designs [lanes, n], called once.
 
-    step     Delta b in the units of b: one for all variables, one for each [n], or of every design its own [lanes, n]
+    step     Delta b in the units of b: one for all variables, one for each [n], or one for each of every design [lanes, n]
     scheme   "central" or "forward"
     Raises InputError for steps that are not positive, or so small that a design does not change.
     """
@@ -43,15 +43,15 @@ def differences(
     lanes, n = X.shape
     h = np.broadcast_to(_steps(step, n, lanes), X.shape)
     sides = [h / 2, -h / 2] if scheme == "central" else [np.where(X + h > upper, -h, h)]
-    # each variable alone by its own step: [lanes, n, n]
+    # designs in which one variable is shifted [lanes, n, n]
     ends = [X[:, None, :] + side[:, :, None] * np.eye(n) for side in sides]
     values = function(np.concatenate([X, *(end.reshape(-1, n) for end in ends)]))
     middle, tails = values[:lanes], values[lanes:].reshape(len(ends), lanes, n, *values.shape[1:])
     start, origin = (tails[1], ends[1]) if scheme == "central" else (middle[:, None], X[:, None, :])
-    moved = np.diagonal(ends[0] - origin, axis1=1, axis2=2)  # the steps as rounding left them
-    if not moved.all():
+    actual = np.diagonal(ends[0] - origin, axis1=1, axis2=2)  # steps after rounding
+    if not actual.all():
         raise InputError(f"step = {step!r} does not change a design; allowed: larger steps")
-    slopes = (tails[0] - start) / moved.reshape(lanes, n, *[1] * (values.ndim - 1))
+    slopes = (tails[0] - start) / actual.reshape(lanes, n, *[1] * (values.ndim - 1))
     return middle, np.moveaxis(slopes, 1, -1)
 
 
@@ -65,9 +65,9 @@ def _steps(step: Any, n: int, lanes: int | None = None) -> np.ndarray:
 
 
 class Differences:
-    """A problem whose gradients are finite differences; everything else is that of the problem.
+    """A problem whose gradients are finite differences; all other attributes are those of the wrapped problem.
 
-    problem   what to evaluate
+    problem   the wrapped problem
     step      Delta b of eq. (29) in the units of the design [rad for angles], one for all or one for each variable
     scheme    "central" or "forward"
 
@@ -85,12 +85,12 @@ class Differences:
         self._problem, self.step, self.scheme = problem, _steps(step, len(problem.names)), scheme
 
     def __getattr__(self, name: str) -> Any:
-        if name == "_problem":  # not yet there while an instance is unpickled
+        if name == "_problem":  # missing while an instance is unpickled
             raise AttributeError(name)
         return getattr(self._problem, name)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n]; with gradients together with all their neighbors, in one batch."""
+        """Evaluate designs [lanes, n]; with gradients, they and all shifted designs are one batch."""
         X = np.asarray(X, dtype=float)
         if not gradients:
             return self._problem.evaluate(X, False)
@@ -102,16 +102,16 @@ class Differences:
 
         _, slopes = differences(numbers, X, self.step, self.scheme, self._problem.upper)
         lanes = len(X)
-        of_lane = np.arange(lanes, len(evaluations)).reshape(-1, *X.shape)  # [ends, lanes, n]
+        shifted = np.arange(lanes, len(evaluations)).reshape(-1, *X.shape)  # indices of evaluations [ends, lanes, n]
         return [
-            self._evaluation(evaluations[lane], [evaluations[i] for i in of_lane[:, lane].flat], slopes[lane])
+            self._evaluation(evaluations[lane], [evaluations[i] for i in shifted[:, lane].flat], slopes[lane])
             for lane in range(lanes)
         ]
 
     @staticmethod
-    def _evaluation(own: Evaluation, neighbors: Sequence[Evaluation], slopes: np.ndarray) -> Evaluation:
+    def _evaluation(center: Evaluation, neighbors: Sequence[Evaluation], slopes: np.ndarray) -> Evaluation:
         failed = next((e.status for e in neighbors if not e.ok), None)
-        if not own.ok or failed is not None:
-            reason = own.status if not own.ok else f"failed: a neighbor of the design: {failed}"
-            return Evaluation.failure(reason, len(own.constraints))
-        return Evaluation(own.objective, own.constraints, slopes[0], slopes[1:])
+        if not center.ok or failed is not None:
+            reason = center.status if not center.ok else f"failed: a neighbor of the design: {failed}"
+            return Evaluation.failure(reason, len(center.constraints))
+        return Evaluation(center.objective, center.constraints, slopes[0], slopes[1:])

@@ -1,6 +1,6 @@
-"""Design gradients of functions of a motion, lane by lane: the chain rule of eq. (27) by torch.
+"""Gradients of functions of a motion by the design variables of each lane: the chain rule of eq. (27) by torch.
 
-Lanes do not see each other: the gradient of a sum over lanes by the designs of each lane is that of each.
+Lanes are independent: the gradient of a sum over lanes by the design of a lane is the gradient of this lane's term.
 Checked in tests/contracts/test_responses.py.
 """
 
@@ -17,55 +17,56 @@ from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.module_call import exclusive
 
-ROWS = 16  # whose cotangents of a whole motion are in memory at a time
+ROWS = 16  # rows whose cotangents of a whole motion are in memory at the same time
 
 
-class Valued(NamedTuple):
-    """A value with its design gradient; None for a motion that has none."""
+class ValueAndGradient(NamedTuple):
+    """A value [lanes, ...] and its gradient [lanes, ..., n_b]; None for a motion without gradients."""
 
     value: Tensor
     gradient: Tensor | None
 
 
 @exclusive
-def differentiate(f: Callable[[Any], Tensor | Sequence[Tensor]], motion: Trajectory) -> Valued:
+def differentiate(f: Callable[[Any], Tensor | Sequence[Tensor]], motion: Trajectory) -> ValueAndGradient:
     """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`.
 
-    Where the value is nan, as in lanes that failed, the gradient is.
+    The gradient is nan where the value is, as in lanes that failed.
 
-    f may return several tensors [lanes, rows], which become one: each is pulled back by itself, so that many rows of one cost
-    nothing of what another is computed from.
+    f may return several tensors [lanes, rows], whose rows are concatenated. Each tensor is pulled back by itself, so that the
+    many rows of one tensor are not pulled back through the operations of another.
     """
     if not isinstance(motion, Trajectory):
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
-    shared = replace(motion, known={})  # what measures share lives as long as this
+    shared = replace(motion, known={})  # curves that measures share are kept until this function returns
     inputs = list(motion.variables.values())
     if not any(x.requires_grad for x in inputs):
         with torch.no_grad():
-            return Valued(_joined(f(shared)), None)
-    with torch.inference_mode(False), torch.enable_grad():  # wherever the caller is
-        given = f(shared)
-        each = [given] if isinstance(given, Tensor) else given
-        rows = [x.flatten(1).sum(0) if x.dim() > 1 else x.sum()[None] for x in each]  # of each row the sum over lanes
-        parts = [_gradients(some, inputs) for own in rows for some in own.split(ROWS)]
-    found = _joined(given).detach()
-    gradient = torch.cat(parts, 1).reshape(*found.shape, -1)
-    return Valued(found, torch.where(found.isnan()[..., None], torch.nan, gradient))  # of lanes that failed
+            return ValueAndGradient(_joined(f(shared)), None)
+    with torch.inference_mode(False), torch.enable_grad():  # in any mode of the caller
+        values = f(shared)
+        tensors = [values] if isinstance(values, Tensor) else values
+        sums = [x.flatten(1).sum(0) if x.dim() > 1 else x.sum()[None] for x in tensors]  # over lanes [rows]
+        parts = [_gradients(rows, inputs) for sum_of_tensor in sums for rows in sum_of_tensor.split(ROWS)]
+    value = _joined(values).detach()
+    gradient = torch.cat(parts, 1).reshape(*value.shape, -1)
+    return ValueAndGradient(value, torch.where(value.isnan()[..., None], torch.nan, gradient))
 
 
-def _joined(found: Tensor | Sequence[Tensor]) -> Tensor:
-    return found if isinstance(found, Tensor) else torch.cat(list(found), 1)
+def _joined(values: Tensor | Sequence[Tensor]) -> Tensor:
+    return values if isinstance(values, Tensor) else torch.cat(list(values), 1)
 
 
 def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     """Gradients [lanes, rows, n_b] of numbers [rows] by inputs [lanes, ...]."""
-    if not rows.requires_grad:  # of nothing that depends on the design
+    if not rows.requires_grad:  # no row depends on the design
         return torch.zeros(len(inputs[0]), len(rows), sum(x[0].numel() for x in inputs), dtype=torch.float64)
     options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
 
     def pulled(weights: Tensor) -> tuple[Tensor, ...]:
         return torch.autograd.grad(rows, inputs, weights, **options)
 
-    unit = torch.eye(len(rows), dtype=rows.dtype)  # all rows in one pass, as `Motion` does them
-    found = torch.vmap(pulled)(unit) if len(rows) > 1 else pulled(unit[0])
-    return torch.cat([x.reshape(len(rows), len(y), -1) for x, y in zip(found, inputs, strict=True)], -1).transpose(0, 1)
+    unit = torch.eye(len(rows), dtype=rows.dtype)  # all rows in one backward pass
+    gradients = torch.vmap(pulled)(unit) if len(rows) > 1 else pulled(unit[0])
+    parts = [x.reshape(len(rows), len(y), -1) for x, y in zip(gradients, inputs, strict=True)]
+    return torch.cat(parts, -1).transpose(0, 1)

@@ -1,10 +1,10 @@
-"""What a layup machine asks of steered fibers: curvature and divergence of their paths, as limits of a design.
+"""Curvature and divergence of steered fiber paths, which layup machines limit, as measures of a design.
 
     mbd.FiberCurvature("rod") <= 1 / 0.4            steering radius of at least 0.4 m
     mbd.FiberDivergence("rod") <= 0.5               neighboring paths drift apart by at most 5 % in 0.1 m
 
-The largest absolute value over the n cells and layers (fem/elements/steered_laminate.py). Exact, it has corners where its
-place changes. With a power p it is the p-norm, which is smooth, and too large by at most the factor n^(1/p):
+The measure is the largest absolute value over the n cells and layers (fem/elements/steered_laminate.py), which is not smooth
+where another cell becomes the largest. With a power p it is the p-norm, smooth and too large by at most the factor n^(1/p):
 
     (sum_i |x_i|^p)^(1/p)
 
@@ -29,7 +29,9 @@ from torchmbd.multibody.system import System
 
 
 @dataclass(frozen=True)
-class _OfPaths(Measure):
+class _PathMeasure(Measure):
+    """The largest absolute value, or the p-norm, of a quantity of all cells and layers [lanes]."""
+
     body: str
     power: float | None = None
 
@@ -38,23 +40,23 @@ class _OfPaths(Measure):
             raise InputError(f"power is {self.power!r}; allowed: a number of at least 2, or None for the exact largest")
 
     def check(self, system: System) -> None:
-        steered(system, self.body)
+        steered_parts(system, self.body)
 
     def value(self, motion: Trajectory) -> Tensor:
-        steered(motion.system, self.body)
+        steered_parts(motion.system, self.body)
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        found = call_module(_Paths(motion.system, self.body), designs)
-        x = torch.cat([self.values_of(paths).flatten(-2) for paths in found], -1)
+        parts = call_module(_Paths(motion.system, self.body), designs)
+        x = torch.cat([self.values_of(paths).flatten(-2) for paths in parts], -1)
         largest = x.abs().amax(-1)
-        return (largest if self.power is None else norm(x, largest.detach(), self.power)).expand(motion.lanes)
+        return (largest if self.power is None else p_norm(x, largest.detach(), self.power)).expand(motion.lanes)
 
     def values_of(self, paths: FiberPaths) -> Tensor:
-        """The values [..., cells, layers]."""
+        """The quantity of all cells and layers [..., cells, layers] [1/m]."""
         raise NotImplementedError(type(self).__name__)
 
 
 @dataclass(frozen=True)
-class FiberCurvature(_OfPaths):
+class FiberCurvature(_PathMeasure):
     """Largest curvature of the fiber paths of a body with steered laminates [lanes] [1/m], one over the steering radius.
 
     body   its name
@@ -71,7 +73,7 @@ class FiberCurvature(_OfPaths):
 
 
 @dataclass(frozen=True)
-class FiberDivergence(_OfPaths):
+class FiberDivergence(_PathMeasure):
     """Largest relative growth of the distance of neighboring fiber paths, along them [lanes] [1/m]; gaps and overlaps.
 
     body   its name
@@ -86,7 +88,7 @@ class FiberDivergence(_OfPaths):
         return paths.divergence
 
 
-def steered(system: System, name: str) -> list[Any]:
+def steered_parts(system: System, name: str) -> list[Any]:
     """The parts of a body whose laminates are steered; InputError where there are none."""
     body = system.body(name)
     parts = [part for part in getattr(body, "plates", {}).values() if isinstance(part.laminate, SteeredLaminate)]
@@ -96,7 +98,7 @@ def steered(system: System, name: str) -> list[Any]:
 
 
 class _Paths(nn.Module):
-    """Paths as a module of the whole system, so that designs go by their names."""
+    """Fiber paths of all steered parts of a body, as a module that holds the system: designs replace its parameters."""
 
     system: Any
 
@@ -105,17 +107,17 @@ class _Paths(nn.Module):
         self.system, self.name = system, name
 
     def forward(self) -> list[FiberPaths]:
-        found = []
-        for part in steered(self.system, self.name):
+        paths = []
+        for part in steered_parts(self.system, self.name):
             matrices = part.matrices
             axes = torch.empty_like(matrices.axes)
             axes[matrices.zones] = matrices.axes  # from the order of the elements to that of the field
-            found.append(part.laminate.paths(axes))
-        return found
+            paths.append(part.laminate.paths(axes))
+        return paths
 
 
-def norm(x: Tensor, scale: Tensor, power: float) -> Tensor:
-    """The p-norm; numbers are scaled, so that none overflows. Of zeros it is zero, and so are its derivatives."""
+def p_norm(x: Tensor, scale: Tensor, power: float) -> Tensor:
+    """The p-norm over the last axis of x; `scale` [...] avoids overflow. The norm of zeros, and its derivatives, are zero."""
     m = scale.clamp(min=torch.finfo(x.dtype).tiny)
     total = ((x / m[..., None]).abs() ** power).sum(-1)
     return m * torch.where(total > 0.0, total, 1.0) ** (1.0 / power) * (total > 0.0)

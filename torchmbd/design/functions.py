@@ -1,10 +1,10 @@
-"""Responses of one's own: a function of the motion as a history or a measure.
+"""Functions of the motion that a user writes, as histories and measures.
 
     @mbd.history
     def reach(motion):
         return motion.body("rod").at("right").position.norm(dim=-1)
 
-Written with torch operations; the gradient comes as for every response (response.py).
+The functions use torch operations; gradients are computed as for every response (response.py).
 Checked in tests/contracts/test_responses.py.
 """
 
@@ -30,7 +30,7 @@ class FunctionHistory(History):
     unit: str | None = None
 
     def values(self, motion: Trajectory) -> Tensor:
-        return shaped(self.function, motion, (motion.lanes, len(motion.t)))
+        return _checked_call(self.function, motion, (motion.lanes, len(motion.t)))
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class FunctionMeasure(Measure):
     unit: str | None = None
 
     def value(self, motion: Trajectory) -> Tensor:
-        return shaped(self.function, motion, (motion.lanes,))
+        return _checked_call(self.function, motion, (motion.lanes,))
 
 
 def _callable(function: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
@@ -56,13 +56,13 @@ def _unit(unit: str | None) -> str | None:
     return unit
 
 
-def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
-    """Call a user's function; InputError if it does not return what it must."""
+def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
+    """The result of a user's function of a motion; InputError unless it has the required shape."""
     result = function(motion)
     if not isinstance(result, Tensor) or result.shape != shape or not result.is_floating_point():
-        found = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
+        returned = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
         name = getattr(function, "__name__", repr(function))
-        raise InputError(f"response {name!r} returned {found}; allowed: a tensor of shape {shape}, real numbers")
+        raise InputError(f"response {name!r} returned {returned}; allowed: a tensor of shape {shape}, real numbers")
     return result
 
 
@@ -73,11 +73,11 @@ def history(function: None = None, unit: str | None = None) -> Callable[[Callabl
 def history(function: Any = None, unit: str | None = None) -> Any:
     """Make a history from a function of the motion.
 
-    function  motion -> [lanes, times] in any unit, of torch operations; these give its gradient. What leaves torch
-              (detach, numpy, float) has no gradient
-    unit      SI unit of its numbers, "N", in figures and tables (of an angle "rad"): @mbd.history(unit="N")
+    function  motion -> [lanes, times] in any unit, of torch operations, which give its gradient. Numbers that leave
+              torch (detach, numpy, float) have no gradient
+    unit      SI unit of the values, for figures and tables, such as "N", or "rad" of an angle: @mbd.history(unit="N")
 
-    The same function is called for one design and for a batch. torchmbd/results/trajectory.py lists the attributes of a
+    The function is called for one design and for a batch. torchmbd/results/trajectory.py lists the attributes of a
     motion. A call raises InputError if the function returns another shape.
 
     >>> @mbd.history

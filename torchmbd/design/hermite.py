@@ -25,7 +25,7 @@ _LEFT: dict[int, tuple[tuple[float, ...], ...]] = {
 
 
 def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivative: int = 0) -> Tensor:
-    """The polynomial, or a derivative by time, at t0 + s h.
+    """The polynomial, or a derivative of it by time, at t0 + s h [..., n].
 
     ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends [..., n]
     h      length of the interval [s] [n]
@@ -38,14 +38,14 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
     sizes = torch.stack([h ** (k - derivative) for k in range(len(ends)) for _ in range(2)])
     weights = torch.tensordot(table, torch.stack(powers), 1)
     weights = weights * sizes.reshape(len(sizes), *[1] * (s.dim() - 1), -1)
-    # One product of what depends on the design with what does not.
-    given = torch.stack([x for pair in ends for x in pair])
-    return (weights.reshape(len(weights), *[1] * (given.dim() - weights.dim()), *s.shape) * given).sum(0)
+    # One product: weights do not depend on the design, values and derivatives at the ends do.
+    at_ends = torch.stack([x for pair in ends for x in pair])
+    return (weights.reshape(len(weights), *[1] * (at_ends.dim() - weights.dim()), *s.shape) * at_ends).sum(0)
 
 
 @cache
 def _table(kinds: int, derivative: int) -> list[list[float]]:
-    """Coefficients, by powers of s, of what value, value, slope, slope, ... of the ends count."""
+    """Coefficients, by powers of s, of the weights of value, value, slope, slope, ... at both ends."""
     rows = []
     for k, left in enumerate(_LEFT[kinds]):
         for row in (left, tuple((-1.0) ** k * c for c in _mirrored(left))):
@@ -56,6 +56,6 @@ def _table(kinds: int, derivative: int) -> list[list[float]]:
 
 
 def _mirrored(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Those of L(1 - s)."""
+    """Coefficients of L(1 - s)."""
     n = len(coefficients)
     return tuple((-1) ** j * sum(comb(i, j) * coefficients[i] for i in range(j, n)) for j in range(n))

@@ -1,18 +1,19 @@
-"""Histories of a motion: strain energy, motion of points, reactions.
+"""Histories of a motion: strain energy, positions and rates of points, reactions.
 
     StrainEnergy            U = 1/2 w' Kr w                                                    [J]   eq. (17)
     Position                of a point, seen from a body or the ground                          [m]
-    Displacement            what changed of it since the start; of a flexible body seen from itself: elastic
+    Displacement            change of position since the start; of a flexible body seen from itself: elastic
     Velocity, Acceleration  rates of the position as the observer sees it                       [m/s], [m/s2]
     RelativeDisplacement    u_a - u_b of two nodes of a body: local torsion, eq. (38)           [m]
     Reaction                force or torque that a joint exerts on a body                       [N], [N m]
 
-A vector is given by a component: an axis "x", "y", "z" or a direction of three numbers, in the axes of the observer, or
-in those of another body (`axes`). Seen from a body with rotation A and origin r, a point g is at y = A'(g - r), and
+A history of a vector has one component of it: along "x", "y", "z" or a direction of three numbers, in the axes of the observer
+or of another body (`axes`). Seen from a body with rotation A and origin r, a point g is at y = A'(g - r), and
 
     y' = A'(g - r)' - om x y          y'' = A'(g - r)'' - om x (A'(g - r)' + y') - om' x y
 
-Rates by time are known exactly, but for velocities, accelerations, reactions and components in axes of another body.
+Rates by time are exact except of velocities, accelerations, reactions and components in axes of another body: there they
+come from differences.
 Over 300 lines: a short class for each history.
 """
 
@@ -51,7 +52,7 @@ class StrainEnergy(History):
     body: str
 
     def check(self, system: System) -> None:
-        elastic(system, self.body)
+        elastic_body(system, self.body)
 
     def values(self, motion: Trajectory) -> Tensor:
         return motion.body(self.body).strain_energy
@@ -100,10 +101,10 @@ class Position(History):
         return GROUND if self.seen_from is None else self.seen_from
 
     def check(self, system: System) -> None:
-        direction(self.axis)
+        unit_vector(self.axis)
         body = system.body(self.body)
         if self.node is not None:
-            elastic(system, self.body).at(self.node)
+            elastic_body(system, self.body).at(self.node)
         if self.point is not None and isinstance(body, FlexibleBody | FlexibleBeam):
             raise InputError(f"point is {self.point!r} on the flexible body {self.body!r}; allowed: node")
         for name in (self.observer, self.axes):
@@ -111,23 +112,23 @@ class Position(History):
                 system.body(name)
 
     def values(self, motion: Trajectory) -> Tensor:
-        return component(motion, self.vector(motion), self.axis, self.observer, self.axes)
+        return vector_component(motion, self.vector(motion), self.axis, self.observer, self.axes)
 
     def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
         if self.order or self.axes not in (
             None,
             self.observer,
-        ):  # the third rate, and those of other axes, are not known
+        ):  # third rates, and rates of other axes, are not available
             return None
-        _, slow, fast = (x @ direction(self.axis) for x in self._seen(motion))
-        return slow, fast
+        _, rate, second_rate = (x @ unit_vector(self.axis) for x in self._seen(motion))
+        return rate, second_rate
 
     def vector(self, motion: Trajectory) -> Tensor:
         """The vector [lanes, times, 3] in the axes of the observer."""
         return self._seen(motion)[self.order]
 
     def _seen(self, motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
-        """Position, velocity and acceleration as the observer sees them, in his axes."""
+        """Position, velocity and acceleration of the point relative to the observer, in its axes [lanes, times, 3]."""
         view = motion.body(self.body)
         point = view.at(self.point if self.node is None else self.node)
         if self.observer == self.body and not isinstance(view, BeamMotion):
@@ -137,8 +138,8 @@ class Position(History):
             return jets
         body = motion.body(self.observer)
         origin = body.at()
-        own = origin.position, origin.velocity, origin.acceleration
-        y, yd, ydd = (torch.einsum("ltji,ltj->lti", body.A, g - r) for g, r in zip(jets, own, strict=True))
+        origin_jets = origin.position, origin.velocity, origin.acceleration
+        y, yd, ydd = (torch.einsum("ltji,ltj->lti", body.A, g - r) for g, r in zip(jets, origin_jets, strict=True))
         rate = yd - _cross(body.omega, y)
         return y, rate, ydd - _cross(body.omega, yd + rate) - _cross(body.omega_rate, y)
 
@@ -221,22 +222,22 @@ class RelativeDisplacement(History):
     axes: str | None = None
 
     def check(self, system: System) -> None:
-        direction(self.axis)
+        unit_vector(self.axis)
         for node in (self.a, self.b):
-            flexible(system, self.body).at(node)
+            flexible_body(system, self.body).at(node)
         if self.axes not in (None, GROUND):
             system.body(self.axes)
 
     def values(self, motion: Trajectory) -> Tensor:
         body = motion.body(self.body)
         u = body.at(self.a).displacement - body.at(self.b).displacement
-        return component(motion, u, self.axis, self.body, self.axes)
+        return vector_component(motion, u, self.axis, self.body, self.axes)
 
     def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
         if self.axes not in (None, self.body):
             return None
         a, b = (motion.body(self.body).at(node) for node in (self.a, self.b))
-        return (a.slow - b.slow) @ direction(self.axis), (a.fast - b.fast) @ direction(self.axis)
+        return (a.slow - b.slow) @ unit_vector(self.axis), (a.fast - b.fast) @ unit_vector(self.axis)
 
 
 @dataclass(frozen=True)
@@ -261,7 +262,7 @@ class Reaction(History):
     axes: str | None = None
 
     def check(self, system: System) -> None:
-        direction(self.axis)
+        unit_vector(self.axis)
         joint = joint_named(system, self.joint)
         if self.kind not in ("force", "torque"):
             raise unknown("kind of reaction", self.kind, ("force", "torque"))
@@ -274,25 +275,25 @@ class Reaction(History):
         joint = joint_named(motion.system, self.joint)
         side = joint.b if self.on in (None, joint.b.body.name) else joint.a
         force, torque = reaction_on(motion, joint, side, frame_point(motion, side))
-        return component(motion, force if self.kind == "force" else torque, self.axis, GROUND, self.axes)
+        return vector_component(motion, force if self.kind == "force" else torque, self.axis, GROUND, self.axes)
 
 
-def component(motion: Trajectory, x: Tensor, axis: Direction, observer: str, axes: str | None) -> Tensor:
-    """Component [lanes, times] of a vector given in the observer's axes, along an axis of the body `axes`."""
+def vector_component(motion: Trajectory, x: Tensor, axis: Direction, observer: str, axes: str | None) -> Tensor:
+    """Component [lanes, times] of a vector x [lanes, times, 3] in the observer's axes, along an axis of the body `axes`."""
     if axes not in (None, observer):
         if observer != GROUND:
             x = torch.einsum("ltij,ltj->lti", motion.body(observer).A, x)
         if axes != GROUND:
             x = torch.einsum("ltji,ltj->lti", motion.body(axes).A, x)
-    return x @ direction(axis)
+    return x @ unit_vector(axis)
 
 
-def direction(axis: Direction) -> Tensor:
-    """Unit vector [3] of an axis letter or of three numbers."""
+def unit_vector(axis: Direction) -> Tensor:
+    """Unit vector [3] along an axis "x", "y", "z" or a direction of three numbers."""
     if isinstance(axis, str) and axis in ("x", "y", "z"):
         return torch.eye(3, dtype=torch.float64)["xyz".index(axis)]
     try:
-        vector = torch.tensor([float(x) for x in axis], dtype=torch.float64)
+        vector = torch.tensor([] if isinstance(axis, str) else [float(x) for x in axis], dtype=torch.float64)
     except (TypeError, ValueError):
         vector = torch.zeros(0)
     if vector.shape != (3,) or not 0.0 < float(vector.norm()) < float("inf"):
@@ -300,7 +301,7 @@ def direction(axis: Direction) -> Tensor:
     return vector / vector.norm()
 
 
-def flexible(system: System, name: str) -> FlexibleBody:
+def flexible_body(system: System, name: str) -> FlexibleBody:
     """The flexible body of that name; InputError for a rigid one."""
     body = system.body(name)
     if not isinstance(body, FlexibleBody):
@@ -312,10 +313,10 @@ def flexible(system: System, name: str) -> FlexibleBody:
     return body
 
 
-def elastic(system: System, name: str) -> FlexibleBody | FlexibleBeam:
+def elastic_body(system: System, name: str) -> FlexibleBody | FlexibleBeam:
     """The flexible body or flexible beam of that name; InputError for a rigid one."""
     body = system.body(name)
-    return body if isinstance(body, FlexibleBeam) else flexible(system, name)
+    return body if isinstance(body, FlexibleBeam) else flexible_body(system, name)
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:

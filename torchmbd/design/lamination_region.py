@@ -1,10 +1,10 @@
-"""Lamination parameters that stacks have, as limits of a design.
+"""Limits that keep lamination parameters in the region of those that stacks of plies have.
 
     mbd.LaminationRegion("panel") <= 1
 
-The conditions r <= 1 of fem/materials/lamination_region.py, each the largest over the body's laminates and their controls. With
-a power p it is the p-norm over these instead, which is smooth, and too large by at most the factor n^(1/p). Fields interpolate
-between controls with weights that add up to one and are never negative: where the controls keep the conditions, cells do.
+Each condition r <= 1 of fem/materials/lamination_region.py is evaluated at all n controls of the body's laminates; the measure
+is its largest value. With a power p it is the p-norm over the controls, which is smooth, and too large by at most the factor
+n^(1/p). Fields interpolate between controls with weights >= 0 of sum one: cells keep the conditions that all controls keep.
 Checked in tests/design/test_lamination_region.py.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.design.fibers import norm
+from torchmbd.design.fibers import p_norm
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import LaminationParameters
@@ -62,13 +62,15 @@ class LaminationRegion(Measure):
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
         r = call_module(_Conditions(motion.system, self.body), designs)
         largest = r.amax(-2)
-        # of the positive numbers only: where all are negative or zero, the condition is far from its limit
-        found = largest if self.power is None else norm(r.mT.clamp(min=0.0), largest.detach(), self.power)
-        return found.expand(motion.lanes, CONDITIONS)
+        if (
+            self.power is not None
+        ):  # of the positive numbers: where none is positive, the condition is far from its limit
+            largest = p_norm(r.mT.clamp(min=0.0), largest.detach(), self.power)
+        return largest.expand(motion.lanes, CONDITIONS)
 
 
 class _Conditions(nn.Module):
-    """Conditions of all controls as a module of the whole system, so that designs go by their names."""
+    """Conditions [..., controls, conditions], as a module that holds the system: designs replace its parameters."""
 
     system: Any
 
@@ -77,17 +79,17 @@ class _Conditions(nn.Module):
         self.system, self.name = system, name
 
     def forward(self) -> Tensor:
-        found = []
+        values = []
         for laminate in _laminates(self.system, self.name):
-            own = conditions(*laminate.sets())
-            found.append(own if laminate.field is not None else own.unsqueeze(-2))
-        return torch.cat(found, -2)
+            of_laminate = conditions(*laminate.sets())
+            values.append(of_laminate if laminate.field is not None else of_laminate.unsqueeze(-2))
+        return torch.cat(values, -2)
 
 
 def _laminates(system: System, name: str) -> list[LaminationParameters]:
     """The laminates of a body that are given by lamination parameters; InputError where there are none."""
     plates = getattr(system.body(name), "plates", {}).values()
-    found = [part.laminate for part in plates if isinstance(part.laminate, LaminationParameters)]
-    if not found:
+    laminates = [part.laminate for part in plates if isinstance(part.laminate, LaminationParameters)]
+    if not laminates:
         raise InputError(f"body {name!r} has no lamination parameters; allowed: a plate of LaminationParameters(...)")
-    return found
+    return laminates

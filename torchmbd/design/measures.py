@@ -6,12 +6,12 @@
     Max, Min   the peak, located between the output times (spline.py)                         eq. (18)
     AtTime     y(t)                Final: y at the end
     SmoothMax  c/rho ln sum exp(rho y_k / c)      c: scale in the unit of y, rho: sharpness
-               from the largest sample to that plus c ln(samples)/rho; smooth where peaks swap
+               at least the largest sample, at most c ln(samples)/rho above it; smooth where another peak becomes the largest
     Frequency  of a mode of a body fixed at its reference nodes [Hz]
     Frequencies  power mean of several, which is smooth where they cross [Hz]
     Mass       of a body, or of all bodies [kg]
 
-`window` (t0, t1) [s] looks at a part of the motion; its ends are interpolated.
+`window` (t0, t1) [s] selects a part of the motion; values at its ends are interpolated.
 Source of SmoothMax: Kreisselmeier and Steinhauser, IFAC Symp. Computer Aided Design of Control Systems (1979) 113-117.
 Over 300 lines: a short class for each measure.
 Checked in tests/contracts/test_responses.py, tests/design/test_measures.py, tests/design/test_frequencies.py.
@@ -25,13 +25,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchmbd.design.histories import flexible
+from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History, Measure
-from torchmbd.design.spline import Jump, Spline, Window, checked
+from torchmbd.design.spline import Jump, Spline, Window, checked_window
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import eigenvalues
 from torchmbd.integrate import Moment, Switch, Trajectory
-from torchmbd.math.checked_numbers import scalar
+from torchmbd.math.checked_numbers import is_whole, scalar
 from torchmbd.multibody.system import System
 
 
@@ -47,11 +47,9 @@ class OfHistory(Measure):
     window: Window = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.history, History):
-            name = type(self).__name__
-            raise InputError(f"{name} of {self.history!r}; allowed: a history, such as StrainEnergy('rod')")
+        _require_history(self, self.history)
         if self.window is not None:
-            object.__setattr__(self, "window", checked(self.window))
+            object.__setattr__(self, "window", checked_window(self.window))
 
     def check(self, system: System) -> None:
         self.history.check(system)
@@ -68,42 +66,44 @@ class OfHistory(Measure):
         raise NotImplementedError(type(self).__name__)
 
 
+def _require_history(measure: Measure, history: object) -> None:
+    if not isinstance(history, History):
+        name = type(measure).__name__
+        raise InputError(f"{name} of {history!r}; allowed: a history, such as StrainEnergy('rod')")
+
+
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
-    """A history as a curve; measures that are evaluated together share it."""
+    """A history of a motion as a curve; `motion.known` keeps it for other measures of the same evaluation."""
     if not isinstance(motion, Trajectory):
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     known = motion.known
     try:
-        found = None if known is None else known.get((history, window))
+        if known is not None and (history, window) in known:
+            return known[history, window]
     except TypeError:  # not hashable: an axis given as a list
-        return _made(history, window, motion)
-    if found is None:
-        found = _made(history, window, motion)
-        if known is not None:
-            known[history, window] = found
-    return found
-
-
-def _made(history: History, window: Window, motion: Trajectory) -> Spline:
+        known = None
     y, rates = history.values(motion), history.rates(motion)
-    return Spline.of(motion.t, y, window, _jumps(history, motion), rates)
+    curve = Spline.of(motion.t, y, window, _jumps(history, motion), rates)
+    if known is not None:
+        known[history, window] = curve
+    return curve
 
 
 def _jumps(history: History, motion: Trajectory) -> tuple[Jump, ...]:
-    """What a history does where the lanes pass from phase to phase."""
+    """The values of a history before and after every switch from one phase to the next."""
 
-    def side(switch: Switch, moment: Moment) -> Tensor:
-        there = [motion.at_moment(lane, t, moment) for lane, t in enumerate(switch.t)]
-        return torch.cat([history.values(one)[:, 0] for one in there])
+    def values_at(switch: Switch, moment: Moment) -> Tensor:
+        motions = [motion.at_moment(lane, t, moment) for lane, t in enumerate(switch.t)]
+        return torch.cat([history.values(one)[:, 0] for one in motions])
 
-    return tuple(Jump(s.t, side(s, s.before), side(s, s.after)) for s in motion.switches)
+    return tuple(Jump(s.t, values_at(s, s.before), values_at(s, s.after)) for s in motion.switches)
 
 
 class Integral(OfHistory):
     """Integral of a history over time [lanes], in the unit of the history times s; eq. (21).
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
-    >>> round(mbd.Integral(mbd.Velocity("bob", "x"))(motion).item(), 2)  # the way in x [m]
+    >>> round(mbd.Integral(mbd.Velocity("bob", "x"))(motion).item(), 2)  # distance in x [m]
     0.32
     >>> window = mbd.Integral(mbd.Velocity("bob", "x"), window=(0.0, 0.1))
     >>> round(window(motion).item(), 3)
@@ -196,6 +196,7 @@ class AtTime(Measure):
     time: float
 
     def __post_init__(self) -> None:
+        _require_history(self, self.history)
         if scalar("time", self.time, "zero or positive [s]") < 0.0:
             raise InputError(f"time is {self.time!r}; allowed: zero or positive [s]")
 
@@ -207,7 +208,7 @@ class AtTime(Measure):
         return float(self.time)
 
     def value(self, motion: Trajectory) -> Tensor:
-        curve = Spline.of(motion.t, self.history.values(motion), rates=self.history.rates(motion))
+        curve = _curve(self.history, None, motion)
         return curve.sampled(curve.t.new_tensor([float(self.time)]))[..., 0]
 
 
@@ -216,7 +217,6 @@ class SmoothMax(OfHistory):
     """Smooth maximum of all samples [lanes], in the unit of the history.
 
     It lies between the largest sample and c ln(samples) / rho above it.
-
 
     sharpness  rho, positive: the larger, the nearer to the largest sample, and the less smooth [-]
     scale      c, positive: the size of the history, in its unit
@@ -251,8 +251,9 @@ class Frequency(Measure):
     body    its name
     number  1 is the lowest; up to the number of retained modes
 
-    Where frequencies coincide (their squares agree to 1e-6), each has a corner. The gradient is then the mean of their
-    slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives the one-sided slopes; `Frequencies` has a gradient.
+    Where frequencies coincide (their squares agree to 1e-6), none of them is differentiable. The gradient is then the mean of
+    their one-sided slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives these slopes; `Frequencies`, a mean
+    of several frequencies, is differentiable there.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> value, gradient = mbd.Frequency("arm", 1).value_and_gradient(motion)
@@ -264,8 +265,8 @@ class Frequency(Measure):
     number: int = 1
 
     def check(self, system: System) -> None:
-        modes = flexible(system, self.body).modes
-        if isinstance(self.number, bool) or not isinstance(self.number, int) or not 1 <= self.number <= modes:
+        modes = flexible_body(system, self.body).modes
+        if not is_whole(self.number) or not 1 <= self.number <= modes:
             raise InputError(f"number is {self.number!r}; allowed: 1 to {modes}, the retained modes of {self.body!r}")
 
     def value(self, motion: Trajectory) -> Tensor:
@@ -280,8 +281,8 @@ class Frequencies(Measure):
 
     body     its name
     cluster  numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
-    power    1: root of the mean square. The further below zero, the nearer to the lowest frequency; the further above one,
-             the nearer to the highest [-]
+    power    1: root of the mean square; large and negative: nearly the lowest frequency; large and positive: nearly the
+             highest [-]
 
     The body is fixed at its reference nodes. The mean is differentiable where frequencies of the cluster cross or coincide.
     Where one of them coincides with a mode outside the cluster, the gradient is a subgradient, as of `Frequency`.

@@ -46,7 +46,7 @@ def openmdao_component(
     gradients  of the Jacobian: "reverse" or "forward", as in `simulate`
     options    of `simulate`: steps, method, start and others
 
-    A motion that fails raises OpenMDAO's AnalysisError, which its drivers know, with the status of the motion.
+    A motion that fails raises OpenMDAO's AnalysisError, which its drivers handle, with the status of the motion.
     Raises InputError without the package openmdao, and for unknown parameters.
 
     >>> from importlib.util import find_spec
@@ -66,11 +66,11 @@ def openmdao_component(
     for name, measure in responses.items():
         if not isinstance(measure, Measure):
             raise InputError(f"response {name!r} is {measure!r}; allowed: a measure, such as mbd.Max(...)")
-    own = dict(system.named_parameters())
+    parameters = dict(system.named_parameters())
     for name in variables or ():
-        if name not in own:
-            raise unknown("parameter", name, own)
-    names = list(variables) if variables else [name for name, x in own.items() if x.requires_grad]
+        if name not in parameters:
+            raise unknown("parameter", name, parameters)
+    names = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
     if not names:
         raise InputError("the system has no parameter that requires a gradient; allowed: at least one variable")
 
@@ -80,10 +80,10 @@ def openmdao_component(
         measures: list[Measure]
 
         def setup(self) -> None:
-            motion = self.motion({name: own[name].detach() for name in names}, "none")
+            motion = self.motion({name: parameters[name].detach() for name in names}, "none")
             self.measures = [measure.at_start(motion) for measure in responses.values()]
             for name in names:
-                self.add_input(_input(name), own[name].detach().numpy())
+                self.add_input(_input(name), parameters[name].detach().numpy())
             for name, values in zip(responses, self.values(motion), strict=True):
                 self.add_output(name, values[0].numpy())
 
@@ -91,34 +91,34 @@ def openmdao_component(
             self.declare_partials("*", "*")
 
         def compute(self, inputs: Any, outputs: Any) -> None:
-            motion = self.motion(_parameters(inputs, names), "none")
+            motion = self.motion(_design(inputs, names), "none")
             for name, values in zip(responses, self.values(motion), strict=True):
                 outputs[name] = values[0].numpy()
 
         def compute_partials(self, inputs: Any, partials: Any) -> None:
-            motion = self.motion(_parameters(inputs, names), gradients)
-            found = differentiate(self.values, motion).gradient
-            assert found is not None
+            motion = self.motion(_design(inputs, names), gradients)
+            gradient = differentiate(self.values, motion).gradient
+            assert gradient is not None
             first = 0
             for output, values in zip(responses, self.values(motion), strict=True):
                 last, begin = first + values.shape[1], 0
                 for name in names:
-                    end = begin + own[name].numel()
-                    partials[output, _input(name)] = found[0, first:last, begin:end].numpy()
+                    end = begin + parameters[name].numel()
+                    partials[output, _input(name)] = gradient[0, first:last, begin:end].numpy()
                     begin = end
                 first = last
 
-        def motion(self, designs: Mapping[str, Tensor], way: str) -> Trajectory:
-            """Of one design; AnalysisError where it fails."""
-            given = {name: x[None] for name, x in designs.items()}
-            motion = simulate(system, duration, designs=given, variables=names, gradients=way, **options)
+        def motion(self, design: Mapping[str, Tensor], gradients: str) -> Trajectory:
+            """The motion of one design; AnalysisError if it fails."""
+            designs = {name: x[None] for name, x in design.items()}
+            motion = simulate(system, duration, designs=designs, variables=names, gradients=gradients, **options)
             [status] = motion.status
             if status != OK:
                 raise om.AnalysisError(f"{self.pathname or 'motion'}: {status}")
             return motion
 
         def values(self, motion: Trajectory) -> list[Tensor]:
-            """Of every response [1, rows]."""
+            """Values of every response [1, rows]."""
             return [measure.value(motion).reshape(1, -1) for measure in self.measures]
 
     return Motion()
@@ -128,5 +128,5 @@ def _input(name: str) -> str:
     return name.replace(".", ":")
 
 
-def _parameters(inputs: Any, names: Sequence[str]) -> dict[str, Tensor]:
+def _design(inputs: Any, names: Sequence[str]) -> dict[str, Tensor]:
     return {name: torch.as_tensor(np.asarray(inputs[_input(name)])).to(torch.float64) for name in names}

@@ -1,10 +1,10 @@
 """Ply stress as a history: the highest or lowest value of one stress component among the ply points, at every time [Pa].
 
-    Max(PlyStress("rod", "22")) <= 40e6                   no ply is pulled harder across its fibers
+    Max(PlyStress("rod", "22")) <= 40e6                   largest tension across the fibers
     Min(PlyStress("rod", "11", extreme="lowest")) >= -1e9
 
-Components are in the axes of the ply: 11 along the fibers, 22 across, 12, 13, 23 shear. Points run over the cells and the
-two faces of every layer, or of one `layer` (0 at the bottom). The derivative is that of the point where the value stands.
+Components are in the axes of the ply: 11 along the fibers, 22 across, 12, 13, 23 shear. The points are in all cells at the
+two faces of every layer, or of one `layer` (0 at the bottom). The derivative is that of the stress at the extreme point.
 Checked in tests/contracts/test_responses.py, tests/results/test_ply_history.py.
 """
 
@@ -18,6 +18,7 @@ from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials import PLY_COMPONENTS
 from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.system import System
 from torchmbd.results.ply_history import PlyHistory, require_plies
 
@@ -52,8 +53,7 @@ class PlyStress(History):
         body = system.body(self.body)
         require_plies(body)
         layers = min(len(part.laminate.layer_plies) for part in body.plates.values())
-        whole = isinstance(self.layer, int) and not isinstance(self.layer, bool)
-        if self.layer is not None and not (whole and 0 <= self.layer < layers):
+        if self.layer is not None and not (is_whole(self.layer) and 0 <= self.layer < layers):
             raise InputError(f"layer is {self.layer!r}; allowed: 0 to {layers - 1}, or None for all")
 
     def values(self, motion: Trajectory) -> Tensor:

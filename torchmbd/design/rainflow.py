@@ -2,8 +2,8 @@
 
     range_k = |y_i - y_j|,  mean_k = (y_i + y_j) / 2,  count_k = 1 or 1/2        (i, j): the two turning points of cycle k
 
-Which points form a cycle is found from the values alone and has no derivative; ranges and means are differentiable in y.
-They are exact wherever a small change of y leaves the ranking of the ranges as it is.
+The pairs (i, j) are computed from the values and have no derivative; ranges and means are differentiable in y, exactly where a
+small change of y does not change the ranking of the ranges.
 Source: ASTM E1049-85 (2017), section 5.4.4.
 Checked in tests/design/test_fatigue.py: the example of the standard.
 """
@@ -32,7 +32,7 @@ class Cycles(NamedTuple):
 def rainflow(y: Any) -> Cycles:
     """Count the cycles of histories `y` with n >= 2 values each, of any unit. Raises InputError for fewer.
 
-    y   [..., n], a tensor or what makes one; a history with values that are not finite has ranges and means that are nan
+    y   [..., n], a tensor or numbers; a history with values that are not finite has ranges and means nan
 
     >>> cycles = mbd.rainflow([-2.0, 1, -3, 5, -1, 3, -4, 4, -2])
     >>> sorted({float(r): float(cycles.count[cycles.range == r].sum()) for r in cycles.range if r}.items())
@@ -44,19 +44,19 @@ def rainflow(y: Any) -> Cycles:
     if y.dim() < 1 or y.shape[-1] < 2:
         raise InputError(f"a history has the shape {tuple(y.shape)}; allowed: [..., n] with two values at least")
     first, second, count = _Pairs.apply(y)  # pyright: ignore[reportGeneralTypeIssues]
-    # Cycles of a part of a history would be a number made up.
+    # The cycles of the finite values alone would look like a result.
     y = torch.where(y.isfinite().all(-1, keepdim=True), y, torch.nan)
     a, b = y.gather(-1, first), y.gather(-1, second)
     return Cycles((a - b).abs(), 0.5 * (a + b), count)
 
 
 class _Pairs(torch.autograd.Function):
-    """Places of both turning points of every cycle, and its count: constants, found from plain numbers."""
+    """Indices of both turning points of every cycle, and its count, as constants for autograd and torch.func."""
 
     @staticmethod
     def forward(y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         flat = y.detach().reshape(-1, y.shape[-1]).cpu().numpy()
-        found = (torch.from_numpy(x).to(y.device) for x in pairs(flat))
+        found = (torch.from_numpy(x).to(y.device) for x in cycle_pairs(flat))
         first, second, count = (x.reshape(*y.shape[:-1], y.shape[-1] - 1) for x in found)
         return first, second, count.to(y.dtype)
 
@@ -77,20 +77,20 @@ class _Pairs(torch.autograd.Function):
         return None
 
 
-def pairs(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of histories [h, n]: places of the two turning points of each cycle, and counts [h, n - 1]; 0 where there is none.
+def cycle_pairs(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Indices of the two turning points of each cycle, and counts [h, n - 1], 0 for no cycle, of histories [h, n].
 
-    All histories are counted at the same time: a stack of turning points each, from which closed cycles are taken.
+    All histories are counted at the same time. Each has a stack of turning points, from which closed cycles are removed.
     """
     histories, n = y.shape
     first, second = np.zeros((2, histories, n - 1), dtype=np.int64)
-    count, taken = np.zeros((histories, n - 1)), np.zeros(histories, dtype=np.int64)
+    count, cycles = np.zeros((histories, n - 1)), np.zeros(histories, dtype=np.int64)
     stack, size = np.zeros((histories, n), dtype=np.int64), np.zeros(histories, dtype=np.int64)
 
-    def note(rows: np.ndarray, a: np.ndarray, b: np.ndarray, cycles: Any) -> None:
-        place = taken[rows]
-        first[rows, place], second[rows, place], count[rows, place] = a, b, cycles
-        taken[rows] += 1
+    def record(rows: np.ndarray, a: np.ndarray, b: np.ndarray, counts: Any) -> None:
+        k = cycles[rows]
+        first[rows, k], second[rows, k], count[rows, k] = a, b, counts
+        cycles[rows] += 1
 
     points, number = turning_points(y)
     for k in range(int(number.max(initial=0))):
@@ -103,7 +103,7 @@ def pairs(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             closed = np.abs(y[rows, c] - y[rows, b]) >= np.abs(y[rows, b] - y[rows, a])
             rows, top, a, b, c = (x[closed] for x in (rows, top, a, b, c))
             starts = top == 3  # the range contains the first point of the history: half a cycle
-            note(rows, a, b, np.where(starts, 0.5, 1.0))
+            record(rows, a, b, np.where(starts, 0.5, 1.0))
             half, whole = rows[starts], rows[~starts]
             stack[half, 0], stack[half, 1] = b[starts], c[starts]
             stack[whole, size[whole] - 3] = c[~starts]
@@ -111,14 +111,14 @@ def pairs(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             size[whole] -= 2
     for k in range(1, int(size.max(initial=0))):
         rows = np.flatnonzero(size > k)
-        note(rows, stack[rows, k - 1], stack[rows, k], 0.5)
+        record(rows, stack[rows, k - 1], stack[rows, k], 0.5)
     return first, second, count
 
 
 def turning_points(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the ends and of all local extrema of histories [h, n], in order; how many there are [h]."""
+    """Indices [h, n] of histories, first those of ends and local extrema, in order; and how many these are [h]."""
     sign = np.sign(np.diff(y, axis=1))
-    for k in range(1, sign.shape[1]):  # where a history rests, it goes on as before
+    for k in range(1, sign.shape[1]):  # a constant part continues the rise or fall before it
         sign[:, k] = np.where(sign[:, k] == 0.0, sign[:, k - 1], sign[:, k])
     turns = np.ones(y.shape, dtype=bool)
     turns[:, 1:-1] = sign[:, :-1] * sign[:, 1:] < 0.0

@@ -1,12 +1,12 @@
-"""What a response is: a number at every time of a motion, or numbers of a whole motion, as plain torch functions of it.
+"""Responses: numbers at every time of a motion (histories) or of a whole motion (measures), as torch functions of it.
 
     History   values(motion) [lanes, times]             strain energy, displacement, reaction, ...
-              rates(motion) [lanes, times] twice        y', y'' where they are known exactly: peaks lie between the samples
+              rates(motion) [lanes, times] twice        y', y'' if they are known exactly, to locate peaks between the samples
     Measure   value(motion)  [lanes] or [lanes, rows]   integral, maximum, frequency, ... ; rows: one limit holds for all
 
-A response is called with a motion, `Integral(StrainEnergy("rod"))(motion)`, and is a differentiable tensor as the motion
-is: torch applies the chain rule of eq. (27) with every dependence of the design in it: the motion, its rates, the
-multipliers, the reduced stiffness, the mode shapes. A response of your own:
+A response is called with a motion, `Integral(StrainEnergy("rod"))(motion)`, and returns a tensor that is differentiable as the
+motion is: torch applies the chain rule of eq. (27) to all quantities that depend on the design: the motion, its rates, the
+multipliers, the reduced stiffness, the mode shapes. A response that a user writes:
 
     @mbd.history
     def reach(motion):
@@ -14,9 +14,8 @@ multipliers, the reduced stiffness, the mode shapes. A response of your own:
 
     mbd.Max(reach) <= 0.5
 
-Histories and measures add, subtract, multiply, divide, are raised to powers (`(a - b) ** 2`) and made positive (`abs(a)`), with
-each other and with numbers.
-Over 300 lines: histories, measures and constraints make each other by operators.
+Histories, measures and numbers are combined by `+ - * /`, `**` and `abs`.
+Over 300 lines: operators of histories and measures return histories, measures and constraints.
 Checked in tests/contracts/test_responses.py.
 """
 
@@ -29,7 +28,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from torchmbd.design.differentiate import Valued, differentiate
+from torchmbd.design.differentiate import ValueAndGradient, differentiate
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.gradients import refuse_lost_gradients
@@ -37,7 +36,7 @@ from torchmbd.multibody.system import System
 
 
 class _Constant:
-    """What is made of constants: no argument is or holds a tensor that requires a gradient; InputError names it."""
+    """A class whose arguments are constants: InputError names an argument that contains a tensor with a gradient."""
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         names = [f.name for f in fields(cls)] if is_dataclass(cls) else []
@@ -49,7 +48,7 @@ class _Constant:
 class History(_Constant):
     """A number at every time of a motion; called with a motion it gives values [lanes, times], in the unit of the response.
 
-    args, kwargs  arguments of its kind, such as the body of StrainEnergy. `mbd.history` makes one from a function
+    args, kwargs  arguments of the class, such as the body of StrainEnergy. `mbd.history` makes a history of a function
 
     >>> height = mbd.Position("arm", "z", node="right")
     >>> isinstance(height, mbd.History), height(mbd.simulate(mbd.examples.arm(), 0.01, steps=4)).shape
@@ -61,7 +60,7 @@ class History(_Constant):
         raise NotImplementedError(type(self).__name__)
 
     def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
-        """First and second derivative by time [lanes, times] where they are known exactly; None: by differences."""
+        """First and second derivative by time [lanes, times] if they are known exactly; None: by differences."""
         return None
 
     def __call__(self, motion: Trajectory) -> Tensor:
@@ -71,7 +70,7 @@ class History(_Constant):
     def check(self, system: System) -> None:
         """Raise InputError if the system lacks what the history needs."""
 
-    def series(self, motion: Trajectory) -> Valued:
+    def series(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, times] and gradient [lanes, times, n_b], None for a motion without gradients."""
         return differentiate(self.values, motion)
 
@@ -123,14 +122,14 @@ class Combined(History):
         rates = [part.rates(motion) if isinstance(part, History) else () for part in self.parts]
         if any(rate is None for rate in rates):
             return None
-        # The operation along y + y' tau + y'' tau^2 / 2, differentiated twice by tau.
+        # The operation on y + y' tau + y'' tau^2 / 2, differentiated twice by tau.
         parts = [(part.values(motion) if rate else part, rate) for part, rate in zip(self.parts, rates, strict=True)]
 
-        def moved(tau: Tensor) -> Tensor:
+        def at_delay(tau: Tensor) -> Tensor:
             return self.operation(*(y + (r[0] + 0.5 * r[1] * tau) * tau if r else y for y, r in parts))
 
         def rate(tau: Tensor) -> Tensor:
-            return torch.func.jvp(moved, (tau,), (torch.ones_like(tau),))[1]
+            return torch.func.jvp(at_delay, (tau,), (torch.ones_like(tau),))[1]
 
         zero = torch.zeros((), dtype=torch.float64)
         first, second, *_ = torch.func.jvp(rate, (zero,), (torch.ones_like(zero),))
@@ -147,7 +146,7 @@ class Measure(_Constant):
 
     Called with a motion it gives its value [lanes], or [lanes, rows].
 
-    args, kwargs  arguments of its kind, such as the history of Max. `mbd.measure` makes one from a function
+    args, kwargs  arguments of the class, such as the history of Max. `mbd.measure` makes a measure of a function
 
     >>> heavier = mbd.Mass("arm") + mbd.Mass("tool")  # [kg]
     >>> isinstance(heavier, mbd.Measure), round(heavier(mbd.simulate(mbd.examples.arm(), 0.01, steps=4)).item(), 4)
@@ -170,21 +169,21 @@ class Measure(_Constant):
             measure.check(system)
 
     def at_start(self, motion: Trajectory) -> Measure:
-        """The same measure; what refers to the initial design is a number, taken from its motion."""
+        """The measure with numbers for all that refers to the initial design, from its motion."""
         return self.mapped(lambda measure: measure.at_start(motion))
 
     def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
-        """The same measure of other operands."""
+        """The measure with `change` applied to each operand."""
         return self
 
     @property
     def operands(self) -> Sequence[Measure]:
-        """The measures that it is made of."""
+        """The measures that this measure combines."""
         return ()
 
     @property
     def until(self) -> float:
-        """How long the motion must last [s]."""
+        """The shortest duration of a motion that the measure can be evaluated on [s]."""
         return max((measure.until for measure in self.operands), default=0.0)
 
     @property
@@ -224,11 +223,11 @@ class Measure(_Constant):
     def __rsub__(self, other: Any) -> Measure:
         return -self + other
 
-    def of(self, motion: Trajectory) -> Valued:
+    def of(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, ...] and gradient [lanes, ..., n_b], None for a motion without gradients."""
         return differentiate(self.value, motion)
 
-    def value_and_gradient(self, motion: Trajectory) -> Valued:
+    def value_and_gradient(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, ...] and gradient by the design variables [lanes, ..., n_b]; both are nan in lanes that failed.
 
         Raises InputError for a motion without gradients.
@@ -252,11 +251,11 @@ class Measure(_Constant):
         return Constraint(self, limit, "at_least")
 
     def equals(self, limit: float | str, scale: float | None = None) -> Constraint:
-        """Equality constraint; `scale`: what the violation is divided by, where the limit is zero."""
+        """Equality constraint; `scale` divides the violation, for a limit of zero."""
         return Constraint(self, limit, "equal", scale)
 
 
-def all_measures(parts: Iterable[Any], kind: str) -> None:
+def require_scalar_measures(parts: Iterable[Any], kind: str) -> None:
     """InputError unless every part is a measure of one number."""
     for part in parts:
         if not isinstance(part, Measure) or part.rows != 1:
@@ -270,7 +269,7 @@ class Total(Measure):
     terms: Sequence[tuple[float, Measure]]
 
     def __post_init__(self) -> None:
-        all_measures([measure for _, measure in self.terms], "sum")
+        require_scalar_measures([measure for _, measure in self.terms], "sum")
         for factor, _ in self.terms:
             if not _finite(factor):
                 raise InputError(f"factor of a measure is {factor!r}; allowed: a finite number")
@@ -321,7 +320,7 @@ class Constraint(_Constant):
     measure  g, one number or several rows
     limit    c, in the unit of the measure; "initial": the value at the initial design, the largest of several rows
     kind     "at_most", "at_least" or "equal"
-    scale    what the violation is divided by, in the unit of the measure; None: |c|, or 1 for c = 0
+    scale    divisor of the violation, in the unit of the measure; None: |c|, or 1 for c = 0
 
     Optimizers see (g - c) / scale; a design is feasible where it is not positive.
 

@@ -1,4 +1,4 @@
-"""Responses as plain data: what an experiment file says, read with the registries.
+"""Responses as plain data, as in experiment files, and how they are read with the registries.
 
     {max: {strain_energy: rod}}                                            a measure of a history
     {max: {strain_energy: rod}, window: [0.01, 0.03]}                      with options of the measure
@@ -13,11 +13,11 @@ Operations on histories, and on measures of one number; a number may stand for a
 
     {sum: [...]}, {difference: [a, b]}, {product: [...]}, {quotient: [a, b]}, {absolute: a}, {squared: a}, {scaled: a, by: 1e3}
 
-A history or a measure of one's own, with its options; see `_function`:
+A history or a measure that a user writes, with its options; see `_function`:
 
     {function: "package.module:name", tip: right}, {max: {function: "beside.py:name"}}
 
-A single word stands for the first argument. Checked in tests/design/test_spec.py.
+A single word is the first argument. Checked in tests/design/test_spec.py.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ OPERATIONS = (*SEVERAL, *SINGLE, SCALED)
 MEASURES = (*COMBINATORS, *OF_DESIGN, SUM, AGGREGATE, *OPERATIONS, FUNCTION)
 HISTORIES = (*RESPONSES, *OPERATIONS, FUNCTION)
 Path = tuple[str | int, ...]
-Find = Callable[[str], Any]  # what a function is that is named as `package.module:name`
+Find = Callable[[str], Any]  # returns the function of a name such as `package.module:name`
 
 
 class SpecError(InputError):
-    """A response that cannot be read: `path` leads to the wrong entry, `text` says what is wrong with it."""
+    """A response that cannot be read: `path` is the keys to the wrong entry, `text` the reason."""
 
     def __init__(self, path: Path, text: str):
         self.path, self.text = path, text
@@ -54,30 +54,30 @@ class SpecError(InputError):
 
 
 def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
-    """Build a measure; SpecError for anything that is none. Without `find`, functions of one's own are not looked at."""
-    name, options = _one(spec, MEASURES, path)
+    """Build a measure; SpecError for data that describes none. Without `find`, functions of a user are not imported."""
+    name, options = _name_and_options(spec, MEASURES, path)
     inner = spec[name]
     if name in OPERATIONS:
         return _operation(name, inner, options, path, partial(measure_of, find=find))
     if name == FUNCTION:
         return _function(inner, options, path, find, Measure)
     if name == SUM:
-        return _made(WeightedSum, (_terms(inner, (*path, name), find),), options, path)
+        return _built(WeightedSum, (_terms(inner, (*path, name), find),), options, path)
     if name == AGGREGATE:
-        given = inner if isinstance(inner, list) else [inner]
-        parts = [measure_of(x, (*path, name, k), find) for k, x in enumerate(given)]
-        return _made(Aggregate, (parts,), options, path)
+        specs = inner if isinstance(inner, list) else [inner]
+        parts = [measure_of(x, (*path, name, k), find) for k, x in enumerate(specs)]
+        return _built(Aggregate, (parts,), options, path)
     if name in OF_DESIGN:
         if options:
             key = next(iter(options))
             raise SpecError((*path, key), f"unknown key{nearest(key, _arguments(OF_DESIGN[name]))}")
-        return _of_words(OF_DESIGN[name], inner, (*path, name))
-    return _made(COMBINATORS[name], (history_of(inner, (*path, name), find),), options, path)
+        return _from_word(OF_DESIGN[name], inner, (*path, name))
+    return _built(COMBINATORS[name], (history_of(inner, (*path, name), find),), options, path)
 
 
 def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
-    """Build a history; SpecError for anything that is none."""
-    name, options = _one(spec, HISTORIES, path)
+    """Build a history; SpecError for data that describes none."""
+    name, options = _name_and_options(spec, HISTORIES, path)
     if name in OPERATIONS:
         return _operation(name, spec[name], options, path, partial(history_of, find=find))
     if name == FUNCTION:
@@ -86,61 +86,61 @@ def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
         key = next(iter(options))
         outer = path[-1] if path else ""
         if key not in _arguments(RESPONSES[name]) and outer in COMBINATORS and key in _arguments(COMBINATORS[outer]):
-            place = f"an argument of {outer!r} stands beside it; allowed: {outer}: {{...}}, {key}: {options[key]!r}"
+            hint = f"an argument of {outer!r} stands beside it; allowed: {outer}: {{...}}, {key}: {options[key]!r}"
         else:
-            place = f"arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}"
-        raise SpecError((*path, key), f"unknown key: {place}")
-    return _of_words(RESPONSES[name], spec[name], (*path, name))
+            hint = f"arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}"
+        raise SpecError((*path, key), f"unknown key: {hint}")
+    return _from_word(RESPONSES[name], spec[name], (*path, name))
 
 
 def leaf(spec: Any, path: Path = ()) -> Path:
-    """The path to the innermost response of a valid one, to which its names belong."""
+    """The path to the innermost history or measure of a valid response, whose arguments name bodies, nodes and joints."""
     [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
     inner = spec[name]
-    deeper = isinstance(inner, Mapping) and any(key in HISTORIES for key in inner)
-    return leaf(inner, (*path, name)) if deeper else (*path, name)
+    contains_history = isinstance(inner, Mapping) and any(key in HISTORIES for key in inner)
+    return leaf(inner, (*path, name)) if contains_history else (*path, name)
 
 
 def terms(spec: Any, path: Path = ()) -> list[tuple[dict[str, Any], Path]]:
-    """The parts of a valid measure with their paths: the terms of sums and other operations, or the measure itself."""
+    """The operands of a valid measure with their paths: the terms of sums and other operations, or the measure itself."""
     [name] = [key for key in spec if key in MEASURES]
     if name not in (SUM, AGGREGATE, *OPERATIONS):
         return [(spec, path)]
     inner = spec[name]
     if not isinstance(inner, list):
         return terms(inner, (*path, name))
-    found = []
+    result = []
     for k, term in enumerate(inner):
         if isinstance(term, Mapping):
-            found += terms({key: x for key, x in term.items() if key != "weight"}, (*path, name, k))
-    return found
+            result += terms({key: x for key, x in term.items() if key != "weight"}, (*path, name, k))
+    return result
 
 
 def functions(spec: Any) -> list[Any]:
-    """What a response, or a list of constraints, names as functions of one's own, wherever in it."""
+    """All names of functions of a user in a response or a list of constraints."""
     if isinstance(spec, Mapping):
-        own = [spec[FUNCTION]] if FUNCTION in spec else []
-        return own + [name for inner in spec.values() for name in functions(inner)]
+        named = [spec[FUNCTION]] if FUNCTION in spec else []
+        return named + [name for inner in spec.values() for name in functions(inner)]
     return [name for inner in spec for name in functions(inner)] if isinstance(spec, list) else []
 
 
 def _operation(name: str, spec: Any, options: Mapping[str, Any], path: Path, read: Callable[..., Any]) -> Any:
-    """The operation `name` on what `read` makes of its operands."""
-    here = (*path, name)
+    """The operation `name` on its operands, which `read` builds."""
+    entry = (*path, name)
     for key in options:
         if name != SCALED or key != "by":
             raise SpecError((*path, key), f"unknown key{nearest(key, ['by'] if name == SCALED else [])}")
     if name in SINGLE:
-        return _combined(SINGLE[name], here, read(spec, here))
+        return _combined(SINGLE[name], entry, read(spec, entry))
     if name == SCALED:
         if not _number(options.get("by")):
             raise SpecError((*path, "by"), f"= {options.get('by')!r}: must be a number, that {name!r} multiplies by")
-        return _combined(mul, here, read(spec, here), options["by"])
+        return _combined(mul, entry, read(spec, entry), options["by"])
     exact = 2 if name in ("difference", "quotient") else None
     if not isinstance(spec, list) or len(spec) < 2 or (exact and len(spec) != exact):
-        raise SpecError(here, f"= {spec!r}: must be a list of {'two' if exact else 'two or more'} responses")
-    parts = [x if k and _number(x) else read(x, (*here, k)) for k, x in enumerate(spec)]
-    return reduce(partial(_combined, SEVERAL[name], here), parts)
+        raise SpecError(entry, f"= {spec!r}: must be a list of {'two' if exact else 'two or more'} responses")
+    parts = [x if k and _number(x) else read(x, (*entry, k)) for k, x in enumerate(spec)]
+    return reduce(partial(_combined, SEVERAL[name], entry), parts)
 
 
 def _combined(operation: Callable[..., Any], path: Path, *parts: Any) -> Any:
@@ -151,58 +151,61 @@ def _combined(operation: Callable[..., Any], path: Path, *parts: Any) -> Any:
 
 
 def _function(spec: Any, options: Mapping[str, Any], path: Path, find: Find | None, kind: type) -> Any:
-    """A response of one's own: what `spec` names.
+    """The response of the object that `spec` names, which is one of these.
 
-    A function of the motion, annotated `-> Tensor`: [lanes, times] for a history, [lanes] for a measure; it gets the motion
-    first, then the options by name. A function of the options, annotated `-> mbd.History` or `-> mbd.Measure`. Or a history
-    or a measure itself, such as `@mbd.history` makes; it takes no options.
+    A function of the motion, annotated `-> Tensor`: [lanes, times] for a history, [lanes] for a measure; its first argument is
+    the motion, its others are the options. A function of the options, annotated `-> mbd.History` or `-> mbd.Measure`. A history
+    or a measure, such as `@mbd.history` makes, without options.
     """
-    here = (*path, FUNCTION)
-    made = FunctionHistory if kind is History else FunctionMeasure
+    entry = (*path, FUNCTION)
+    response_of = FunctionHistory if kind is History else FunctionMeasure
     if not isinstance(spec, str) or not all(spec.rpartition(":")[::2]):
-        raise SpecError(here, f"= {spec!r}: must be package.module:function or path/to/file.py:function")
+        raise SpecError(entry, f"= {spec!r}: must be package.module:function or path/to/file.py:function")
     if find is None:
-        return made(_not_looked_at)
+        return response_of(_not_imported)
     try:
-        found = find(spec)
+        function = find(spec)
     except InputError as error:
-        raise SpecError(here, str(error)) from error
+        raise SpecError(entry, str(error)) from error
     noun = kind.__name__.lower()
-    if not inspect.isfunction(found):
-        if not isinstance(found, kind) or options:
-            what = f"is {found!r}" if not isinstance(found, kind) else f"takes no options, but has {list(options)}"
-            raise SpecError(here, f"= {spec!r}: {what}; allowed: a {noun}, or a function with its options")
-        return found
-    annotation = found.__annotations__.get("return")
-    said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
-    said = said.rpartition(".")[2]
-    if said not in ("Tensor", kind.__name__):
-        what = f"is annotated -> {said}" if "return" in found.__annotations__ else "does not say what it returns"
-        raise SpecError(here, f"= {spec!r}: {what}; allowed: -> Tensor or -> {kind.__name__}, or @mbd.{noun} above it")
-    given = () if said != "Tensor" else ("motion",)
-    _check_options(found, options, len(given), path)
-    if said == "Tensor":
-        return made(partial(found, **options) if options else found)
-    result = _combined(partial(found, **options), here)
+    if not inspect.isfunction(function):
+        if not isinstance(function, kind) or options:
+            what = (
+                f"is {function!r}" if not isinstance(function, kind) else f"takes no options, but has {list(options)}"
+            )
+            raise SpecError(entry, f"= {spec!r}: {what}; allowed: a {noun}, or a function with its options")
+        return function
+    annotation = function.__annotations__.get("return")
+    returned = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
+    returned = returned.rpartition(".")[2]
+    if returned not in ("Tensor", kind.__name__):
+        has_annotation = "return" in function.__annotations__
+        what = f"is annotated -> {returned}" if has_annotation else "does not say what it returns"
+        raise SpecError(entry, f"= {spec!r}: {what}; allowed: -> Tensor or -> {kind.__name__}, or @mbd.{noun} above it")
+    of_motion = returned == "Tensor"
+    _check_options(function, options, 1 if of_motion else 0, path)
+    if of_motion:
+        return response_of(partial(function, **options) if options else function)
+    result = _combined(partial(function, **options), entry)
     if not isinstance(result, kind):
-        raise SpecError(here, f"= {spec!r}: returned {result!r}; allowed: a {noun}")
+        raise SpecError(entry, f"= {spec!r}: returned {result!r}; allowed: a {noun}")
     return result
 
 
-def _check_options(function: Callable[..., Any], options: Mapping[str, Any], given: int, path: Path) -> None:
-    """SpecError for options that a function does not take, or needs; `given`: arguments that it gets before them."""
-    parameters = list(inspect.signature(function).parameters.values())[given:]
+def _check_options(function: Callable[..., Any], options: Mapping[str, Any], before: int, path: Path) -> None:
+    """SpecError for options that a function does not take, or that are missing; `before`: number of arguments before them."""
+    parameters = list(inspect.signature(function).parameters.values())[before:]
     names = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-    anything = any(p.kind is p.VAR_KEYWORD for p in parameters)
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for key in options:
-        if key not in names and not anything:
+        if key not in names and not takes_any:
             raise SpecError((*path, key), f"unknown key{nearest(key, names)}")
     for p in parameters:
         if p.name in names and p.default is p.empty and p.name not in options:
             raise SpecError(path, f"needs {p.name!r}{nearest('', names)}")
 
 
-def _not_looked_at(motion: Any) -> Any:
+def _not_imported(motion: Any) -> Any:
     raise InputError("a function of an experiment file was not looked up")
 
 
@@ -215,49 +218,50 @@ def _terms(spec: Any, path: Path, find: Find | None) -> list[tuple[float, Measur
         raise SpecError(path, f"= {spec!r}: must be a list of measures, each with its weight")
     terms = []
     for k, term in enumerate(spec):
-        here = (*path, k)
+        entry = (*path, k)
         if not isinstance(term, Mapping) or "weight" not in term:
-            raise SpecError(here, f"= {term!r}: needs the key 'weight'; allowed: a measure and its weight")
+            raise SpecError(entry, f"= {term!r}: needs the key 'weight'; allowed: a measure and its weight")
         weight = term["weight"]
         if not _number(weight):
-            raise SpecError((*here, "weight"), f"= {weight!r}: must be a number")
-        terms.append((float(weight), measure_of({key: x for key, x in term.items() if key != "weight"}, here, find)))
+            raise SpecError((*entry, "weight"), f"= {weight!r}: must be a number")
+        terms.append((float(weight), measure_of({key: x for key, x in term.items() if key != "weight"}, entry, find)))
     return terms
 
 
-def _one(spec: Any, names: Collection[str], path: Path) -> tuple[str, dict[str, Any]]:
+def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[str, dict[str, Any]]:
     """The one registered name among the keys, and the other keys."""
     if not isinstance(spec, Mapping):
         raise SpecError(path, f"= {spec!r}: must be a mapping (key: value)")
-    found = [key for key in spec if key in names]
-    if len(found) == 1:
-        return found[0], {key: x for key, x in spec.items() if key != found[0]}
-    if len(found) > 1 or not spec:
-        raise SpecError(path, f"has {len(found)} keys; must have exactly one{nearest('', names)}")
+    known = [key for key in spec if key in names]
+    if len(known) == 1:
+        return known[0], {key: x for key, x in spec.items() if key != known[0]}
+    if len(known) > 1 or not spec:
+        raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
     key = next(iter(spec))
     raise SpecError((*path, key), f"unknown name{nearest(key, names)}")
 
 
-def _of_words(kind: type, spec: Any, path: Path) -> Any:
-    """Build from the first argument as a word, or from a mapping of arguments."""
+def _from_word(kind: type, spec: Any, path: Path) -> Any:
+    """An object of class `kind` from its first argument as a word, or from a mapping of arguments."""
     if isinstance(spec, Mapping):
-        return _made(kind, (), spec, path)
+        return _built(kind, (), spec, path)
     if not isinstance(spec, str):
         raise SpecError(path, f"= {spec!r}: must be a name, or a mapping of {', '.join(_arguments(kind))}")
-    return _made(kind, (spec,), {}, path)
+    return _built(kind, (spec,), {}, path)
 
 
-def _made(kind: type, given: tuple, options: Mapping[str, Any], path: Path) -> Any:
-    allowed = _arguments(kind)[len(given) :]
+def _built(kind: type, first: tuple, options: Mapping[str, Any], path: Path) -> Any:
+    """An object of class `kind` from its first arguments and its options; SpecError for options that it does not take."""
+    allowed = _arguments(kind)[len(first) :]
     for key in options:
         if key not in allowed:
             raise SpecError((*path, key), f"unknown key{nearest(key, allowed)}")
-    parameters = list(inspect.signature(kind).parameters.values())[len(given) :]
+    parameters = list(inspect.signature(kind).parameters.values())[len(first) :]
     for parameter in parameters:
         if parameter.default is parameter.empty and parameter.name not in options:
             raise SpecError(path, f"needs {parameter.name!r}{nearest('', allowed)}")
     try:
-        return kind(*given, **options)
+        return kind(*first, **options)
     except InputError as error:
         raise SpecError(path, f": {error}") from error
     except (TypeError, ValueError) as error:

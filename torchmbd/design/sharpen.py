@@ -1,7 +1,8 @@
-"""Aggregates as sharp as they must be: optimize, compare them with their largest rows, raise the sharpness, optimize on.
+"""Optimizations with growing sharpness of aggregates, until these are close enough to their largest rows.
 
-A soft aggregate leaves a margin that costs some of the optimum; one that is sharp at once is badly conditioned. The sharpness
-grows by as much as the aggregates of the last result lie too far above their largest rows, at most tenfold.
+An aggregate of small sharpness leaves a margin that makes the optimum worse; one of large sharpness is badly conditioned. After
+each optimization the sharpness grows by the ratio of the gap between aggregates and largest rows to the tolerance, at most
+tenfold.
 
 Source: Poon and Martins, Structural and Multidisciplinary Optimization 34 (2007) 61-73, whose constants adapt as well.
 Checked in tests/design/test_aggregate.py.
@@ -10,17 +11,20 @@ Checked in tests/design/test_aggregate.py.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Measure
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.errors import InputError
+from torchmbd.integrate import Trajectory
 from torchmbd.optimization import OptimizationResult, optimize
 from torchmbd.optimization.optimizer import require_count, require_range
 
@@ -30,10 +34,10 @@ FASTEST = 10.0  # the sharpness grows by no more between two optimizations
 class Round(NamedTuple):
     """One optimization of `sharpen`.
 
-    factor      on the sharpness that was given
-    result      how it ended
-    aggregates  values at its design, one for each aggregate, in their units
-    largest     the largest rows there, exactly
+    factor      by which the sharpness of the problem is multiplied
+    result      of the optimization
+    aggregates  values at the optimum, one for each aggregate, in their units
+    largest     the exact largest rows of the aggregates there
     """
 
     factor: float
@@ -43,19 +47,19 @@ class Round(NamedTuple):
 
     @property
     def gap(self) -> float:
-        """How far the aggregates lie above the largest rows, of these; the largest."""
+        """The largest relative difference of an aggregate from its largest row."""
         return float(np.max((self.aggregates - self.largest) / np.maximum(np.abs(self.largest), np.finfo(float).tiny)))
 
 
 def sharpen(
     problem: Problem, method: str = "mma", tolerance: float = 0.01, max_rounds: int = 6, **options: Any
 ) -> list[Round]:
-    """Optimize with aggregates as sharp as they must be, and no sharper: rounds, the last of them the result.
+    """Optimize with growing sharpness of the aggregates; return all rounds, of which the last has the result.
 
-    problem     whose objective or constraints hold an Aggregate
+    problem     whose objective or constraints contain an Aggregate
     method      of `optimize`
-    tolerance   how far aggregates may lie above their largest rows, of these [-]
-    max_rounds  optimizations at most; `rounds[-1].gap` tells what was reached
+    tolerance   largest allowed `gap` of a result: relative difference of aggregates from their largest rows [-]
+    max_rounds  largest number of optimizations; `rounds[-1].gap` is the gap of the last one
     options     of `optimize`, such as max_iterations of every round
 
     >>> height = mbd.AtTimes(mbd.Displacement("arm", "z", node="right"), count=20)
@@ -83,23 +87,20 @@ def sharpen(
 
 
 def _round(problem: Problem, factor: float, result: OptimizationResult) -> Round:
-    """What the aggregates are at a result: of scenarios the largest."""
+    """The round of a result; of scenarios the largest values."""
     x = result.x
     motions = problem.motions_by_system(x) if isinstance(problem, Scenarios) else [problem.motion(x)]
-    values = np.array(
-        [
-            [
-                float(torch.cat([f(motion.require_ok()) for motion in motions]).max())
-                for f in (aggregate, aggregate.largest)
-            ]
-            for aggregate in _aggregates(problem)
-        ]
-    )
-    return Round(factor, result, values[:, 0], values[:, 1])
+    motions = [motion.require_ok() for motion in motions]
+
+    def values_of(function: Callable[[Trajectory], Tensor]) -> float:
+        return float(torch.cat([function(motion) for motion in motions]).max())
+
+    aggregates = np.array([values_of(aggregate) for aggregate in _aggregates(problem)])
+    return Round(factor, result, aggregates, np.array([values_of(x.largest) for x in _aggregates(problem)]))
 
 
 def sharpened(problem: Problem, factor: float) -> Problem:
-    """The same problem with `factor` times as sharp aggregates."""
+    """The problem with the sharpness of all aggregates multiplied by `factor`."""
 
     def change(measure: Measure) -> Measure:
         if isinstance(measure, Aggregate):
@@ -114,10 +115,11 @@ def sharpened(problem: Problem, factor: float) -> Problem:
 
 
 def _aggregates(problem: Problem) -> list[Aggregate]:
-    """All of them, the objective's first."""
+    """All aggregates in the objective and the constraints, those of the objective first."""
 
-    def of(measure: Measure) -> list[Aggregate]:
-        own = [measure] if isinstance(measure, Aggregate) else []
-        return own + [found for operand in measure.operands for found in of(operand)]
+    def within(measure: Measure) -> list[Aggregate]:
+        itself = [measure] if isinstance(measure, Aggregate) else []
+        return itself + [aggregate for operand in measure.operands for aggregate in within(operand)]
 
-    return [found for m in (problem.stated_objective, *(c.measure for c in problem.constraints)) for found in of(m)]
+    measures = [problem.stated_objective, *(c.measure for c in problem.constraints)]
+    return [aggregate for measure in measures for aggregate in within(measure)]

@@ -1,13 +1,13 @@
-"""The design space: the entries of named parameters of a system as one vector b with bounds.
+"""The design space: entries of named parameters of a system as one vector b with bounds.
 
 b [n] = (rod.laminate.angles[0], rod.laminate.angles[1], ..., rod.laminate.thickness[0], ...)     SI units and radians
 
-Linked entries follow others linearly and leave the vector:
+Linked entries are linear functions of other entries and no part of b:
 
     links={"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}}      a balanced pair +-theta
     all entries = map @ b + offset
 
-Bodies that share a laminate share its angles, and a laminate with symmetric=True has half of them, without any link.
+Links are not needed for bodies that share a laminate, nor for a laminate with symmetric=True.
 Checked in tests/design/test_space.py.
 """
 
@@ -35,7 +35,7 @@ class DesignSpace:
     variables  names of parameters; default: every parameter that requires a gradient
     bounds     (lower, upper): numbers for all entries, or one for each; or a mapping: parameter name -> such a pair
     start      initial design [n]; default: the system's own values
-    links      entry -> {entry: factor, ..., "constant": offset}: entries that follow others
+    links      entry -> {entry: factor, ..., "constant": offset}: entries that depend on others
 
     >>> mirrored = {"arm.laminate.angles[1]": {"arm.laminate.angles[0]": -1.0}}
     >>> space = mbd.DesignSpace(mbd.examples.arm(), bounds=mbd.deg([-90, 90]), links=mirrored)
@@ -55,29 +55,32 @@ class DesignSpace:
     ):
         if not isinstance(system, System):
             raise InputError(f"system is {system!r}; allowed: a System")
-        own = dict(system.named_parameters())
+        parameters = dict(system.named_parameters())
         for name in variables or ():
-            if name not in own:
-                raise unknown("parameter", name, own)
-        self.variables = list(variables) if variables else [name for name, x in own.items() if x.requires_grad]
+            if name not in parameters:
+                raise unknown("parameter", name, parameters)
+        if variables and len(set(variables)) < len(variables):
+            raise InputError(f"variables is {list(variables)!r}; allowed: each parameter once")
+        self.variables = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
         if not self.variables:
             raise InputError(
                 "the system has no parameter that requires a gradient; allowed: at least one design variable"
             )
-        self.shapes = {name: own[name].shape for name in self.variables}
-        self.entries = [f"{name}[{i}]" for name in self.variables for i in range(own[name].numel())]
+        self.shapes = {name: parameters[name].shape for name in self.variables}
+        self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]
         self.map, self.offset = _linked(self.entries, links or {})
         free = [i for i, entry in enumerate(self.entries) if entry not in (links or {})]
         self.names = [self.entries[i] for i in free]
-        given = torch.cat([own[name].detach().flatten() for name in self.variables]).numpy()[free]
-        self.start = self._vector("start", given if start is None else start)
+        values = torch.cat([parameters[name].detach().flatten() for name in self.variables]).numpy()[free]
+        self.start = self._vector("start", values if start is None else start)
         self.lower, self.upper = self._bounds(bounds)
         for what, x in (("start", self.start), ("lower bound", self.lower), ("upper bound", self.upper)):
             self._check_units(what, x)
         for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
             if not low <= high:
-                given = f"{float(low)} and {float(high)}"
-                raise InputError(f"bounds of {name} are {given}; allowed: lower below upper, or the same")
+                raise InputError(
+                    f"bounds of {name} are {float(low)} and {float(high)}; allowed: lower below upper, or the same"
+                )
             if not low <= x <= high:
                 raise InputError(
                     f"start of {name} is {float(x)}; allowed: within its bounds, {float(low)} to {float(high)}"
@@ -85,8 +88,11 @@ class DesignSpace:
 
     def _check_units(self, what: str, x: np.ndarray) -> None:
         for name in self.variables:
-            mine = [i for i, label in enumerate(self.names) if _parameter(label) == name]
-            check_parameter(f"{what} of", name, torch.from_numpy(x[mine]))
+            check_parameter(f"{what} of", name, torch.from_numpy(x[self._indices(name)]))
+
+    def _indices(self, parameter: str) -> list[int]:
+        """Indices in b of the entries of a parameter."""
+        return [i for i, label in enumerate(self.names) if _parameter(label) == parameter]
 
     @property
     def period(self) -> np.ndarray:
@@ -101,17 +107,17 @@ class DesignSpace:
             if name not in self.shapes:
                 raise unknown("bounds of parameter", name, self.shapes)
         lower, upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
-        for name, given in bounds.items():
-            mine = [i for i, label in enumerate(self.names) if _parameter(label) == name]
-            for x, values in zip((lower, upper), _pair(f"bounds of {name}", given), strict=True):
-                x[mine] = _numbers(f"bounds of {name}", values, len(mine))
+        for name, pair in bounds.items():
+            indices = self._indices(name)
+            for x, values in zip((lower, upper), _pair(f"bounds of {name}", pair), strict=True):
+                x[indices] = _numbers(f"bounds of {name}", values, len(indices))
         return lower, upper
 
     def _vector(self, what: str, x: Any) -> np.ndarray:
         return _numbers(what, x, len(self.names))
 
     def designs(self, X: np.ndarray | Tensor) -> dict[str, Tensor]:
-        """Parameters [lanes, ...] by name of design vectors [lanes, n]."""
+        """Parameters by name [lanes, ...] of design vectors [lanes, n]."""
         free = np.asarray(X, dtype=float)
         if free.ndim != 2 or free.shape[1] != len(self.names):
             raise InputError(f"designs have shape {free.shape}; allowed: [lanes, {len(self.names)}]")
@@ -125,29 +131,29 @@ class DesignSpace:
 
 
 def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """The map [entries, n] from the free entries to all, and the offset [entries]."""
+    """The map [entries, n] from the free entries to all entries, and the offset [entries]."""
     if not isinstance(links, Mapping):
         raise InputError(f"links is {links!r}; allowed: entry -> {{entry: factor, ...}}")
     free = [entry for entry in entries if entry not in links]
-    for follower, leaders in links.items():
-        if follower not in entries:
-            raise unknown("linked entry", follower, entries)
-        if not isinstance(leaders, Mapping):
-            raise InputError(f"link of {follower!r} is {leaders!r}; allowed: a mapping {{entry: factor}}")
-        for leader in leaders:
-            if leader not in (*free, CONSTANT):
-                raise unknown(f"{follower!r} follows an entry that is not free:", leader, [*free, CONSTANT])
+    for linked, terms in links.items():
+        if linked not in entries:
+            raise unknown("linked entry", linked, entries)
+        if not isinstance(terms, Mapping):
+            raise InputError(f"link of {linked!r} is {terms!r}; allowed: a mapping {{entry: factor}}")
+        for source in terms:
+            if source not in (*free, CONSTANT):
+                raise unknown(f"{linked!r} follows an entry that is not free:", source, [*free, CONSTANT])
     if not free:
         raise InputError("every entry is linked; allowed: at least one free design variable")
     matrix, offset = np.zeros((len(entries), len(free))), np.zeros(len(entries))
     for row, entry in enumerate(entries):
         if entry in links:
-            for leader, factor in links[entry].items():
+            for source, factor in links[entry].items():
                 value = float(_numbers(f"link of {entry}", factor, 1)[0])
-                if leader == CONSTANT:
+                if source == CONSTANT:
                     offset[row] = value
                 else:
-                    matrix[row, free.index(leader)] = value
+                    matrix[row, free.index(source)] = value
         else:
             matrix[row, free.index(entry)] = 1.0
     return matrix, offset
@@ -165,10 +171,12 @@ def _pair(what: str, x: Any) -> Any:
 
 
 def _numbers(what: str, x: Any, size: int) -> np.ndarray:
-    """One number for all entries, or one for each [size]."""
-    if isinstance(x, (tuple, list)):
-        x = [float(y) for y in x]
-    values = np.asarray(x.detach().numpy() if isinstance(x, Tensor) else x, dtype=float)
+    """Numbers [size] from one for all entries, or one for each; InputError for other values."""
+    try:
+        numbers = [float(y) for y in x] if isinstance(x, (tuple, list)) else x
+        values = np.asarray(numbers.detach().numpy() if isinstance(numbers, Tensor) else numbers, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} is {x!r}; allowed: numbers") from error
     if values.ndim > 1 or (values.ndim == 1 and len(values) != size):
         raise InputError(f"{what} has shape {values.shape}; allowed: a number or {size} numbers")
     if np.isnan(values).any():

@@ -20,7 +20,7 @@ import numpy as np
 
 from torchmbd.design.problem import Problem
 from torchmbd.design.problem_parts import constraints_of
-from torchmbd.design.response import Constraint, Measure, all_measures
+from torchmbd.design.response import Constraint, Measure, require_scalar_measures
 from torchmbd.design.words import unit
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
@@ -32,7 +32,7 @@ class Tradeoff:
     """A transient problem of several criteria, for `pareto_front`.
 
     system, duration  as in Problem [s]
-    minimize          name -> measure of one number, two at least
+    minimize          name -> measure of one number, at least two
     subject_to        inequalities, as in Problem
     options           bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
 
@@ -63,9 +63,9 @@ class Tradeoff:
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
             raise InputError(f"minimize has {self.criteria}; allowed: two criteria at least; for one, use Problem")
-        all_measures(minimize.values(), "tradeoff")
+        require_scalar_measures(minimize.values(), "tradeoff")
         first, *others = minimize.values()
-        # Criteria but the first come as rows without limit and scale among the constraints.
+        # All criteria but the first are constraints of the problem, with limit 0 and scale 1: their rows are the criteria.
         rows = [Constraint(measure, 0.0, scale=1.0) for measure in others]
         self.problem = Problem(system, duration, first, [*rows, *constraints_of(subject_to)], **options)
         if self.problem.equalities.size:
@@ -83,7 +83,7 @@ class Tradeoff:
         return [unit(measure) for measure in measures]
 
     def over(self, problem: Any) -> Tradeoff:
-        """The same with another source of evaluations than `self.problem`."""
+        """The same criteria with the evaluations of another problem, such as one that keeps them."""
         other = copy.copy(self)
         other.problem = problem
         return other

@@ -1,4 +1,4 @@
-"""Several criteria as one: the weighted sum of eq. (38), with its normalization stated.
+"""Several criteria as one measure: the weighted sum of eq. (38), with a choice of normalization.
 
 sum_i w_i f_i / f_i(initial design)      normalize="initial": no units, sum of the weights at the start (default)
 sum_i w_i f_i                            normalize=None: weights carry the units

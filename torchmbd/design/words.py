@@ -1,4 +1,4 @@
-"""Responses in words, with their units: titles of axes, columns of tables.
+"""Descriptions of responses in words, and their units, for axes of figures and columns of tables.
 
     heading(Integral(StrainEnergy("rod")))     integral of strain energy of rod [J s]
 
@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from torchmbd.design.aggregate import Aggregate
+from torchmbd.design.fatigue import Damage
 from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.histories import Reaction
 from torchmbd.design.measures import Integral
@@ -43,18 +44,19 @@ UNITS = {
     "fiber_divergence": "1/m",
 }
 _NAMES: dict[type, str] = {kind: name for names in (RESPONSES, COMBINATORS, OF_DESIGN) for name, kind in names.items()}
+_NAMES[Damage] = "damage"
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
 Response = History | Measure
 
 
 def words(response: Response, bodies: bool = True) -> str:
-    """A response in a few words: `integral of strain energy of rod`; `bodies`: with the names of these."""
+    """A description of a response, `integral of strain energy of rod`; without the names of bodies if `bodies` is False."""
     if isinstance(response, (FunctionHistory, FunctionMeasure)):
         inner = response.function
         inner = inner.func if isinstance(inner, partial) else inner
         return getattr(inner, "__name__", type(inner).__name__).strip("<>").replace("_", " ")
     if isinstance(response, (Combined, CombinedMeasure)):
-        return _of_operation(response.operation, response.parts, bodies)
+        return _words_of_operation(response.operation, response.parts, bodies)
     if isinstance(response, WeightedSum):
         return "weighted sum"
     if isinstance(response, Aggregate):
@@ -75,12 +77,12 @@ def words(response: Response, bodies: bool = True) -> str:
     axis = getattr(response, "axis", None)
     if isinstance(axis, str):
         name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"
-    named = getattr(response, "body", getattr(response, "joint", None))
-    return f"{name} of {named}" if bodies and isinstance(named, str) else name
+    part = getattr(response, "body", getattr(response, "joint", None))
+    return f"{name} of {part}" if bodies and isinstance(part, str) else name
 
 
 def unit(response: Response) -> str | None:
-    """The unit of a response: `J s`; empty for a plain number; None where it is not known, as of a function."""
+    """The SI unit of a response, such as `J s`; "" for a plain number; None if it is not known, as of a function."""
     if isinstance(response, (FunctionHistory, FunctionMeasure)):
         return response.unit
     if isinstance(response, (Combined, CombinedMeasure)):
@@ -88,45 +90,47 @@ def unit(response: Response) -> str | None:
     if isinstance(response, WeightedSum) and response.normalize is not None:
         return ""
     if isinstance(response, Aggregate):
-        own = {unit(measure) for measure in response.operands}
-        return own.pop() if len(own) == 1 else None
+        units = {unit(measure) for measure in response.operands}
+        return units.pop() if len(units) == 1 else None
     if isinstance(response, Total):
-        own = {unit(measure) for _, measure in response.terms}
-        return own.pop() if len(own) == 1 and {abs(w) for w, _ in response.terms} == {1.0} else None
+        units = {unit(measure) for _, measure in response.terms}
+        return units.pop() if len(units) == 1 and {abs(w) for w, _ in response.terms} == {1.0} else None
+    if isinstance(response, Damage):
+        return ""
     if isinstance(response, Reaction) and response.kind == "torque":
         return "N m"
     name = _NAMES.get(type(response), "")
     if name in UNITS:
         return UNITS[name]
     inner = getattr(response, "history", None)
-    own = unit(inner) if isinstance(inner, History) else None
-    return own if own is None or not isinstance(response, Integral) else f"{own} s".strip()
+    of_history = unit(inner) if isinstance(inner, History) else None
+    return of_history if of_history is None or not isinstance(response, Integral) else f"{of_history} s".strip()
 
 
 def heading(response: Response) -> str:
     """A response as the title of an axis: `integral of strain energy of rod [J s]`."""
-    own = unit(response)
-    return f"{words(response)} [{own}]" if own else words(response)
+    name = unit(response)
+    return f"{words(response)} [{name}]" if name else words(response)
 
 
-def _of_operation(operation: Any, parts: Sequence[Any], bodies: bool) -> str:
-    said = [words(part, bodies) if isinstance(part, (History, Measure)) else f"{part:g}" for part in parts]
+def _words_of_operation(operation: Any, parts: Sequence[Any], bodies: bool) -> str:
+    texts = [words(part, bodies) if isinstance(part, (History, Measure)) else f"{part:g}" for part in parts]
     if operation is torch.abs:
-        return f"|{said[0]}|"
+        return f"|{texts[0]}|"
     if operation is torch.pow:
-        return f"squared {said[0]}" if parts[1] == 2 else f"({said[0]})^{said[1]}"
+        return f"squared {texts[0]}" if parts[1] == 2 else f"({texts[0]})^{texts[1]}"
     if operation is torch.mul and not isinstance(parts[1], (History, Measure)):
-        return _scaled(float(parts[1]), said[0])
-    return _JOINED[operation].format(*said)
+        return _scaled(float(parts[1]), texts[0])
+    return _JOINED[operation].format(*texts)
 
 
-def _scaled(factor: float, said: str) -> str:
-    return said if factor == 1.0 else f"-{said}" if factor == -1.0 else f"{factor:g} · {said}"
+def _scaled(factor: float, text: str) -> str:
+    return text if factor == 1.0 else f"-{text}" if factor == -1.0 else f"{factor:g} · {text}"
 
 
 def _unit_of_operation(operation: Any, parts: Sequence[Any]) -> str | None:
-    own = [unit(part) if isinstance(part, (History, Measure)) else "number" for part in parts]
-    first, second = own[0], own[1] if len(own) > 1 else "number"
+    units = [unit(part) if isinstance(part, (History, Measure)) else "number" for part in parts]
+    first, second = units[0], units[1] if len(units) > 1 else "number"
     if first is None or second is None:
         return None
     if operation is torch.abs or (operation is torch.mul and parts[1:] == (-1.0,)):
