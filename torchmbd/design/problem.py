@@ -34,6 +34,7 @@ from torchmbd.design.problem_parts import (
     largest_row,
     scale_of,
     stated_objective,
+    with_extra_variable,
 )
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
@@ -385,7 +386,9 @@ class Problem(Summary):
         values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
         if slopes is not None:
             slopes[:, first:] /= reference.scale[:, None]
-        return self._with_extra_variable(values, slopes, X[:, -1], reference.unit) if self.peaks else (values, slopes)
+        if not self.peaks:
+            return values, slopes
+        return with_extra_variable(values, slopes, self.peaks, X[:, -1], reference.unit)
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
         """The design [n] and its evaluation with the least extra variable that its rows allow.
@@ -394,22 +397,3 @@ class Problem(Summary):
         """
         unit = self.reference.unit if self.peaks else 1.0
         return with_least_extra_variable(x, evaluation, self.peaks, unit, 0.0, self._bound[1])
-
-    def _with_extra_variable(
-        self, values: np.ndarray, slopes: np.ndarray | None, beta: np.ndarray, unit: float
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Rows and gradients of the problem with the objective beta y_0; eqs. (19), (20).
-
-        values [lanes, peaks + m], slopes [lanes, peaks + m, n], beta [lanes], unit y_0
-        """
-        values[:, : self.peaks] = values[:, : self.peaks] / unit - beta[:, None]
-        values = np.concatenate([beta[:, None] * unit, values], 1)
-        if slopes is None:
-            return values, None
-        lanes, m, n = slopes.shape
-        full = np.zeros((lanes, m + 1, n + 1))
-        full[:, 1:, :n] = slopes
-        full[:, 1 : 1 + self.peaks, :n] /= unit
-        full[:, 1 : 1 + self.peaks, n] = -1.0
-        full[:, 0, n] = unit
-        return values, full

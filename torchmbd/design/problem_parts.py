@@ -74,3 +74,24 @@ def evaluation_of(status: str, values: np.ndarray, gradients: np.ndarray | None,
     if gradients is None:
         return Evaluation(float(values[0]), values[1:])
     return Evaluation(float(values[0]), values[1:], gradients[0], gradients[1:])
+
+
+def with_extra_variable(
+    values: np.ndarray, slopes: np.ndarray | None, peaks: int, beta: np.ndarray, unit: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Rows and gradients of the problem with the objective beta y_0; eqs. (19), (20).
+
+    values [lanes, peaks + m] and slopes [lanes, peaks + m, n]   of the rows of the objective, then of the constraints
+    beta   the extra variable [lanes];   unit   y_0
+    """
+    values[:, :peaks] = values[:, :peaks] / unit - beta[:, None]
+    values = np.concatenate([beta[:, None] * unit, values], 1)
+    if slopes is None:
+        return values, None
+    lanes, m, n = slopes.shape
+    full = np.zeros((lanes, m + 1, n + 1))
+    full[:, 1:, :n] = slopes
+    full[:, 1 : 1 + peaks, :n] /= unit
+    full[:, 1 : 1 + peaks, n] = -1.0
+    full[:, 0, n] = unit
+    return values, full
