@@ -10,6 +10,8 @@ import re
 import sys
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
@@ -39,6 +41,22 @@ def use_one_thread() -> None:
     import torch
 
     torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run operators of torch in one thread inside, unless OMP_NUM_THREADS states a number; then restore the number before."""
+    import torch
+
+    count = torch.get_num_threads()
+    if count == 1 or "OMP_NUM_THREADS" in os.environ:
+        yield
+        return
+    torch.set_num_threads(1)  # takes less than a microsecond
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
 
 
 def brief_warnings() -> None:

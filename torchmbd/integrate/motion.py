@@ -23,6 +23,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import in_transform
+from torchmbd.process import one_thread
 
 Tensors = Sequence[Tensor | None]
 
@@ -59,6 +60,7 @@ class Motion(torch.autograd.Function):
         ctx.set_materialize_grads(False)
 
     @staticmethod
+    @one_thread()
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[1:]
         _refuse_batched(cotangents)

@@ -38,6 +38,7 @@ from torchmbd.fem.sections.warping import WarpingProblem, solve
 from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.inverse import balanced_inverse
 from torchmbd.math.vmap import batch_first
+from torchmbd.process import one_thread
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
 
@@ -153,6 +154,7 @@ class _ByStiffness(FirstDerivative):
         return _flattened(_ByStiffness, info, in_dims, problem, x, D)
 
 
+@one_thread()
 def _each(
     f: Callable[[WarpingProblem, Tensor, Tensor], Tensor], problem: WarpingProblem, x: Tensor, D: Tensor
 ) -> Tensor:
