@@ -80,7 +80,7 @@ def mitc4(corners: Tensor, points: Bilinear, *_: object) -> tuple[Tensor, Tensor
 def dkmq(corners: Tensor, points: Bilinear, mean: IsotropicMean, *_: object) -> tuple[Tensor, Tensor]:
     """Gaps shared by the length of the side, curvatures as they are: I. Katili (1993)."""
     gap, tangent, length = sides.gaps(corners)
-    delta, gamma = sides.shared(gap, mean.shear_length, length**2)
+    delta, gamma = sides.split_gaps(gap, mean.shear_length, length**2)
     curvature = (
         quad_bending.linear_curvatures(points) + quad_bending.quadratic_curvatures(points, tangent) @ delta[:, None]
     )

@@ -148,7 +148,7 @@ class Manoeuvre:
         points = self.assembly.masses()
         force = torch.zeros(len(points.ends), 6, 1, dtype=torch.float64)
         force[:, 2, 0] = -LOAD_FACTOR * GRAVITY * points.mass.detach()
-        self.force = self.assembly.freedoms.gathered(self.assembly.carried(force, points.arm)).detach()
+        self.force = self.assembly.freedoms.gathered(self.assembly.forces_on_nodes(force, points.arm)).detach()
 
     def __call__(self) -> Tensor:
         moved = self.static(self.assembly.stiffness(), self.force)

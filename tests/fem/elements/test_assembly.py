@@ -12,7 +12,7 @@ from tests.fem.elements.plate_cases import CARBON, GENERAL, irregular, rotation,
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import Assembly, Plates, PointMasses, RigidLink, merged
+from torchmbd.fem.elements import Assembly, Plates, PointMasses, RigidLink, merge_plates
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.reduction import eigenpairs
 from torchmbd.math.angles import deg
@@ -137,7 +137,7 @@ def test_laminates_of_one_kind_are_one_part(mass):
         for k, (laminate, cells) in enumerate(zip(laminates, chosen, strict=True))
     }
     parts["thick"] = Plates(MESH, GENERAL, cells=[2], mass=mass)
-    joined = merged(parts)
+    joined = merge_plates(parts)
     assert list(joined) == ["zone0", "thick"]
     variables = [x for laminate in laminates for x in laminate.parameters()]
     for x in variables:
@@ -155,4 +155,4 @@ def test_laminates_of_one_kind_are_one_part(mass):
 
 def test_laminates_on_one_cell_stay_apart():
     parts = {name: Plates(MESH, GENERAL, cells=cells) for name, cells in (("one", [0, 1]), ("other", [1, 2]))}
-    assert merged(parts) == parts
+    assert merge_plates(parts) == parts

@@ -53,8 +53,8 @@ def test_cells_are_what_lies_at_a_side():
     nodes = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, -4, 0], [0, 0, 6]], dtype=torch.float64)
     mesh = Mesh(nodes, [[0, 1, 2], [0, 3, 1], [0, 1, 4]])
     expected = torch.tensor([[2.0, 1.0, 1.0], [2.0, 2.0, 2.0], [2.0, 3.0, 3.0]], dtype=torch.float64)
-    assert_close(facets(mesh).cell, expected)
-    assert_close(facets(mesh, (1.0, 0.0, 0.0), torch.tensor([2])).cell, expected[2:])
+    assert_close(facets(mesh).side_area, expected)
+    assert_close(facets(mesh, (1.0, 0.0, 0.0), torch.tensor([2])).side_area, expected[2:])
 
 
 def test_a_warped_quadrilateral_lies_on_its_mean_plane():
@@ -67,5 +67,5 @@ def test_a_warped_quadrilateral_lies_on_its_mean_plane():
     assert plane.mixed.tolist() == [[False, True, False, False]]
     other = facets(mesh, rotation(4)[:, 0], kind="triangle")
     assert other.mixed.tolist() == [[False, False, True]]
-    assert_close(plane.cell[0, 1], (mesh.areas[0] + mesh.areas[1]) / 2)
-    assert_close(plane.cell[0, 1], other.cell[0, 2])
+    assert_close(plane.side_area[0, 1], (mesh.areas[0] + mesh.areas[1]) / 2)
+    assert_close(plane.side_area[0, 1], other.side_area[0, 2])

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 from tests.fem.elements.beam_cases import coupled_section
 from tests.fem.elements.plate_cases import CARBON, GENERAL, KINDS, grid, irregular, mapped, rotation
 from torchmbd.fem.elements import Assembly, BeamLine, Beams, GivenSection, Plates
-from torchmbd.fem.elements.geometric import projected
+from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 
@@ -66,7 +66,12 @@ def test_the_projection_is_that_of_the_matrix(name):
     u, psi = (torch.randn(len(mesh.nodes), 6, k, dtype=torch.float64, generator=generator) for k in (2, 3))
     flat = psi.reshape(-1, 3)
     expected = flat.T @ assembly.geometric(u).dense() @ flat
-    assert_close(projected(assembly.stressed(u), psi), expected, rtol=1e-9, atol=1e-9 * float(expected.abs().max()))
+    assert_close(
+        projected_geometric_stiffness(assembly.stressed(u), psi),
+        expected,
+        rtol=1e-9,
+        atol=1e-9 * float(expected.abs().max()),
+    )
 
 
 @pytest.mark.parametrize(("kind", "slant"), [("triangle", None), ("quad", 0.3), ("quad", None)])
@@ -93,7 +98,7 @@ def test_patch_of_uniform_forces_and_quadratic_deflection(kind, slant):
     bent = field(
         zero, zero, c[0] * x**2 + c[1] * y**2 + c[2] * x * y, H[1, 0] * x + H[1, 1] * y, -(H[0, 0] * x + H[0, 1] * y)
     )
-    found = projected(assembly.stressed(stretched), bent)[0, 0, 0]
+    found = projected_geometric_stiffness(assembly.stressed(stretched), bent)[0, 0, 0]
     N = (laminate.stiffness().A @ eps)[[0, 2, 2, 1]].reshape(2, 2)
     xx, yy = 0.7 / 12.0, 0.7**3 / 12.0  # second moments of the rectangle
     s = slant or 0.0

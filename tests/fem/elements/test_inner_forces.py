@@ -18,7 +18,7 @@ from tests.fem.elements.plate_cases import (
     turned,
 )
 from torchmbd.fem.elements import PlateMatrices
-from torchmbd.fem.elements.inner_forces import CellForces, varying
+from torchmbd.fem.elements.inner_forces import CellForces, zero_mean_functions
 from torchmbd.fem.elements.quad_membrane import membrane
 from torchmbd.fem.elements.quad_shape import gauss
 from torchmbd.fem.elements.quad_states import displacements
@@ -53,7 +53,7 @@ def test_a_rectangle_in_bending_has_the_energy_of_its_material():
 def test_amounts_of_three_functions_are_all_that_varies():
     """Without mean, and the mean of a product is the sum of products: with any weights."""
     weight = torch.tensor([[0.2, 0.7, 0.4, 0.3]], dtype=torch.float64)
-    T, one = varying(weight)[0], torch.ones(4, dtype=torch.float64)
+    T, one = zero_mean_functions(weight)[0], torch.ones(4, dtype=torch.float64)
     a, b = torch.randn(2, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     share = weight[0] / 1.6
     assert_close(T @ one, torch.zeros(3, dtype=torch.float64), rtol=0, atol=1e-15)

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchmbd.fem.materials.lamination_region import CONDITIONS, conditions, directions, outside
+from torchmbd.fem.materials.lamination_region import CONDITIONS, conditions, directions, infeasibility_reasons
 
 
 def parameters(angles: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
@@ -26,7 +26,7 @@ def test_all_stacks_keep_the_conditions(plies):
     found = conditions(*parameters(angles, t / t.sum()))
     assert found.shape == (CONDITIONS,)
     assert float(found.max()) <= 1 + 1e-12
-    assert outside(*parameters(angles, t / t.sum())) == [""]
+    assert infeasibility_reasons(*parameters(angles, t / t.sum())) == [""]
 
 
 def reach(direction: np.ndarray, layers: int = 40, count: int = 36) -> float:

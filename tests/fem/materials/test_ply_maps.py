@@ -6,7 +6,7 @@ from torch.func import functional_call, jacfwd, jacrev
 from torch.testing import assert_close
 
 from torchmbd.fem.materials import Laminate, Ply, ply_maps
-from torchmbd.fem.materials.laminate import turning
+from torchmbd.fem.materials.laminate import strain_rotations
 from torchmbd.math.angles import deg
 
 CARBON = Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.0e9, G23=3.9e9, nu12=0.23, density=1586.0)
@@ -19,7 +19,7 @@ def general():
 
 def in_plate_axes(laminate, stress):
     """Turn ply stresses [layers, 2, 5, ...] back: (xx, yy, xy), (xz, yz)."""
-    T, R = turning(laminate.layer_angles)
+    T, R = strain_rotations(laminate.layer_angles)
     return torch.einsum("lij,lfi...->lfj...", T, stress[:, :, :3]), torch.einsum(
         "lij,lfi...->lfj...", R, stress[:, :, 3:]
     )

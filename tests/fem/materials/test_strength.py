@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import CRITERIA, Ply, Strength, tsai_wu, tsai_wu_irf
-from torchmbd.fem.materials.laminate import turning
+from torchmbd.fem.materials.laminate import strain_rotations
 
 GRAPHITE_EPOXY = Strength(Xt=1500e6, Xc=1500e6, Yt=40e6, Yc=246e6, S12=68e6)
 GENERAL = Strength(Xt=1500e6, Xc=1200e6, Yt=40e6, Yc=246e6, S12=68e6, S13=60e6, S23=35e6, interaction=-0.3)
@@ -23,7 +23,7 @@ def test_kaw_60_degree_lamina():
 
     A. K. Kaw, Mechanics of Composite Materials, 2nd ed., examples 2.13 and 2.19 (graphite/epoxy, table 2.1).
     """
-    T, _ = turning(tensor(math.pi / 3)[0])
+    T, _ = strain_rotations(tensor(math.pi / 3)[0])
     own = torch.linalg.solve(T.mT, tensor(2.0, -3.0, 4.0)[:, None])[:, 0]  # stresses turn by the inverse transpose
     stress = torch.cat([own, tensor(0.0, 0.0)])
     strength = GRAPHITE_EPOXY.numbers()

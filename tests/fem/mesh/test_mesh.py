@@ -124,7 +124,7 @@ def test_quadrilaterals_are_counted_after_the_triangles():
     assert repr(mesh) == "Mesh(5 nodes, 1 triangles, 1 quadrilaterals, 0 lines)"
     assert_close(mesh.directed_areas[1], torch.tensor([0.0, 0, 1], dtype=torch.float64))
     assert mesh.areas[1].item() == pytest.approx(1.0)
-    nodes, share, cell = mesh.pieces
+    nodes, share, cell = mesh.covering_triangles
     assert_close(share, torch.tensor([1.0, 0.5, 0.5, 0.5, 0.5], dtype=torch.float64))
     assert cell.tolist() == [0, 1, 1, 1, 1]
     covered = (share[:, None] * directed_area(mesh.nodes[nodes]))[1:].sum(0)

@@ -12,7 +12,7 @@ from torchmbd.fem.elements.lamination_parameters import LaminationParameters
 from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLink
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
-from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merged
+from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merge_plates
 from torchmbd.fem.elements.ply_recovery import PlyBasis, ply_basis, ply_points
 from torchmbd.fem.elements.shell_elements import ELEMENTS
 from torchmbd.fem.elements.solids import CORNERS, solid_matrices
@@ -47,7 +47,7 @@ __all__ = [
     "PointMasses",
     "RigidLink",
     "SteeredLaminate",
-    "merged",
+    "merge_plates",
     "ply_basis",
     "ply_points",
     "solid_matrices",

@@ -1,10 +1,10 @@
-"""What a flexible body is made of: parts with stiffness and mass on common nodes, and the freedoms that are free.
+"""Stiffness and mass of a flexible body: parts on common nodes, and the free freedoms of these nodes.
 
     K(b) = sum_parts values_p(b)        on the free freedoms, one sparsity pattern
     M(b) = sum of mass points: at nodes (lumped; diagonal where they need no arms) or halfway between two nodes
 
-A part knows its pattern over all freedoms 6 * node + i of the mesh, made once, and gives its values for the present
-design. A new kind of element is one class that keeps this contract (`Part`).
+A part has a pattern over all freedoms 6 * node + i of the mesh, computed once, and values for the present design. A new
+kind of element is one class with the methods of `Part`.
 
 Mass points: mass m and isotropic rotary inertia mu at a node, eq. (2), or at the middle of two nodes, which moves with
 their mean; or at the end of a rigid arm on them. With three such points at the middles of its sides a triangle has its
@@ -26,23 +26,24 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
-from torchmbd.fem.elements.geometric import StressedCells, assembled
+from torchmbd.fem.elements.geometric import StressedCells, assembled_geometric_stiffness
 from torchmbd.fem.elements.links import Follower
 from torchmbd.fem.elements.part import MassPoints, Part
+from torchmbd.math.rigid_motion import hat
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
 class Meshed(Protocol):
-    """What an assembly asks of a mesh."""
+    """A mesh as an assembly uses it."""
 
     @property
     def nodes(self) -> Float[Tensor, "n 3"]: ...
 
 
 class Assembly:
-    """Parts on the nodes of one mesh, some of them held or linked.
+    """Parts on the nodes of one mesh; some nodes may be held or linked.
 
-    mesh    whose nodes carry the freedoms
+    mesh    its nodes have the freedoms
     parts   name -> part
     held    nodes that are fixed
     links   nodes that follow others
@@ -73,7 +74,7 @@ class Assembly:
             self._prepare_mass()
 
     def _absent(self, points: Sequence[MassPoints]) -> Int[Tensor, " k"]:
-        """Free freedoms without stiffness: rotations of nodes of solids; those with mass are warned of, they stand still."""
+        """Return the free freedoms without stiffness, such as rotations of nodes of solids; warn of those with mass."""
         used = torch.zeros(len(self.freedoms.free), dtype=torch.bool)
         for part in self.parts.values():
             used[self.freedoms.reduced(part.pattern)[0].rows] = True
@@ -98,7 +99,7 @@ class Assembly:
         return self.freedoms.free[~used]
 
     def _prepare_stiffness(self) -> None:
-        """Where the values of every part go in the common pattern of the free freedoms: (source, position, factor)."""
+        """Find (source, position, factor) of the values of each part in the common pattern of the free freedoms."""
         reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
         if len(reduced) == 1:
             self.pattern, positions = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
@@ -112,7 +113,7 @@ class Assembly:
         ]
 
     def _prepare_mass(self) -> None:
-        """Where each mass point goes in M: a quarter of its inertia to the four corners of its pair."""
+        """Find the entries of M for each mass point: a quarter of its inertia for each two ends of its node pair."""
         i, j = torch.div(self._entries, 6, rounding_mode="floor"), self._entries % 6
         ends = self._ends
         pairs = torch.stack([ends[:, [0, 0, 1, 1]], ends[:, [0, 1, 0, 1]]], dim=-1)  # [points, 4, 2]
@@ -137,7 +138,9 @@ class Assembly:
         values = []
         for part, (source, *_) in self._sources:
             cells = part.stressed(motion)
-            whole = assembled(part.pattern, cells) if cells else motion.new_zeros(k, part.pattern.nnz)
+            whole = (
+                assembled_geometric_stiffness(part.pattern, cells) if cells else motion.new_zeros(k, part.pattern.nnz)
+            )
             values.append(whole[..., source])
         return self._joined(values)
 
@@ -146,7 +149,7 @@ class Assembly:
         return list(zip(self.parts.values(), self._places, strict=True))
 
     def _joined(self, values: list[Tensor]) -> SparseMatrix:
-        """Matrix of the free freedoms from the numbers of every part."""
+        """Return the matrix of the free freedoms from the values of all parts."""
         if len(values) == 1 and self.freedoms.plain:
             return SparseMatrix(self.pattern, values[0], symmetric=True)
         lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))
@@ -171,7 +174,7 @@ class Assembly:
     def mass(self, points: MassPoints | None = None) -> Float[Tensor, "*lanes N"] | SparseMatrix:
         """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix.
 
-        points: what `masses` has found already
+        points: the result of `masses`, if it is known
         """
         _, mass, rotary, arm = self.masses() if points is None else points
         inertia = _inertia(mass, rotary, arm)  # [..., points, entries]
@@ -184,12 +187,12 @@ class Assembly:
         small = small.index_add(-1, self._mass_position, values[..., self._mass_source] * self._mass_factor)
         return SparseMatrix(self.mass_pattern, small)
 
-    def places(self, x: Float[Tensor, "n 3"], arm: Tensor | None) -> Float[Tensor, "*lanes points 3"]:
+    def mass_positions(self, x: Float[Tensor, "n 3"], arm: Tensor | None) -> Float[Tensor, "*lanes points 3"]:
         """Positions of the mass points on these arms, from those of the nodes."""
         middles = self._middles(x, -2)
         return middles if arm is None else middles + arm
 
-    def motion(self, psi: Float[Tensor, "*lanes n 6 k"], arm: Tensor | None) -> Float[Tensor, "*lanes points 6 k"]:
+    def mass_motion(self, psi: Float[Tensor, "*lanes n 6 k"], arm: Tensor | None) -> Float[Tensor, "*lanes points 6 k"]:
         """Displacements and rotations of the mass points on these arms, from those of the nodes."""
         at = self._middles(psi, -3)
         if arm is None:
@@ -197,8 +200,10 @@ class Assembly:
         moved, turned = at.split(3, dim=-2)
         return torch.cat([moved + torch.linalg.cross(turned, arm[..., None].expand_as(turned), dim=-2), turned], dim=-2)
 
-    def carried(self, forces: Float[Tensor, "*lanes points 6 k"], arm: Tensor | None) -> Float[Tensor, "*lanes n 6 k"]:
-        """Forces and moments on the mass points as those on the nodes: the transpose of `motion`."""
+    def forces_on_nodes(
+        self, forces: Float[Tensor, "*lanes points 6 k"], arm: Tensor | None
+    ) -> Float[Tensor, "*lanes n 6 k"]:
+        """Forces and moments on the nodes of those on the mass points on these arms: the transpose of `mass_motion`."""
         if arm is not None:
             force, moment = forces.split(3, dim=-2)
             moment = moment + torch.linalg.cross(arm[..., None].expand_as(force), force, dim=-2)
@@ -217,9 +222,7 @@ def _inertia(mass: Tensor, rotary: Tensor, arm: Tensor | None) -> Float[Tensor, 
     """Inertia of mass points about their nodes: the diagonals of 6 x 6 matrices, or with arms the whole of them."""
     if arm is None:
         return torch.stack([mass] * 3 + [rotary] * 3, dim=-1)
-    x, y, z = arm.unbind(-1)
-    o = torch.zeros_like(x)
-    lever = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))  # lever @ phi = arm x phi
+    lever = hat(arm)
     eye = torch.eye(3, dtype=arm.dtype).expand_as(lever)
     at_node = torch.cat([torch.cat([eye, -lever], dim=-1), torch.cat([lever, lever.mT @ lever], dim=-1)], dim=-2)
     turning = torch.diag(arm.new_tensor([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]))

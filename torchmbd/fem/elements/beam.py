@@ -19,7 +19,7 @@ Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axe
 reverse, in the sections' stiffness, with lanes.
 Source: the flexibility (force) method, J. S. Przemieniecki, Theory of Matrix Structural Analysis (1968), chapter 8;
 W. Carnegie, J. Thomas, E. Dokumaci, Aeronaut. Q. 20 (1969), for the shear-flexible element that this one contains.
-Checked in tests/elements/test_beam_*.py, tests/validation/test_beam_*.py.
+Checked in tests/fem/elements/test_beam_*.py, tests/validation/test_beam_*.py.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from torchmbd.fem.elements.facet import STEEPNESS
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.gradients import all_true, untransformed
 from torchmbd.math.inverse import balanced_inverse
+from torchmbd.math.rigid_motion import hat
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
@@ -58,8 +59,8 @@ class Particles(NamedTuple):
     mass: Float[Tensor, "*lanes p"]
 
 
-class Inside(NamedTuple):
-    """Elements at their stations, mesh axes, of the freedoms of both ends.
+class StationRows(NamedTuple):
+    """Motion and forces at the stations of the elements, as rows on the freedoms of both ends, mesh axes.
 
     rows      rotation, slope of the line, curvature [m, g, 9, 12]
     forces    force and moment of the section [m, g, 6, 12]
@@ -74,17 +75,17 @@ class Inside(NamedTuple):
 
 
 class BeamMatrices:
-    """What a line contributes to stiffness and mass, made once per mesh.
+    """Stiffness and mass of the beam elements of a line, computed once per mesh but for the sections.
 
     pattern   where K is not zero
     axes      rows e_x, e_y, e_z of each element (of its chord) in mesh axes   [m, 3, 3]
     length    of each element, along its arc                    [m], m
-    stations  where the section is asked, in parts of the length from the start    [g]
+    stations  integration points, as parts of the length from the start    [g]
 
     orientation   the sections' y-axis in mesh axes, projected across each element, of an arc across its tangents: [3], or
                   one for each element of the mesh [m, 3]
-    members       indices of the elements in question; None: all of the mesh. `elements` keeps their nodes
-    stations      how many; two are exact for prismatic elements
+    members       indices of the elements; None: all of the mesh. `elements` holds their nodes
+    stations      number of integration points; two are exact for prismatic elements
     """
 
     def __init__(
@@ -105,8 +106,8 @@ class BeamMatrices:
         self.pattern, self._position = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
         self._place(mesh.nodes)
 
-    def at(self, nodes: Float[Tensor, "*lanes n 3"]) -> BeamMatrices:
-        """The same elements with the nodes elsewhere, differentiable in these."""
+    def with_nodes(self, nodes: Float[Tensor, "*lanes n 3"]) -> BeamMatrices:
+        """Return the same elements with other positions of the nodes, differentiable in these."""
         result = copy.copy(self)
         result._place(nodes)
         return result
@@ -159,8 +160,8 @@ class BeamMatrices:
         here = _transport(turned.new_zeros(turned.shape[:-1]), turned)
         return here @ torch.stack([self._whole @ end, end], dim=-3)
 
-    def inside(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> Inside:
-        """How the elements move between their nodes under forces at these, and the forces there."""
+    def station_rows(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> StationRows:
+        """Return motions and forces at the stations of elements that are loaded at their nodes alone."""
         compliance = balanced_inverse(stiffness)
         k = balanced_inverse(self.flexibility(compliance))
         local = self._carry @ (k @ self._ends)[..., None, :, :]  # section forces, axes of the section
@@ -173,7 +174,7 @@ class BeamMatrices:
         turned = start + (run @ kappa.flatten(-2)).unflatten(-1, kappa.shape[-2:])
         slope = torch.linalg.cross(turned, tangent[..., None].expand_as(turned), dim=-2) + gamma
         weight = self.length[..., None] * self._weights
-        return Inside(torch.cat([turned, slope, kappa], -2), torch.cat([F, M], -2), tangent, weight)
+        return StationRows(torch.cat([turned, slope, kappa], -2), torch.cat([F, M], -2), tangent, weight)
 
     def frames(self, t: Float[Tensor, " g"]) -> Float[Tensor, "m g 3 3"]:
         """Axes of the sections at parts t of the lengths, rows, mesh axes."""
@@ -238,7 +239,7 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
 
 
 def cumulative(stations: int) -> Float[Tensor, "g g"]:
-    """Weights of the integrals from 0 to each station of what is known at all stations."""
+    """Return the weights of integrals from 0 to each Gauss station of a function that is known at all stations."""
     legendre = np.polynomial.legendre
     x = legendre.leggauss(stations)[0]
     whole = [legendre.legval(x, legendre.legint(row, lbnd=-1)) for row in np.eye(stations)]
@@ -247,9 +248,7 @@ def cumulative(stations: int) -> Float[Tensor, "g g"]:
 
 def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:
     """C of the module header: turn [F; M + d cross F]."""
-    x, y, z = d.unbind(-1)
-    o = torch.zeros_like(x)
-    arm = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))
+    arm = hat(d)
     turn = turn.expand(arm.shape)
     return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([turn @ arm, turn], -1)], -2)
 

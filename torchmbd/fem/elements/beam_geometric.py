@@ -21,19 +21,20 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.elements.beam import BeamMatrices
-from torchmbd.fem.elements.geometric import StressedCells, at_corners
+from torchmbd.fem.elements.geometric import StressedCells, corner_motions
 from torchmbd.math.quadratic_forms import factors
+from torchmbd.math.rigid_motion import hat
 
 
 def stressed_beams(
     matrices: BeamMatrices, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
 ) -> list[StressedCells]:
-    """The elements under the section forces of k motions; stiffness as of `BeamMatrices.values`."""
-    inside = matrices.inside(stiffness)
-    forces = inside.forces @ at_corners(matrices.elements, motion)[..., None, :, :]
+    """Return the stressed cells under the section forces of k motions; stiffness as of `BeamMatrices.values`."""
+    stations = matrices.station_rows(stiffness)
+    forces = stations.forces @ corner_motions(matrices.elements, motion)[..., None, :, :]
     F, M = forces.movedim(-1, -4).split(3, dim=-1)  # [*lanes, k, m, g, 3]
-    law = _law(F, M, inside.tangent.unsqueeze(-4)) * inside.weight[..., None, :, :, None, None]
-    return [StressedCells(matrices.elements, inside.rows.unsqueeze(-2), factors(law))]
+    law = _law(F, M, stations.tangent.unsqueeze(-4)) * stations.weight[..., None, :, :, None, None]
+    return [StressedCells(matrices.elements, stations.rows.unsqueeze(-2), factors(law))]
 
 
 def _law(F: Tensor, M: Tensor, t: Tensor) -> Float[Tensor, "*lanes k m g 9 9"]:
@@ -42,12 +43,6 @@ def _law(F: Tensor, M: Tensor, t: Tensor) -> Float[Tensor, "*lanes k m g 9 9"]:
     both = F[..., :, None] * t[..., None, :]
     eye = torch.eye(3, dtype=F.dtype)
     turned = 0.5 * (both + both.mT) - (F * t).sum(-1)[..., None, None] * eye
-    none, f, m = torch.zeros_like(turned), _skew(F), 0.5 * _skew(M)
+    none, f, m = torch.zeros_like(turned), hat(F), 0.5 * hat(M)
     rows = [torch.cat(row, -1) for row in ((turned, f, m), (f.mT, none, none), (m.mT, none, none))]
     return torch.cat(rows, -2)
-
-
-def _skew(x: Tensor) -> Tensor:
-    a, b, c = x.unbind(-1)
-    o = torch.zeros_like(a)
-    return torch.stack([o, -c, b, c, o, -a, -b, a, o], -1).unflatten(-1, (3, 3))

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.fem.elements.beam_nodes import Straight, made, shape_of
+from torchmbd.fem.elements.beam_nodes import Straight, evaluate_nodes, node_module_of
 from torchmbd.fem.mesh.mesh import node_members
 from torchmbd.math.checked_numbers import indices, reals
 from torchmbd.math.gradients import constant_arguments
@@ -53,7 +53,7 @@ class BeamLine:
     elements: Int[Tensor, "m 2"]
     node_sets: Mapping[str, Sequence[int]]
     middles: Float[Tensor, "m 3"] | None
-    shape: nn.Module | None
+    node_module: nn.Module | None
 
     def __init__(
         self,
@@ -62,10 +62,11 @@ class BeamLine:
         node_sets: Mapping[str, Sequence[int]] | None = None,
         middles: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.shape = shape_of(nodes)
-        self.variables = ParameterVector.of(self.shape)
-        self.nodes = reals("nodes of a BeamLine", made(self.shape) if self.shape is not None else nodes)  # pyright: ignore[reportArgumentType]
-        if self.shape is not None and middles is not None:
+        self.node_module = node_module_of(nodes)
+        self.variables = ParameterVector.of(self.node_module)
+        numbers: Any = nodes if self.node_module is None else evaluate_nodes(self.node_module)
+        self.nodes = reals("nodes of a BeamLine", numbers)
+        if self.node_module is not None and middles is not None:
             raise InputError("nodes of a BeamLine vary and it has middles; allowed: numbers, or straight elements")
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))

@@ -4,7 +4,7 @@
     BeamLine.straight(length=mbd.variable(0.3))       a length: "rod.line.length"
     BeamLine(module)                                  any torch module without arguments that returns nodes [n, 3] [m]
 
-A module is evaluated for each design, so it needs to know nothing of lanes. Straight elements only.
+A module is evaluated for each design by itself, so it has no axis of lanes. Straight elements only.
 Checked in tests/sensitivity/test_node_variables.py.
 """
 
@@ -50,15 +50,15 @@ class Straight(nn.Module):
         return self.length * self._unit
 
 
-def shape_of(given: Any) -> nn.Module | None:
-    """The module that makes the nodes, if they vary."""
+def node_module_of(given: Any) -> nn.Module | None:
+    """Return the module that computes the nodes; None where they are constant."""
     if isinstance(given, nn.Parameter):
         return Nodes(given)
     return given if isinstance(given, nn.Module) else None
 
 
-def made(shape: nn.Module) -> Tensor:
-    """Nodes of a module as they are now [n, 3], without a gradient; InputError where it gives something else."""
+def evaluate_nodes(shape: nn.Module) -> Tensor:
+    """Return the present nodes of a module [n, 3] without gradient; InputError where it returns something else."""
     with torch.no_grad():
         found = shape()
     if not isinstance(found, Tensor) or found.dtype != torch.float64 or found.ndim != 2 or found.shape[1] != 3:
@@ -69,7 +69,7 @@ def made(shape: nn.Module) -> Tensor:
 
 def varying_nodes(mesh: Any) -> bool:
     """Whether the nodes of a mesh depend on the design."""
-    return getattr(mesh, "shape", None) is not None
+    return getattr(mesh, "node_module", None) is not None
 
 
 def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:

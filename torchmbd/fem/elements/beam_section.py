@@ -1,4 +1,4 @@
-"""What a beam asks of its section, sections given by numbers, and sections moved off the line of the nodes.
+"""The stiffness and mass that a beam takes from its section, sections given by numbers, and sections off the line of the nodes.
 
     stiffness   (N, V_y, V_z, T, M_y, M_z) = K (eps, gamma_y, gamma_z, kappa_x, kappa_y, kappa_z)   N, N m, N m2
     mass        inertia per length of (v, omega) of the section's axes                              kg/m, kg, kg m

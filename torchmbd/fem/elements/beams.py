@@ -22,7 +22,7 @@ from torchmbd.fem.elements.part import MassPoints
 from torchmbd.fem.elements.plates import MASSES
 from torchmbd.math.checked_numbers import reals
 
-#: Stations of an element that is twisted by itself or an arc: its flexibility is exact to 1e-10 up to a quarter turn.
+#: Stations of a twisted element or an arc: its flexibility is exact to 1e-10 up to a quarter turn.
 TURNING = 8
 
 
@@ -66,8 +66,8 @@ class Beams:
         with torch.no_grad():
             self._points = self._particles()
 
-    def on(self, line: Line, elements: Sequence[int]) -> Beams | None:
-        """The same section on a line of only these elements, in this order; None where none of them is made of it."""
+    def on_line(self, line: Line, elements: Sequence[int]) -> Beams | None:
+        """Return the part on a line of only these elements, in this order; None where none of them belongs to it."""
         own = set(self.matrices.members.tolist())
         members = [k for k, e in enumerate(elements) if e in own]
         count = len(self._line.elements)
@@ -97,7 +97,7 @@ class Beams:
     @property
     def _present(self) -> BeamMatrices:
         """The elements in the present design."""
-        return self.matrices.at(present_nodes(self._line)) if varying_nodes(self._line) else self.matrices
+        return self.matrices.with_nodes(present_nodes(self._line)) if varying_nodes(self._line) else self.matrices
 
     def _particles(self) -> MassPoints:
         at_line = self._massive @ self.section.mass()[..., None, None, :, :] @ self._massive.mT
@@ -127,7 +127,7 @@ def _placed(
     count: int,
     elements: Sequence[int] | Tensor | None,
 ) -> tuple[Float[Tensor, "m 1 2"], Float[Tensor, "m e"]]:
-    """Offset and twist of the elements in question; m is 1 where all have the same, e is 2 where the twist grows."""
+    """Return offset and twist of the elements; m is 1 where all have the same, e is 2 where the twist varies along them."""
     at, turn = reals("offset", offset), reals("twist", twist)
     if at.shape not in ((2,), (count, 2)):
         raise InputError(f"offset has shape {tuple(at.shape)}; allowed: [2], or one for each element [{count}, 2]")

@@ -26,8 +26,8 @@ _FIRST_ROW = {"A": (0, 0), "B": (0, 3), "D": (3, 3), "As": (6, 6)}
 _SAME = 1e-12  # of the largest number: cells that differ by less have one shape
 
 
-def shapes_of(plane: Facets) -> tuple[Int[Tensor, " shapes"], Int[Tensor, " m"]]:
-    """One cell of each shape, and the shape of every cell: all that strains are made of, but for rounding."""
+def distinct_shapes(plane: Facets) -> tuple[Int[Tensor, " shapes"], Int[Tensor, " m"]]:
+    """Return one cell of each shape, and the shape of every cell; Facets of one shape agree but for rounding."""
     columns = []
     for x in vars(plane).values():
         flat = x.to(torch.float64).flatten(1) if x.dim() > 1 else x[:, None]
@@ -38,12 +38,12 @@ def shapes_of(plane: Facets) -> tuple[Int[Tensor, " shapes"], Int[Tensor, " m"]]
 
 
 class CellStiffness:
-    """The linear map (linear_map.py) from the laminates of all variants to the numbers of their matrices.
+    """The linear map (linear_map.py) from laminates to the numbers of the matrices of all variants.
 
     strains    of the shapes
     variants   shape and laminate of each, sorted by shape [variants, 2]
-    laminates  how many there are
-    place      where each entry of a matrix is among its h numbers [f, f]
+    laminates  number of laminates
+    place      index of each entry of a matrix among its h numbers [f, f]
     """
 
     def __init__(self, strains: Strains, variants: Int[Tensor, "variants 2"], laminates: int) -> None:
@@ -63,21 +63,21 @@ class CellStiffness:
 
     @property
     def each(self) -> int:
-        """How many numbers a variant has: h."""
+        """Number of numbers of a variant: h."""
         return self.basis.shape[-1]
 
     @property
     def numbers(self) -> int:
-        """Of all variants."""
+        """Number of numbers of all variants."""
         return len(self.laminate) * self.each
 
     @property
     def laws(self) -> int:
-        """How many laws of inner forces there are: one, or none."""
+        """Number of laws of inner forces: one or none."""
         return int(self.inner is not None)
 
     def law(self, A: Float[Tensor, "lanes z 3 3"], B: Float[Tensor, "lanes z 3 3"]) -> list[Tensor]:
-        """The laws of inner forces of all variants, if there are any."""
+        """Return the law of inner forces of all variants, if cells have them."""
         if self.inner is None:
             return []
         return [self.inner.law(*((X if self.laminates == 1 else X[:, self.laminate]) for X in (A, B)))]
@@ -94,7 +94,7 @@ class CellStiffness:
         return found.flatten(1)
 
     def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> list[Tensor]:
-        """Back to entries and law."""
+        """Return the adjoint: cotangents of entries and law from those of the numbers."""
         y = y.unflatten(1, (len(self.laminate), -1))
         if self.laminates == 1:
             entries = (y.flatten(1) @ self.basis.transpose(0, 1).flatten(1).mT)[:, None]

@@ -35,7 +35,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchmbd.fem.elements.sides import crossed_size2, gaps, shared
+from torchmbd.fem.elements.sides import gaps, quad_size2, split_gaps
 
 _SIDES = ((0, 1), (1, 2), (2, 0))
 
@@ -44,23 +44,23 @@ def plate_strains(
     corners: Float[Tensor, "m 3 2"],
     area: Float[Tensor, " m"],
     shear_length: float,
-    cell: Float[Tensor, "m 3"] | None = None,
+    side_area: Float[Tensor, "m 3"] | None = None,
     mixed: Bool[Tensor, "m 3"] | None = None,
 ) -> tuple[Float[Tensor, "m 3 3 9"], Float[Tensor, "m 3 2 9"]]:
     """Return curvatures and shear strains at the middles of the sides 12, 23, 31.
 
-    cell           mean area of the cells at each side [m2]; None: triangles that stand alone
+    side_area      mean area of the cells at each side [m2]; None: triangles that stand alone
     mixed          sides with a cell of another kind, whose size is that of quadrilaterals (sides.py); None: there are none
     curvatures     [triangle, point, (kappa_xx, kappa_yy, kappa_xy), (w, beta_x, beta_y) x 3 corners]
     shear strains  [triangle, point, (gamma_xz, gamma_yz), the same freedoms]
     """
     slopes = _barycentric_gradients(corners, area)
     gap, tangent, length = gaps(corners)
-    at_side = area[:, None].expand(-1, 3) if cell is None else cell
+    at_side = area[:, None].expand(-1, 3) if side_area is None else side_area
     size2 = torch.minimum(length**2, 4.0 * at_side)
     if mixed is not None:
-        size2 = torch.where(mixed, crossed_size2(length, at_side), size2)
-    delta, side_shear = shared(gap, shear_length, size2)
+        size2 = torch.where(mixed, quad_size2(length, at_side), size2)
+    delta, side_shear = split_gaps(gap, shear_length, size2)
     return _curvatures(slopes, tangent, delta), _shear_strains(corners, area, length[..., None] * side_shear)
 
 

@@ -1,4 +1,4 @@
-"""Local axes of the cells of a mesh, laid along the material direction; a warped quadrilateral gets its mean plane.
+"""Local axes of the cells of a mesh, e1 along the material direction; a warped quadrilateral gets its mean plane.
 
     e3 = normal (right-hand rule),   e1 = direction - (direction . e3) e3, normalized,   e2 = e3 x e1
 
@@ -6,9 +6,9 @@ axes     rows e1, e2, e3 of each cell: local = axes @ global     [m, 3, 3]
 corners  x, y of the corners from their mean, local axes         [m, corners, 2], m
 height   of the corners over the plane: 0 for triangles; of a quadrilateral +d, -d, +d, -d     [m, corners], m
 area     [m], m2
-cell     mean area of the cells that share each side 12, 23, ...                   [m, corners], m2
+side_area   mean area of the cells that share each side 12, 23, ...                   [m, corners], m2
 mixed    whether cells of different kinds share the side                           [m, corners]
-alone    whether no other cell lies at the side                                    [m, corners]
+at_boundary whether no other cell lies at the side                                 [m, corners]
 tilt     to the smooth shell that the facets stand for, at the worst corner (shell_normals.py)   [m], rad; 0: flat plate
 
 The laminate's x-axis *is* e1, so strains come out in laminate axes and the laminate needs no turning.
@@ -41,9 +41,9 @@ class Facets:
     corners: Float[Tensor, "m corners 2"]
     height: Float[Tensor, "m corners"]
     area: Float[Tensor, " m"]
-    cell: Float[Tensor, "m corners"]
+    side_area: Float[Tensor, "m corners"]
     mixed: Bool[Tensor, "m corners"]
-    alone: Bool[Tensor, "m corners"]
+    at_boundary: Bool[Tensor, "m corners"]
     tilt: Float[Tensor, " m"]
 
 
@@ -53,26 +53,28 @@ def facets(
     members: Tensor | None = None,
     kind: str = "triangle",
 ) -> Facets:
-    """Lay the cells of one kind, or those named by `members` (numbers within the kind), into their planes.
+    """Return the cells of one kind, all or `members` (numbers within the kind), in their planes.
 
     direction: the laminate's x-axis in mesh axes, projected into every cell, [3] or one for each cell of the
     mesh [m, 3].
     Raises InputError where it is zero or normal to a cell.
     """
-    d = laid(mesh, direction)
+    d = cell_directions(mesh, direction)
     members = torch.arange(len(mesh.cells[kind])) if members is None else members
-    own = mesh.first(kind) + members
+    own = mesh.first_cell(kind) + members
     e3 = mesh.normals[own]
     axes = _axes(mesh, own, e3, d[own])
     p = mesh.nodes[mesh.cells[kind][members]]
     local = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
     tilt = (corner_normals(mesh)[kind][members] - e3[:, None]).norm(dim=2).amax(1)
-    cell, mixed, alone = (of_kind[kind][members] for of_kind in _sides(mesh))
-    return Facets(axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], cell, mixed, alone, tilt)
+    side_area, mixed, at_boundary = (of_kind[kind][members] for of_kind in _sides(mesh))
+    return Facets(
+        axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], side_area, mixed, at_boundary, tilt
+    )
 
 
-def laid(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Tensor, "m 3"]:
-    """The direction for each cell of the mesh. Raises InputError where its shape is wrong."""
+def cell_directions(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Tensor, "m 3"]:
+    """Return the material direction of each cell of the mesh. Raises InputError where its shape is wrong."""
     d = reals("direction", direction)
     if d.shape not in ((3,), (mesh.cell_count, 3)):
         raise InputError(
@@ -96,9 +98,9 @@ def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 
 
 
 def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], ...]:
-    """For every side of the cells of each kind: the mean area of the cells there, whether they differ in kind, or are but one.
+    """Return `side_area`, `mixed` and `at_boundary` of every side of the cells of each kind.
 
-    One cell lies at an edge of the mesh, two inside, more where plates branch.
+    A side at an edge of the mesh has one cell, a side inside two, more where plates branch.
     """
     numbers = []
     for corners in mesh.cells.values():

@@ -1,12 +1,12 @@
-"""Which freedoms of a body are free, and how the others follow: held nodes, rigid links, averages.
+"""Free freedoms of a body, and the map from them to all freedoms: held nodes, links, mean motions.
 
     u = T u_free        u: all freedoms of all nodes [6 n],  T: sparse, constant
 
-held node     u = 0; single freedoms that have neither stiffness nor mass, too
+held node     u = 0; so have single freedoms without stiffness and mass
 link          freedoms that follow those of other nodes: rigid links, averages, combinations (links.py)
 mean motion   y = B u of several nodes, six free freedoms of their own; six of the nodes' follow: u_d = B_d^-1 (y - B_r u_r)
 
-So K_free = T' K T has values that are linear in those of K: `reduced` tells how, once per mesh.
+So the values of K_free = T' K T are linear in those of K; `reduced` finds their map once per mesh.
 Checked in tests/fem/elements/test_freedoms.py.
 """
 
@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.links import Follower, check_links, followed
+from torchmbd.fem.elements.links import Follower, check_links, link_entries
 from torchmbd.math.sparse import Pattern
 
 
@@ -67,7 +67,7 @@ class Freedoms:
         column[self.free] = torch.arange(len(self.free))
         own = self.free[self.free < 6 * self.nodes]
         rows, cols, factor = [own], [torch.arange(len(own))], [torch.ones(len(own), dtype=x.dtype)]
-        led, source, own_factor = followed(x, links)
+        led, source, own_factor = link_entries(x, links)
         kept = column[source] >= 0  # what follows a held node stands still
         rows.append(led[kept])
         cols.append(column[source[kept]])
@@ -85,7 +85,7 @@ class Freedoms:
         self.rows, self.cols, self.factor = (torch.cat(part)[order] for part in (rows, cols, factor))
 
     def reduced(self, pattern: Pattern) -> tuple[Pattern, Tensor, Tensor, Tensor]:
-        """The pattern of T' K T, and (source, position, factor): values[position] sum up factor * values_of_K[source]."""
+        """Return the pattern of T' K T and (source, position, factor): values[position] += factor * values_of_K[source]."""
         if self.plain:
             small, source = pattern.restrict(self.free)
             return small, source, torch.arange(small.nnz), self.factor.new_ones(small.nnz)

@@ -1,8 +1,8 @@
-"""Geometric stiffness: what forces that act already do when a body deforms on. Linear in these forces.
+"""Geometric stiffness: change of the stiffness of a body by forces that already act on it; linear in these forces.
 
     u' Kg u = sum_points d' L(stress) d,     d = R u        R: rows of a cell, no design but the nodes of beams
 
-Every part tells its stressed cells (part.py): of shells slopes and membrane forces (shell_geometric.py), of beams rotations,
+Every part returns its stressed cells (part.py): of shells slopes and membrane forces (shell_geometric.py), of beams rotations,
 slopes and curvatures with all six section forces (beam_geometric.py). From these come Kg on the freedoms of all nodes, and
 its projection onto some motions, such as modes, which needs no matrix of the size of the mesh.
 Positive where it stiffens. Differentiable, forward and reverse, in the stress and in the motions, with lanes.
@@ -38,11 +38,13 @@ class StressedCells(NamedTuple):
     law: Float[Tensor, "*lanes k m p pairs"]
 
 
-def projected(cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6 a"]) -> Float[Tensor, "*lanes k a a"]:
+def projected_geometric_stiffness(
+    cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6 a"]
+) -> Float[Tensor, "*lanes k a a"]:
     """Kg of each state of stress between motions of all nodes."""
     total: Tensor | None = None
     for own in cells:
-        at = at_corners(own.nodes, motions)  # [*lanes, m, f, a]
+        at = corner_motions(own.nodes, motions)  # [*lanes, m, f, a]
         d = (own.rows.flatten(-4, -2) @ at).unflatten(-2, own.rows.shape[-4:-1])  # [*lanes, m, p, r, s, a]
         found = quadratic_forms(own.law.flatten(-3, -2), d.flatten(-5, -4))
         total = found if total is None else total + found
@@ -51,12 +53,12 @@ def projected(cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6
     return total
 
 
-def at_corners(nodes: Int[Tensor, "m c"], motions: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m f k"]:
+def corner_motions(nodes: Int[Tensor, "m c"], motions: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m f k"]:
     """Motions of all nodes as those of the freedoms of cells."""
     return motions.index_select(-3, nodes.flatten()).unflatten(-3, nodes.shape).flatten(-3, -2)
 
 
-def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor, "*lanes k nnz"]:
+def assembled_geometric_stiffness(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor, "*lanes k nnz"]:
     """Kg of each state of stress on a pattern of all freedoms 6 * node + i that has the blocks of all cells."""
     key = pattern.rows * pattern.size + pattern.cols
     total: Tensor | None = None

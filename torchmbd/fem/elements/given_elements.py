@@ -23,7 +23,7 @@ from torchmbd.math.sparse import Pattern
 class GivenElements:
     """Elements of constant stiffness and lumped masses.
 
-    mesh      whose nodes carry the freedoms
+    mesh      its nodes have the freedoms
     freedoms  of each element, 6 * node + i; those of different numbers of freedoms as several groups
     matrices  their stiffness [N/m, N, N m], symmetric, for each group
     nodes     nodes with mass, and their masses [kg]

@@ -63,7 +63,7 @@ def unit_laws() -> Float[Tensor, "6 3 3"]:
     return unit
 
 
-def varying(weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 4"]:
+def zero_mean_functions(weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 4"]:
     """What four values at points of these areas have of three functions that are orthonormal in the mean, without mean.
 
     A reflection that takes the roots of the points' shares to the first axis.
@@ -106,7 +106,7 @@ class CellForces:
     def at_points(self, weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 4 3 4"]:
         """Membrane forces of the states at four points that stand for these areas."""
         share = weight / weight.sum(1, keepdim=True)
-        return torch.einsum("mep,mesb->mpsb", varying(weight) / share[:, None], self.given.states)
+        return torch.einsum("mep,mesb->mpsb", zero_mean_functions(weight) / share[:, None], self.given.states)
 
     def _parts(self, A: Tensor, B: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows [4, 13] that strains and forces are, and U_nb U_bb^-1; see the module header."""

@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
-from torchmbd.fem.materials.lamination_region import outside
+from torchmbd.fem.materials.lamination_region import infeasibility_reasons
 from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, warn_unusual
 from torchmbd.math.variable import varies
@@ -98,7 +98,7 @@ class LaminationParameters(Laminate):
     def _check(self, checked: bool) -> None:
         with torch.no_grad():
             if checked:
-                for k, reason in enumerate(outside(*self.sets())):
+                for k, reason in enumerate(infeasibility_reasons(*self.sets())):
                     if reason:
                         place = "" if self.field is None else f" of control {k}"
                         raise InputError(f"LaminationParameters{place}: {reason}; allowed: those of a stack of plies")
@@ -154,14 +154,15 @@ class LaminationParameters(Laminate):
 
     @property
     def centered(self) -> bool:
+        """True: one density."""
         return True
 
     @property
-    def kin(self) -> tuple:
+    def merge_key(self) -> tuple:
         return (id(self),)
 
     @property
-    def typical(self) -> Laminate:
+    def mean_laminate(self) -> Laminate:
         if self.field is None:
             return self
         means = [x.detach().mean(-2) for x in self.sets()]

@@ -1,12 +1,12 @@
-"""How freedoms follow others: rigid links, averages, combinations; each gives rows of the map T of freedoms.py.
+"""Links that make freedoms of a node follow others: rigid links, averages, combinations; rows of the map T of freedoms.py.
 
 rigid link    u_s = u_m + phi_m x d,  phi_s = phi_m       node s follows node m, d from m to s        (RBE2)
               or only some of the six components: a ball joint has the first three
 average       the rigid motion that fits weighted nodes best, in the sense of least squares           (RBE3)
 combination   u_i of one node is the weighted sum of single freedoms of others                        (MPC)
 
-What leads may follow others itself: with D the rows of all links and F those freedoms that follow, the free ones lead by
-D (1 - F) + D F D (1 - F) + ...; links that run in a circle are refused.
+Freedoms that lead may follow others themselves: with D the rows of all links and F the projection on freedoms that follow, the
+rows of the free ones are D (1 - F) + D F D (1 - F) + ...; links that run in a circle are refused.
 Checked in tests/fem/elements/test_freedoms.py.
 """
 
@@ -22,8 +22,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.rigid_motion import hat
 
-#: Freedoms that follow, those that lead them, and factors.
+#: Entries of T: freedoms that follow, freedoms that lead them, and factors.
 Entries: TypeAlias = tuple[Tensor, Tensor, Tensor]
 ALL = (0, 1, 2, 3, 4, 5)
 
@@ -79,12 +80,12 @@ class Combination:
         return tuple(node for node, *_ in self.terms)
 
 
-#: What makes freedoms of a node follow others.
+#: A link that makes freedoms of a node follow others.
 Follower: TypeAlias = RigidLink | Average | Combination
 
 
-def followed(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
-    """Entries of all links; those that lead follow none. InputError names a node of a circle."""
+def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
+    """Return the entries of all links by freedoms that follow none. InputError names a node of a circle."""
     none = torch.zeros(0, dtype=torch.long)
     entries = [(none, none, x.new_zeros(0)), *(link.entries(x) for link in links)]
     led, source, factor = (torch.cat(part) for part in zip(*entries, strict=True))
@@ -142,7 +143,7 @@ def _entries(node: int, components: tuple[int, ...], blocks: list[tuple[int, Ten
 def _rigid(d: Tensor) -> Float[Tensor, "6 6"]:
     """Motion at d from a point, from the motion of the point: u + phi x d, phi."""
     block = torch.eye(6, dtype=d.dtype)
-    block[:3, 3:] = -_cross(d)
+    block[:3, 3:] = -hat(d)
     return block
 
 
@@ -166,8 +167,3 @@ def _mean(x: Tensor, link: Average) -> list[tuple[int, Tensor]]:
         block[:, :3] = weight * inverse @ field.T
         blocks.append((node, block))
     return blocks
-
-
-def _cross(d: Tensor) -> Tensor:
-    zero = d.new_zeros(())
-    return torch.stack([zero, -d[2], d[1], d[2], zero, -d[0], -d[1], d[0], zero]).reshape(3, 3)

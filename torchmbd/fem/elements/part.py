@@ -1,4 +1,4 @@
-"""What an assembly asks of its parts (assembly.py tells how they make up a body)."""
+"""The interface of the parts of an assembly (assembly.py)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class MassPoints(NamedTuple):
 
 
 class Part(Protocol):
-    """What an assembly asks of a part. `pattern`: of its stiffness, size 6 * nodes of the mesh."""
+    """A part of an assembly. `pattern`: of its stiffness, size 6 * nodes of the mesh."""
 
     @property
     def pattern(self) -> Pattern: ...
@@ -42,5 +42,5 @@ class Part(Protocol):
         ...
 
     def modules(self) -> dict[str, nn.Module]:
-        """Whose parameters are the design: the body registers them under these names."""
+        """Modules whose parameters are design variables: the body registers them under these names."""
         ...

@@ -12,7 +12,7 @@ moves frequencies of a mesh by 0.2 % beside the element tuned anew, half or twic
 body anew after larger changes.
 Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units.
 Source: eqs. (10)-(13) of the paper; the elements name their own.
-Checked in tests/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/convergence/test_plate*.py,
+Checked in tests/fem/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/convergence/test_plate*.py,
 tests/validation/test_*plate*.py.
 """
 
@@ -27,7 +27,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.cell_stiffness import CellStiffness, shapes_of
+from torchmbd.fem.elements.cell_stiffness import CellStiffness, distinct_shapes
 from torchmbd.fem.elements.facet import Facets, facets
 from torchmbd.fem.elements.shear_recovery import shear_strains
 from torchmbd.fem.elements.shell_elements import ELEMENTS
@@ -51,7 +51,7 @@ class Cells:
     @classmethod
     def of(cls, kind: str, corners: Int[Tensor, "m c"], plane: Facets, mean: IsotropicMean) -> Cells:
         """Cells in their planes."""
-        one, shape = shapes_of(plane)
+        one, shape = distinct_shapes(plane)
         return cls(corners, plane, shape, ELEMENTS[kind](Facets(*(x[one] for x in vars(plane).values())), mean))
 
 
@@ -67,14 +67,14 @@ class _Numbers(NamedTuple):
         return self.sums(torch.cat([own(x[0], *(next(laws) for _ in range(own.laws))) for own in self.cells], 1))
 
     def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> tuple[Tensor, ...]:
-        """Back to entries and laws."""
+        """Return the adjoint: cotangents of entries and laws from those of the numbers."""
         parts = self.sums.adjoint(y).split([own.numbers for own in self.cells], 1)
         found = [own.adjoint(part) for own, part in zip(self.cells, parts, strict=True)]
         return torch.stack([entries for entries, *_ in found]).sum(0), *(law for _, *laws in found for law in laws)
 
 
 class PlateMatrices:
-    """What a mesh contributes to stiffness and mass, made once per mesh.
+    """Stiffness and tributary areas of the cells of a mesh, computed once per mesh but for the laminate.
 
     pattern   where K is not zero
     area      [n] tributary area of each node [m2]: lumped mass = mass_per_area * area,
@@ -107,11 +107,11 @@ class PlateMatrices:
         self.kinds: dict[str, Cells] = {}
         members = []
         for kind, corners in mesh.cells.items():
-            own = chosen - mesh.first(kind)
+            own = chosen - mesh.first_cell(kind)
             own = own[(own >= 0) & (own < len(corners))]
             if len(own):
                 self.kinds[kind] = Cells.of(kind, corners[own], facets(mesh, direction, own, kind), self.mean)
-                members.append(mesh.first(kind) + own)
+                members.append(mesh.first_cell(kind) + own)
         self.members = torch.cat(members)
         self.several = zones is not None
         of_cell = chosen.new_zeros(mesh.cell_count)
@@ -122,7 +122,7 @@ class PlateMatrices:
         self._picked: list[tuple[Tensor, _Numbers]] = []  # for each choice of entries, of a body and its load cases
 
     def _numbers(self) -> _Numbers:
-        """Numbers of K on the pattern, which is found here."""
+        """Find the pattern of K and return the map to its numbers."""
         self.pattern, positions = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
         made, sources, count = [], [], 0
         self.variants: list[tuple[CellStiffness, Tensor]] = []  # of each kind: its matrices, and which one a cell has
@@ -143,11 +143,11 @@ class PlateMatrices:
         return torch.cat([own.facets.axes for own in self.kinds.values()])
 
     @property
-    def pieces(
+    def covering_triangles(
         self,
     ) -> tuple[Int[Tensor, "pieces 3"], Float[Tensor, " pieces"], Float[Tensor, "pieces 3"], Int[Tensor, " pieces"]]:
         """Triangles that cover the cells (mesh.py): the area that each counts with [m2], its cell's normal and laminate."""
-        nodes, share, cell = self.mesh.pieces
+        nodes, share, cell = self.mesh.covering_triangles
         chosen = torch.isin(cell, self.members)
         nodes, share, cell = nodes[chosen], share[chosen], cell[chosen]
         zone = self.zones.new_zeros(self.mesh.cell_count).index_copy(0, self.members, self.zones)
@@ -209,7 +209,7 @@ class PlateMatrices:
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
 
     def _tributary(self) -> Float[Tensor, " n"]:
-        nodes, area, *_ = self.pieces
+        nodes, area, *_ = self.covering_triangles
         thirds = (area / 3.0)[:, None].expand(-1, 3).reshape(-1)
         return area.new_zeros(len(self.mesh.nodes)).index_add(0, nodes.flatten(), thirds)
 

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.fem.elements.facet import laid
+from torchmbd.fem.elements.facet import cell_directions
 from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
@@ -78,14 +78,14 @@ class Plates:
         return first if alone else Laminate.stacked(self.laminates)
 
     @property
-    def kind(self) -> tuple:
-        """What plates have in common that may be one part."""
-        return id(self.mesh), self.mass, *(laminate.kin for laminate in self.laminates)
+    def merge_key(self) -> tuple:
+        """Key that is equal for plates that `merge_plates` may join to one part."""
+        return id(self.mesh), self.mass, *(laminate.merge_key for laminate in self.laminates)
 
     @cached_property
     def matrices(self) -> PlateMatrices:
-        """What the cells contribute."""
-        return PlateMatrices(self.mesh, self.laminates[0].typical, self.direction, self.cells, self._zones)
+        """Stiffness and areas of the cells."""
+        return PlateMatrices(self.mesh, self.laminates[0].mean_laminate, self.direction, self.cells, self._zones)
 
     @property
     def pattern(self) -> Pattern:
@@ -124,16 +124,16 @@ class Plates:
         return MassPoints(ends, mass, rotary - mass * (arm * arm).sum(-1), arm)
 
 
-def merged(parts: Mapping[str, Part]) -> dict[str, Part]:
-    """The parts, plates whose laminates differ in their angles only as one: a design costs little more than of one laminate."""
+def merge_plates(parts: Mapping[str, Part]) -> dict[str, Part]:
+    """Join plates whose laminates differ in their angles only: a design then costs little more than that of one laminate."""
     groups: dict[Any, dict[str, Any]] = {}
     for name, part in parts.items():
-        groups.setdefault(part.kind if isinstance(part, Plates) else id(part), {})[name] = part
+        groups.setdefault(part.merge_key if isinstance(part, Plates) else id(part), {})[name] = part
     return {name: part for group in groups.values() for name, part in _joined(group).items()}
 
 
 def _joined(group: dict[str, Any]) -> dict[str, Part]:
-    """Plates of one kind as one part; where two lie on one cell, as they are."""
+    """Join plates of one merge_key to one part; plates that share a cell stay as they are."""
     first, *others = group.values()
     if not others:
         return group
@@ -142,7 +142,7 @@ def _joined(group: dict[str, Any]) -> dict[str, Part]:
         return group
     direction = torch.zeros(first.mesh.cell_count, 3, dtype=torch.float64)
     for part in (first, *others):
-        direction[part.cells] = laid(first.mesh, part.direction)[part.cells]
+        direction[part.cells] = cell_directions(first.mesh, part.direction)[part.cells]
     zones = torch.repeat_interleave(torch.tensor([len(x) for x in cells]))
     laminates = [part.laminates[0] for part in (first, *others)]
     return {next(iter(group)): Plates(first.mesh, laminates, direction, torch.cat(cells), first.mass, zones)}
@@ -185,7 +185,7 @@ class PointMasses:
 
 def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Node pairs of the mass points, the laminate and the area of each, and the mean normal there."""
-    corners, area, normals, zone = matrices.pieces
+    corners, area, normals, zone = matrices.covering_triangles
     other = corners.roll(-1, dims=1) if consistent else corners
     pairs = torch.stack([corners, other], dim=-1).flatten(0, 1).sort(dim=1).values
     points, place = torch.unique(torch.cat([pairs, zone.repeat_interleave(3)[:, None]], 1), dim=0, return_inverse=True)

@@ -29,11 +29,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.elements.facet import Facets
-from torchmbd.fem.elements.inner_forces import varying
+from torchmbd.fem.elements.inner_forces import zero_mean_functions
 from torchmbd.fem.elements.quad_bending import curvature_slopes, plate_strains
 from torchmbd.fem.elements.quad_membrane import membrane
 from torchmbd.fem.elements.quad_shape import Bilinear, gauss, middle
-from torchmbd.fem.elements.strains import ShearRecovery, Strains, in_mesh_axes, of_plate, turned
+from torchmbd.fem.elements.strains import ShearRecovery, Strains, in_mesh_axes, plate_rows, to_mesh_axes
 from torchmbd.fem.materials import IsotropicMean
 
 
@@ -41,22 +41,22 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every quadrilateral at its six points, and its inner forces."""
     points = gauss(plane.corners)
     softness = plane.area * (plane.tilt**2 + _warp2(plane)) / mean.bending_length**2
-    flat = membrane(plane.corners, points, mean.poisson, softness, plane.alone)
+    flat = membrane(plane.corners, points, mean.poisson, softness, plane.at_boundary)
     constant, drill, work = (_of_corners(plane, rows) for rows in (flat.mean, flat.drill, flat.forces.work))
     constant[..., 2:5] += _of_slopes(plane, points) + _of_bows(plane)
     curvature, shear = (
         torch.cat([own, torch.zeros_like(own[:, :2])], dim=1)
-        for own in plate_strains(plane.corners, points, mean, plane.cell, plane.alone)
+        for own in plate_strains(plane.corners, points, mean, plane.side_area, plane.at_boundary)
     )
     in_plane = torch.cat([constant[:, None].expand(-1, 4, -1, -1, -1), drill], dim=1)
     at = in_mesh_axes(plane.axes, in_plane, curvature, shear)
     weight = torch.cat([points.weight, plane.area[:, None].expand(-1, 2)], dim=1)
     share = points.weight / points.weight.sum(1, keepdim=True)
     center = torch.einsum("mp,mpsf->msf", share, at[:, :4])
-    bent = torch.einsum("mep,mpsf->mesf", varying(points.weight), at[:, :4, 3:6])
-    forces = flat.forces._replace(work=turned(plane.axes, work), curvature=bent)
-    slopes, bending = curvature_slopes(plane.corners, points, mean, plane.cell)
-    slopes = bending[:, None, None, None] * turned(plane.axes, of_plate(slopes))
+    bent = torch.einsum("mep,mpsf->mesf", zero_mean_functions(points.weight), at[:, :4, 3:6])
+    forces = flat.forces._replace(work=to_mesh_axes(plane.axes, work), curvature=bent)
+    slopes, bending = curvature_slopes(plane.corners, points, mean, plane.side_area)
+    slopes = bending[:, None, None, None] * to_mesh_axes(plane.axes, plate_rows(slopes))
     return Strains(at, weight, center, forces, ShearRecovery(slopes, (1.0 - bending)[:, None, None] * center[:, 6:]))
 
 

@@ -44,15 +44,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchmbd.fem.elements.quad_shape import Bilinear, middle
-from torchmbd.fem.elements.sides import crossed_size2, gaps, shared
+from torchmbd.fem.elements.sides import gaps, quad_size2, split_gaps
 from torchmbd.fem.materials import IsotropicMean
 
-#: How often the quadratic parts count in the bending energy of squares, and of long cells.
+#: Factors of the quadratic parts in the bending energy of squares, and of long cells.
 SQUARE, LONG = 1.5, 1.6
 
 
-class Run(NamedTuple):
-    """How shear strains run from side 12 to 34 and from 41 to 23: c + weight (linear - c).
+class ShearVariation(NamedTuple):
+    """Variation of the shear strains from side 12 to 34 and from 41 to 23: c + weight (linear - c).
 
     c: the constant strain that the one side has, or the other, or both in the mean: `first` and 1 - `first` of them
     """
@@ -65,16 +65,16 @@ def plate_strains(
     corners: Float[Tensor, "m 4 2"],
     points: Bilinear,
     mean: IsotropicMean,
-    cell: Float[Tensor, "m 4"],
-    alone: Bool[Tensor, "m 4"],
+    side_area: Float[Tensor, "m 4"],
+    at_boundary: Bool[Tensor, "m 4"],
 ) -> tuple[Float[Tensor, "m p 3 12"], Float[Tensor, "m p 2 12"]]:
     """Return curvatures and shear strains at points of a whole rule.
 
-    cell: mean area of the cells at each side [m2]; alone: sides that no other cell shares
+    side_area: mean area of the cells at each side [m2]; at_boundary: sides that no other cell shares
     """
     gap, tangent, length = gaps(corners)
-    size2 = crossed_size2(length, cell)
-    delta, side_shear = shared(gap, mean.shear_length, size2)
+    size2 = quad_size2(length, side_area)
+    delta, side_shear = split_gaps(gap, mean.shear_length, size2)
     share = (points.weight / points.weight.sum(1, keepdim=True))[..., None, None]
     linear, quadratic = linear_curvatures(points), quadratic_curvatures(points, tangent)
     constant = (share * (linear + quadratic @ delta[:, None])).sum(1, keepdim=True)
@@ -85,20 +85,20 @@ def plate_strains(
     root = _quadratic_weight(medians).sqrt()
     bowed = quadratic_curvatures(points, root[..., None] * _directions(medians, tangent))
     bowed = (bowed - (share * bowed).sum(1, keepdim=True)) @ delta[:, None]
-    run = _run(medians, alone, mean.layer_length)
-    return constant + twisted + bowed, shear_strains(corners, points, side_shear, run)
+    variation = _shear_variation(medians, at_boundary, mean.layer_length)
+    return constant + twisted + bowed, shear_strains(corners, points, side_shear, variation)
 
 
 def curvature_slopes(
-    corners: Float[Tensor, "m 4 2"], points: Bilinear, mean: IsotropicMean, cell: Float[Tensor, "m 4"]
+    corners: Float[Tensor, "m 4 2"], points: Bilinear, mean: IsotropicMean, side_area: Float[Tensor, "m 4"]
 ) -> tuple[Float[Tensor, "m 2 3 12"], Float[Tensor, " m"]]:
     """Derivatives of the curvatures by x and y, as they work in the energy, and the share of bending in the gaps.
 
     Solutions have quadratic parts that are smaller by their weight in the energy, so here they count that often.
     """
     gap, tangent, length = gaps(corners)
-    size2 = crossed_size2(length, cell)
-    delta, _ = shared(gap, mean.shear_length, size2)
+    size2 = quad_size2(length, side_area)
+    delta, _ = split_gaps(gap, mean.shear_length, size2)
     medians = middle(corners).jacobian[:, 0]
     along = _quadratic_weight(medians)[..., None] * _directions(medians, tangent)
     curvature = linear_curvatures(points)
@@ -110,24 +110,24 @@ def curvature_slopes(
     return torch.einsum("mdp,mpsf->mdsf", nearest, curvature), 1.0 / (1.0 + phi)
 
 
-def _run(medians: Float[Tensor, "m 2 2"], alone: Bool[Tensor, "m 4"], layer: float) -> Run:
-    """Of cells with free edges."""
+def _shear_variation(medians: Float[Tensor, "m 2 2"], at_boundary: Bool[Tensor, "m 4"], layer: float) -> ShearVariation:
+    """Return the variation of the shear strains in cells at free edges."""
     width = 2.0 * torch.linalg.det(medians)[:, None] / medians.norm(dim=-1)
-    one, two = alone[:, [0, 3]].double(), alone[:, [2, 1]].double()
+    one, two = at_boundary[:, [0, 3]].double(), at_boundary[:, [2, 1]].double()
     z = (width / layer / (one + two).clamp_min(1.0)).clamp_min(0.01)
     weight = (3.0 * (z / torch.tanh(z) - 1.0)).sqrt() / z
-    return Run(0.5 * (1.0 + two - one), torch.where(one + two > 0.0, weight, 1.0))
+    return ShearVariation(0.5 * (1.0 + two - one), torch.where(one + two > 0.0, weight, 1.0))
 
 
 def _directions(medians: Float[Tensor, "m 2 2"], tangent: Float[Tensor, "m 4 2"]) -> Float[Tensor, "m 4 2"]:
-    """d_k of the four sides."""
+    """Return d_k of the four sides (module header)."""
     normal = torch.stack([-medians[..., 1], medians[..., 0]], dim=-1)
     across = normal.flip(1).repeat(1, 2, 1)  # to the median that crosses the side's own
     return across / (across * tangent).sum(-1, keepdim=True)
 
 
 def _quadratic_weight(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 4"]:
-    """How often the quadratic parts of the four sides count in the energy."""
+    """Return the factors of the quadratic parts of the four sides in the energy."""
     ratio = torch.linalg.det(medians)[:, None] / medians.norm(dim=-1).flip(1).square()  # h / |b|
     return (1.0 + (SQUARE - 1.0) * ratio**6).clamp_max(LONG).repeat(1, 2)
 
@@ -160,7 +160,10 @@ def quadratic_curvatures(points: Bilinear, along: Float[Tensor, "m 4 2"]) -> Flo
 
 
 def shear_strains(
-    corners: Float[Tensor, "m 4 2"], points: Bilinear, along: Float[Tensor, "m 4 f"], run: Run | None = None
+    corners: Float[Tensor, "m 4 2"],
+    points: Bilinear,
+    along: Float[Tensor, "m 4 f"],
+    variation: ShearVariation | None = None,
 ) -> Float[Tensor, "m p 2 f"]:
     """Shear strains from those of the sides 12, 23, 34, 41 (in the sense of the cell's outline)."""
     half = torch.tensor([1.0, 1.0, -1.0, -1.0], dtype=along.dtype)[:, None] * 0.5  # both of a pair in one sense
@@ -174,11 +177,11 @@ def shear_strains(
             points.jacobian, 0.5 * ((1.0 - t) * value[:, None, start] + (1.0 + t) * value[:, None, end])
         )
 
-    if run is None:
+    if variation is None:
         return between(covariant)
-    first = run.first[..., None]
+    first = variation.first[..., None]
     known, given = (first * x[:, start] + (1.0 - first) * x[:, end] for x in (side, covariant))
     constant = torch.linalg.solve(known, given)
     rest = covariant - side @ constant
-    weight = run.weight[:, [0, 1, 0, 1], None]
+    weight = variation.weight[:, [0, 1, 0, 1], None]
     return constant[:, None] + between(weight * rest)

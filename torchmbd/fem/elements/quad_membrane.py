@@ -32,7 +32,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchmbd.fem.elements.inner_forces import CellForces, InnerForces, unit_laws, varying
+from torchmbd.fem.elements.inner_forces import CellForces, InnerForces, unit_laws, zero_mean_functions
 from torchmbd.fem.elements.quad_shape import Bilinear, middle
 from torchmbd.fem.elements.quad_states import bending, displacements, side_work, stresses
 from torchmbd.fem.elements.sides import mean_strain
@@ -58,9 +58,9 @@ def membrane(
     points: Bilinear,
     poisson: float,
     softness: Float[Tensor, " m"],
-    alone: Bool[Tensor, "m 4"],
+    at_boundary: Bool[Tensor, "m 4"],
 ) -> Membrane:
-    """Return what every cell has; alone: sides that no other cell shares."""
+    """Return what every cell has; at_boundary: sides that no other cell shares."""
     area = points.weight.sum(1)
     size = area.sqrt()[:, None, None]
     center = (points.weight[..., None] * points.place).sum(1, keepdim=True) / area[:, None, None]
@@ -68,14 +68,14 @@ def membrane(
     flexible = x.new_tensor([[1.0, -poisson, 0.0], [-poisson, 1.0, 0.0], [0.0, 0.0, 2.0 * (1.0 + poisson)]])
     per_length = torch.cat([1.0 / size, 1.0 / size, torch.ones_like(size)], dim=-1).repeat(1, 1, 4)
     left = (torch.linalg.inv(_fields(x, flexible)) * per_length)[:, 10:, None]
-    drill = _drill_strains(corners, alone)[..., None] * left
+    drill = _drill_strains(corners, at_boundary)[..., None] * left
     bent = bending(middle(x).jacobian[:, 0])
     basis = torch.cat([bent, torch.linalg.qr(bent, mode="complete").Q[..., 2:]], dim=-1)  # of the states, bending first
     work = basis.mT @ side_work(x)
     states = stresses((points.place - center) / size) @ basis[:, None]
     forces = InnerForces(
         area,
-        torch.einsum("mep,mpsa->mesa", varying(points.weight), states),
+        torch.einsum("mep,mpsa->mesa", zero_mean_functions(points.weight), states),
         work * per_length,
         work @ displacements(x, unit_laws()) @ bent,
         torch.zeros(len(x), 3, 3, 12, dtype=x.dtype),
@@ -98,12 +98,14 @@ def _fields(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "3 3"]) -> Float[Tensor,
     return torch.cat([flat, displacements(x, S), left], dim=-1)
 
 
-def _drill_strains(corners: Float[Tensor, "m 4 2"], alone: Bool[Tensor, "m 4"]) -> Float[Tensor, "m 2 3"]:
+def _drill_strains(corners: Float[Tensor, "m 4 2"], at_boundary: Bool[Tensor, "m 4"]) -> Float[Tensor, "m 2 3"]:
     """The two strains D: shear of the medians, and one median stretched, the other shortened; less in long cells of a row."""
     medians = middle(corners).jacobian[:, 0]
     squat = 2.0 * torch.linalg.det(medians) / (medians**2).sum((1, 2))  # 1 in a square, 2 width / length in a long cell
     length = medians.norm(dim=-1)
-    row = torch.where(length[:, 0] > length[:, 1], alone[:, 0] & alone[:, 2], alone[:, 1] & alone[:, 3])
+    row = torch.where(
+        length[:, 0] > length[:, 1], at_boundary[:, 0] & at_boundary[:, 2], at_boundary[:, 1] & at_boundary[:, 3]
+    )
     size = torch.where(row, squat, 1.0)
     a, b = (medians / length[..., None]).unbind(1)
 

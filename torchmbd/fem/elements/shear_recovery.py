@@ -1,4 +1,4 @@
-"""Shear forces of plate cells from equilibrium: what plies and the layers between them are judged by.
+"""Shear forces of plate cells from equilibrium, for the stresses of plies and between them.
 
     Q_x = M_xx,x + M_xy,y     Q_y = M_xy,x + M_yy,y     M,x = (D - B A^-1 B) kappa,x
 

@@ -1,4 +1,4 @@
-"""The element of each kind of cell (strains.py tells what an element is)."""
+"""The element of each kind of cell (strains.py defines what an element is)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Geometric stiffness of shells: membrane forces on the slopes of all three displacements.
+"""Geometric stiffness of shells: membrane forces act on the slopes of all three displacements.
 
     u' Kg u = integral of N_ab u,a . u,b       a, b: the axes of a cell's plane
 
@@ -22,10 +22,11 @@ from torch import Tensor
 
 from torchmbd.fem.elements.cell_stiffness import CellStiffness
 from torchmbd.fem.elements.facet import Facets
-from torchmbd.fem.elements.geometric import StressedCells, at_corners
+from torchmbd.fem.elements.geometric import StressedCells, corner_motions
 from torchmbd.fem.elements.plate import Cells, PlateMatrices
 from torchmbd.fem.elements.quad_shape import ETA, XI, gauss
 from torchmbd.fem.materials import ENTRIES, LaminateStiffness
+from torchmbd.math.rigid_motion import hat
 
 
 def stressed_shells(
@@ -39,7 +40,7 @@ def stressed_shells(
     for (kind, cells), (cell, variant) in zip(matrices.kinds.items(), matrices.variants, strict=True):
         rows = _force_rows(cells, cell, law)  # [*lanes, variants, p, 3, f]
         p = rows.shape[-3]
-        N = rows.flatten(-3, -2)[..., variant, :, :] @ at_corners(cells.corners, motion)  # [*lanes, m, 3 p, k]
+        N = rows.flatten(-3, -2)[..., variant, :, :] @ corner_motions(cells.corners, motion)  # [*lanes, m, 3 p, k]
         stressed.append(
             StressedCells(cells.corners, slopes(kind, cells.facets), N.unflatten(-2, (p, 3)).movedim(-1, -4))
         )
@@ -75,10 +76,7 @@ def slopes(kind: str, plane: Facets) -> Rows:
     side = (local.roll(-1, dims=1) - local) @ plane.axes  # from each corner to the next, mesh axes
     e3 = plane.axes[:, 2]
     within = torch.eye(3, dtype=side.dtype) - e3[:, :, None] * e3[:, None, :]  # rotations about axes in the plane
-    x, y, z = side.unbind(-1)
-    o = torch.zeros_like(x)
-    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))  # side x
-    bow = (cross @ within[:, None]) / 8.0  # of the rotation of the end less that of the start [m, side, 3, 3]
+    bow = (hat(side) @ within[:, None]) / 8.0  # of the rotation of the end less that of the start [m, side, 3, 3]
     rows = linear.new_zeros(m, p, 2, 3, c, 6)
     rows[..., :3] = torch.einsum("mpac,ij->mpaicj", linear, torch.eye(3, dtype=linear.dtype))
     of_side = torch.einsum("mpac,mcij->mpaicj", bows, bow)

@@ -1,4 +1,4 @@
-"""What cells of any kind do alike at their sides, so that neighbours fit: the lumping of membrane stress, gaps and their share.
+"""Rules that cells of all kinds follow at their sides, so that neighbors fit: lumping of membrane stress, gaps of shear.
 
 Sides k = ij run 12, 23, ... around the cell; tangent t_k, outward normal n_k, length L_k.
 
@@ -64,12 +64,12 @@ def gaps(
     return gap, tangent, length
 
 
-def shared(gap: Tensor, shear_length: float, size2: Float[Tensor, "m c"]) -> tuple[Tensor, Tensor]:
-    """Delta_k and gamma_k of every side, as rows on the freedoms of the gap."""
+def split_gaps(gap: Tensor, shear_length: float, size2: Float[Tensor, "m c"]) -> tuple[Tensor, Tensor]:
+    """Split gaps into bending and shear: Delta_k and gamma_k of every side, as rows on the freedoms of the gap."""
     phi = shear_length**2 / size2
     return (-1.5 / (1.0 + phi))[..., None] * gap, (phi / (1.0 + phi))[..., None] * gap
 
 
-def crossed_size2(length: Float[Tensor, "m c"], cell: Float[Tensor, "m c"]) -> Float[Tensor, "m c"]:
+def quad_size2(length: Float[Tensor, "m c"], side_area: Float[Tensor, "m c"]) -> Float[Tensor, "m c"]:
     """size_k^2 at the sides of quadrilaterals [m2]."""
-    return 1.0 / (1.0 / length**2 + (length / cell) ** 2)
+    return 1.0 / (1.0 / length**2 + (length / side_area) ** 2)

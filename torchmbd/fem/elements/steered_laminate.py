@@ -100,12 +100,12 @@ class SteeredLaminate(Laminate):
             self.thickness = t
 
     @property
-    def kin(self) -> tuple:
-        """It has nothing in common with others."""
+    def merge_key(self) -> tuple:
+        """Unique: it is not merged with other laminates."""
         return (id(self),)
 
     @property
-    def typical(self) -> Laminate:
+    def mean_laminate(self) -> Laminate:
         """The laminate of mean angles and thicknesses."""
         mean, t = self.angles.detach().mean(-2), self.thickness.detach()
         return Laminate(self.plies, mean, t.mean(-2) if t.ndim == 2 else t, self.symmetric, self.shear_correction)

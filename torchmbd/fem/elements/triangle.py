@@ -26,6 +26,6 @@ def triangle_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every triangle at its three points."""
     softness = 2.0 * plane.area * (plane.tilt / mean.bending_length) ** 2
     membrane = membrane_strains(plane.corners, plane.area, mean.poisson, softness, plane.mixed)
-    curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length, plane.cell, plane.mixed)
+    curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length, plane.side_area, plane.mixed)
     at = in_mesh_axes(plane.axes, membrane.unflatten(-1, (3, 3)), curvature, shear)
     return Strains(at, (plane.area / 3.0)[:, None].expand(-1, 3), at.mean(1))

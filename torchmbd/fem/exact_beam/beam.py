@@ -112,8 +112,8 @@ class ExactBeam(nn.Module):
         self.sections = SpanSections(name, line, section)
         for key, own in self.sections.modules.items():
             self.add_module(key, own)
-        if line.shape is not None:
-            self.line = line.shape
+        if line.node_module is not None:
+            self.line = line.node_module
         if isinstance(twist, nn.Parameter):
             self.twist = parameter(f"twist of {name!r}", twist)
         else:
@@ -245,7 +245,7 @@ class ExactBeam(nn.Module):
         """Properties of the elements in the present design."""
         nodes, matrices = present_nodes(self.mesh), self._matrices
         if varying_nodes(self.mesh):
-            matrices = matrices.at(nodes)
+            matrices = matrices.with_nodes(nodes)
         return element_properties(self.sections, matrices, self.offset, self.twist, nodes)
 
     def _state(

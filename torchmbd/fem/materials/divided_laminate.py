@@ -48,8 +48,8 @@ class DividedLaminate(Laminate):
             self.register_buffer(name, x, persistent=False)
 
     @property
-    def kin(self) -> tuple:
-        """It has nothing in common with others."""
+    def merge_key(self) -> tuple:
+        """Unique: it is not merged with other laminates."""
         return (id(self),)
 
     def stiffness(self) -> LaminateStiffness:

@@ -2,9 +2,9 @@
 
     stress = basis w,      linear = f' basis w,      quadratic = w' (basis' F basis) w
 
-So the indices of all points are one product of (w_i, w_i w_j) with coefficients of the points, and no stress is made. For
-max_stress they are the largest of ten linear forms, and for criteria of several modes they come from the stresses. No autograd
-inside: this tells which point is nearest to failure.
+So the indices of all points are one product of (w_i, w_i w_j) with coefficients of the points, without the stresses. For
+max_stress they are the largest of ten linear forms; other criteria of several modes take the stresses. No autograd inside: this
+finds the point that is nearest to failure.
 Checked in tests/fem/materials/test_failure_forms.py.
 """
 
@@ -19,9 +19,11 @@ from torchmbd.fem.materials.strength import CRITERIA, inverse_reserve_factor, ts
 
 
 class FailureForms:
-    """Of points with these stresses [Pa] for unit coordinates, and these strengths.
+    """Failure indices of points.
 
     criterion   a name of CRITERIA
+    basis       stresses of the points for unit coordinates [Pa]
+    strength    numbers of the strengths of the points
     """
 
     def __init__(self, criterion: str, basis: Float[Tensor, "points 5 k"], strength: Float[Tensor, "points 8"]) -> None:
@@ -43,7 +45,7 @@ class FailureForms:
         self.forms = [(f[:, None] @ basis)[:, 0], quadratic[:, self._pairs[0], self._pairs[1]] * twice]
 
     def __call__(self, w: Float[Tensor, "n k"]) -> Float[Tensor, "n points"]:
-        """Indices under every load."""
+        """Return the indices of all points under each of n loads."""
         if self.criterion == "max_stress":
             return (w @ self.forms[0].mT).amax(0)
         if self.criterion in MODES:

@@ -1,4 +1,4 @@
-"""Criteria of ply failure that tell the mode: Hashin (1980) and Puck, beside the maximum stress.
+"""Criteria of ply failure with modes: Hashin (1980), Puck and the maximum stress.
 
 hashin   fiber tension        (s1 / Xt)^2 + (t12 / S12)^2 + (t13 / S13)^2                                 s1 >= 0
          fiber compression    (s1 / Xc)^2                                                                 s1 < 0
@@ -17,8 +17,8 @@ puck     fiber tension        s1 / Xt
          p = 0.35, q = 0.30: inclinations for carbon fibers in epoxy. Of plane stress; Puck's criterion in space searches the
          plane of fracture, here transverse shear is a mode of its own. All grow in proportion to the load.
 interlaminar   shear         sqrt((t13 / S13)^2 + (t23 / S23)^2)
-         Brewer and Lagace without the normal stress, of which plates know nothing: layers come apart by shear. It is the same
-         on both sides of an interface, where the stresses of equilibrium are continuous, if its plies share S13 and S23.
+         Brewer and Lagace without the normal stress, which plates do not have: delamination by shear. It is the same on both
+         sides of an interface, where the stresses of equilibrium are continuous, if its plies have the same S13 and S23.
 
 The index is the largest of the modes; each is one under a single stress component that fails. Modes that a sign rules out are
 zero. Differentiable in the stress but where two modes are equal, and at the stress zero, where the gradient given is zero.
@@ -47,7 +47,7 @@ class FailureModes(NamedTuple):
     indices: Callable[[Tensor, Tensor], Tensor]
 
     def __call__(self, stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:
-        """The largest."""
+        """Return the largest index of the modes."""
         return self.indices(stress, strength).amax(-1)
 
 

@@ -140,20 +140,20 @@ class Laminate(nn.Module):
         return self._plies.now(self)
 
     @property
-    def kin(self) -> tuple:
-        """What laminates have in common that differ in their angles only; one whose plies vary has it with none."""
+    def merge_key(self) -> tuple:
+        """Key that is equal for laminates that differ in their angles only; unique where numbers of plies vary."""
         if self._plies.vary:
             return (id(self),)
         return self.plies, self.symmetric, self.shear_correction, self.offset, tuple(self.thickness.tolist())
 
     @property
-    def typical(self) -> Laminate:
-        """The laminate that elements take their constants from."""
+    def mean_laminate(self) -> Laminate:
+        """The laminate of the constants of elements (isotropic_mean.py): this one, or the mean over a field."""
         return self
 
     @staticmethod
     def stacked(laminates: Sequence[Laminate]) -> Laminate:
-        """Laminates with the same plies as one, whose parameters have an axis more: [*lanes, laminates, layers]."""
+        """Return laminates of the same plies as one, whose parameters have one more axis: [*lanes, laminates, layers]."""
         result = copy.copy(laminates[0])
         result._parameters = {}  # of the copy, which has tensors instead
         for name in ("angles", "thickness"):
@@ -181,7 +181,7 @@ class Laminate(nn.Module):
         return LaminateStiffness(A, B, D, As)
 
     def shear_shape(self) -> ShearShape:
-        """Return how transverse shear forces spread through the thickness."""
+        """Return the stresses through the thickness of unit transverse shear forces."""
         Qbar, _ = turned_stiffness(self.layer_angles, *self.layer_stiffness)
         return shear_shape(Qbar, self.faces, *self._integrals(self._moments(), Qbar))
 
@@ -277,15 +277,15 @@ def _constants_of(plies: Sequence[Ply]) -> Float[Tensor, "*lanes layers 14"]:
 def turned_stiffness(
     theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "*lanes layers 3 3"], G: Float[Tensor, "*lanes layers 2 2"]
 ) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
-    """Ply stiffnesses in plate axes: T' Q T and R' G R."""
-    T, R = turning(theta)
+    """Return ply stiffnesses in plate axes: T' Q T and R' G R."""
+    T, R = strain_rotations(theta)
     return T.mT @ Q @ T, R.mT @ G @ R
 
 
-def turning(
+def strain_rotations(
     theta: Float[Tensor, "*lanes layers"],
 ) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
-    """T and R turn strains from plate axes to ply axes: (xx, yy, xy) to (11, 22, 12), (xz, yz) to (13, 23)."""
+    """Return T and R, which map strains in plate axes to ply axes: (xx, yy, xy) to (11, 22, 12), (xz, yz) to (13, 23)."""
     c, s = torch.cos(theta), torch.sin(theta)
     cc, ss, cs = c * c, s * s, c * s
     T = torch.stack([cc, ss, cs, ss, cc, -cs, -2 * cs, 2 * cs, cc - ss], dim=-1).unflatten(-1, (3, 3))

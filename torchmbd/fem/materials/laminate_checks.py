@@ -1,4 +1,4 @@
-"""What a laminate is made of, checked: angles, plies, thicknesses and the correction of shear.
+"""Checks of the arguments of a laminate: angles, plies, thicknesses and the correction of shear.
 
 Checked in tests/fem/materials/test_laminate.py.
 """

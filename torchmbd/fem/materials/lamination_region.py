@@ -1,4 +1,4 @@
-"""Which lamination parameters stacks can have: conditions r <= 1 on means of V = (cos 2t, sin 2t, cos 4t, sin 4t).
+"""Conditions r <= 1 on the lamination parameters of stacks: means of V = (cos 2t, sin 2t, cos 4t, sin 4t).
 
 Of the membrane parameters a, and likewise of the bending parameters d, exactly (Hammer et al.):
 
@@ -11,8 +11,8 @@ share at the faces and least with it in the middle, and b_f is largest with it o
     a_f >= 0        a_f^3 <= d_f <= 1 - (1 - a_f)^3        |b_f| <= 2 a_f (1 - a_f)
 
 The functions are f = (1 - cos(2t - p)) (1 - cos(2t - q)) over their largest value, p and q multiples of 30 degrees. All
-conditions are convex and necessary. Those of a alone and of d alone are also sufficient; together they are close: what is
-allowed and still no stack, `recover_stacks` shows by its distance.
+conditions are convex and necessary. Those of a alone and of d alone are also sufficient; together they are nearly so:
+`recover_stacks` shows the distance from feasible parameters to the nearest stack.
 Source: Hammer et al., Int. J. Solids Struct. 34 (1997) 415-434; the conditions on d_f given a_f are those of Diaconu, Sato and
 Sekine, Feasible region in general design space of lamination parameters, AIAA J. 40 (2002) 559-565, for every such f.
 Checked in tests/fem/materials/test_lamination_region.py.
@@ -62,8 +62,10 @@ def conditions(
     return torch.cat([torch.stack(alone, -1), *together], -1)
 
 
-def outside(a: Float[Tensor, "*lanes 4"], b: Float[Tensor, "*lanes 4"], d: Float[Tensor, "*lanes 4"]) -> list[str]:
-    """Why parameters are those of no stack, one text for each lane; empty where all conditions hold."""
+def infeasibility_reasons(
+    a: Float[Tensor, "*lanes 4"], b: Float[Tensor, "*lanes 4"], d: Float[Tensor, "*lanes 4"]
+) -> list[str]:
+    """Return the reason why no stack has these parameters, one text for each lane; empty where all conditions hold."""
     found = conditions(a, b, d).reshape(-1, CONDITIONS)
     reasons = []
     for row, *own in zip(found, *(x.reshape(-1, 4) for x in (a, b, d)), strict=True):

@@ -3,8 +3,8 @@
     (11, 22, 12, 13, 23) = map (eps_xx, eps_yy, gamma_xy, kappa_xx, kappa_yy, kappa_xy, gamma_xz, gamma_yz)
 
 in plane        strain = T(theta) (eps + z kappa),  stress = Q strain
-out of plane    stress = R(theta) F(z) As gamma: the shear forces Q = As gamma, spread through the thickness as
-                equilibrium asks for (transverse_shear.py): zero at the faces, continuous between the layers
+out of plane    stress = R(theta) F(z) As gamma: the stresses of the shear forces Q = As gamma by equilibrium
+                (transverse_shear.py), zero at the faces, continuous between the layers
 
 Ply axes: 1 = fibre, 3 = the plate's normal. Both maps depend on the design, and are linear in the plate strains.
 Differentiable, forward and reverse, in angles and thicknesses, with lanes.
@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.fem.materials.laminate import Laminate, turning
+from torchmbd.fem.materials.laminate import Laminate, strain_rotations
 
 
 class PlyMaps(NamedTuple):
@@ -33,7 +33,7 @@ class PlyMaps(NamedTuple):
 
 def ply_maps(laminate: Laminate) -> PlyMaps:
     """Return the maps of one laminate, or of its lanes."""
-    T, R = turning(laminate.layer_angles)
+    T, R = strain_rotations(laminate.layer_angles)
     Q, G = laminate.layer_stiffness
     z = laminate.faces[..., None, None]
     T = T.unsqueeze(-3)  # for both faces

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials.failure_modes import FIBER, MODES, FailureModes
-from torchmbd.fem.materials.laminate import Laminate, turning
+from torchmbd.fem.materials.laminate import Laminate, strain_rotations
 from torchmbd.math.checked_numbers import is_real, reals
 from torchmbd.math.gradients import carries_gradient
 
@@ -122,7 +122,7 @@ def _state(
     compliance = torch.linalg.inv(laminate.layer_stiffness[0])
     share = torch.stack([fiber, matrix, matrix], -1)
     Q = torch.linalg.inv(compliance + torch.diag_embed(compliance.diagonal(dim1=-2, dim2=-1) * (1.0 / share - 1.0)))
-    T, _ = turning(laminate.layer_angles)
+    T, _ = strain_rotations(laminate.layer_angles)
     Qbar, faces = T.mT @ Q @ T, laminate.faces
     A, B, D = (((faces[:, 1] ** n - faces[:, 0] ** n)[:, None, None] / n * Qbar).sum(0) for n in (1, 2, 3))
     strain = torch.linalg.solve(torch.cat([torch.cat([A, B], 1), torch.cat([B, D], 1)]), loads)
@@ -133,7 +133,7 @@ def _state(
 
 
 def _reached(rule: FailureModes, stress: Tensor, strength: Tensor) -> Float[Tensor, "layers 2 modes"]:
-    """The load at which the index of each mode is one; infinite where it never is."""
+    """Return the load at which the index of each mode becomes one; infinite where it never does."""
 
     def failed(load: Tensor) -> Tensor:
         indices = rule.indices(
@@ -146,13 +146,13 @@ def _reached(rule: FailureModes, stress: Tensor, strength: Tensor) -> Float[Tens
     never = ~failed(10.0**high)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        there = failed(10.0**middle)
-        low, high = torch.where(there, low, middle), torch.where(there, middle, high)
+        fails = failed(10.0**middle)
+        low, high = torch.where(fails, low, middle), torch.where(fails, middle, high)
     return torch.where(never, torch.inf, 10.0**high)
 
 
 def _exact(rule: FailureModes, stress: Tensor, strength: Tensor, mode: int, load: Tensor) -> Tensor:
-    """The load of one layer with its derivatives: one step of Newton's from the load that was found."""
+    """Return the failure load of one layer with its derivatives, by one step of Newton's method from the load of `_reached`."""
     face = int(_reached(rule, stress[None].detach(), strength[None].detach())[0, :, mode].argmin())
 
     def index(x: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.gradients import refuse_gradients
 
-_LEAST = 1e-3  # share of the room between the mean and the strengths that is always left
+_LEAST = 1e-3  # least allowable amplitude as a share of the smaller strength
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ class SNCurve:
 
 
 def mean_factor(mean: Tensor, tension: Tensor, compression: Tensor) -> Tensor:
-    """A(0) / A(mean): by how much the mean of a cycle makes its amplitude count more [-]."""
-    room = 0.5 * (tension + compression - (2.0 * mean - tension + compression).abs())
+    """Return A(0) / A(mean), the factor of the amplitude by the mean of a cycle [-]."""
+    allowable = 0.5 * (tension + compression - (2.0 * mean - tension + compression).abs())
     most = torch.minimum(tension, compression)
-    return most / torch.maximum(room, _LEAST * most)
+    return most / torch.maximum(allowable, _LEAST * most)
 
 
 def power_law_damage(amplitude: Tensor, mean: Tensor, tension: Tensor, compression: Tensor, exponent: Any) -> Tensor:

@@ -1,4 +1,4 @@
-"""How transverse shear forces spread through a laminate, and the shear stiffness that has the same energy.
+"""Transverse shear stresses through the thickness of a laminate, and the shear stiffness of the same energy.
 
     tau(z) = F(z) Q         stresses (tau_xz, tau_yz) of the shear forces (Q_x, Q_y)
     As^-1  = integral of F' Gbar^-1 F dz
@@ -78,7 +78,7 @@ def _growth(constant: Tensor, linear: Tensor, start: Tensor, end: Tensor) -> Ten
 
 
 def _gradients(stress: Tensor) -> Tensor:
-    """What tau_xz,z and tau_yz,z balance, from stresses [..., (xx, yy, xy), (state that varies with x, with y)]."""
+    """Return -tau_xz,z and -tau_yz,z from stresses [..., (xx, yy, xy), (state that varies with x, with y)]."""
     return stress.flatten(-2)[..., [0, 5, 4, 3]].unflatten(-1, (2, 2))  # xx of the first, xy of the second; xy, yy
 
 

@@ -28,8 +28,8 @@ from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import EXTENT, warn_unusual
 
 
-class Pieces(NamedTuple):
-    """Triangles that cover every cell, some of them twice: nodes, share that each counts with, and its cell."""
+class CoveringTriangles(NamedTuple):
+    """Triangles that cover the cells, quadrilaterals twice: their nodes, the share that each counts with, and its cell."""
 
     nodes: Int[Tensor, "pieces 3"]
     share: Float[Tensor, " pieces"]
@@ -59,8 +59,8 @@ class Mesh:
     lines                     node pairs: beams, rigid links [k, 2]
     node_sets                 name -> node indices; a set of one node is a named node
     node_labels, cell_labels  names of nodes and cells in messages, such as the cards of a file
-    as_given                  whether nodes may share one place, cells have the same corners, and neighbours be wound in
-                              opposite senses, as in models that say what joins them: warnings instead of errors
+    as_given                  whether nodes may share one place, cells have the same corners, and neighbors be wound in
+                              opposite senses, as in models whose elements say what is joined: warnings instead of errors
 
     >>> corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=torch.float64)
     >>> mesh = mbd.Mesh(corners, quads=torch.tensor([[0, 1, 2, 3]]), node_sets={"tip": [2]})
@@ -170,17 +170,17 @@ class Mesh:
         """The corners of the cells of each kind, in the order in which cells are counted."""
         return {"triangle": self.triangles, "quad": self.quads}
 
-    def first(self, kind: str) -> int:
+    def first_cell(self, kind: str) -> int:
         """The number of the first cell of a kind."""
         return {"triangle": 0, "quad": len(self.triangles)}[kind]
 
     @property
     def cell_count(self) -> int:
-        """How many cells there are."""
+        """Number of cells."""
         return len(self.triangles) + len(self.quads)
 
     @property
-    def pieces(self) -> Pieces:
+    def covering_triangles(self) -> CoveringTriangles:
         """Triangles that cover the cells: every quadrilateral in the mean of the two ways to cut it.
 
         So a third of the directed area of each, at its corners, is the integral of the bilinear shape functions.
@@ -190,7 +190,7 @@ class Mesh:
         share = torch.ones(len(self.triangles) + 4 * len(self.quads), dtype=torch.float64)
         share[len(self.triangles) :] = 0.5
         cell = torch.cat([number[: len(self.triangles)], number[len(self.triangles) :].repeat(4)])
-        return Pieces(torch.cat([self.triangles, *corners]), share, cell)
+        return CoveringTriangles(torch.cat([self.triangles, *corners]), share, cell)
 
     @property
     def directed_areas(self) -> Float[Tensor, "cells 3"]:

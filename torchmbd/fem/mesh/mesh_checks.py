@@ -1,4 +1,4 @@
-"""What a mesh is refused for, named by cell and node: an InputError for each.
+"""Checks of a mesh; the InputError of each names cell and node.
 
 Nodes that are not finite or share one place; cells with unknown, repeated or collinear corners, concave or strongly warped;
 duplicates; nodes of no element; neighbours wound in opposite senses; disconnected parts; node sets outside of the mesh.
@@ -33,7 +33,7 @@ WARP = math.radians(40.0)
 
 
 class Cells(Protocol):
-    """What is checked of a mesh; see `Mesh`."""
+    """A mesh as the checks use it; see `Mesh`."""
 
     @property
     def nodes(self) -> Tensor: ...
@@ -51,7 +51,7 @@ class Cells(Protocol):
     def cell_count(self) -> int: ...
     @property
     def as_given(self) -> bool: ...
-    def first(self, kind: str) -> int: ...
+    def first_cell(self, kind: str) -> int: ...
     def cell_name(self, k: int) -> str: ...
     def node_name(self, k: int) -> str: ...
 
@@ -67,7 +67,7 @@ def check(mesh: Cells) -> None:
     _check_nodes(mesh)
     _check_shapes(mesh)
     for kind, corners in mesh.cells.items():
-        _check_cells(mesh, corners, mesh.first(kind))
+        _check_cells(mesh, corners, mesh.first_cell(kind))
     _check_orphans(mesh)
     _check_lines(mesh)
     _check_winding(mesh)
@@ -101,7 +101,7 @@ def _check_nodes(mesh: Cells) -> None:
 
 
 def _refuse(mesh: Cells, text: str, count: int) -> None:
-    """Raise, or warn of what a model may mean so."""
+    """Raise InputError; of a mesh `as_given` warn instead."""
     if not mesh.as_given:
         raise InputError(text)
     warn(f"{text} ({count} in all); taken as they are")

@@ -32,7 +32,7 @@ from torchmbd.fem.elements import (
     Part,
     PlateMatrices,
     Plates,
-    merged,
+    merge_plates,
 )
 from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.materials import Laminate
@@ -138,13 +138,13 @@ class FlexibleBody(MatrixMethods, nn.Module):
         interfaces = Interfaces.of(self.name, mesh, interface)
         self.links = links = [*links, *rigid_links(mesh, rigid), *interfaces.links]
         self.parts = dict(parts)
-        joined = merged(self.parts)
+        joined = merge_plates(self.parts)
         self.reference = reference_nodes(mesh, joined, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)
         if varying_nodes(mesh):
             if links:
                 raise InputError(f"nodes of {name!r} vary, and some are linked; allowed: numbers, or no links")
-            self.add_module("line", mesh.shape)  # pyright: ignore[reportAttributeAccessIssue]
+            self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
         self.free = self.assembly.freedoms.free
@@ -390,8 +390,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         psi = self.assembly.freedoms.expand(basis.vectors)
         psi = psi if self._rotations is None else self._rotations(psi)
         _, mass, rotary, arm = points
-        x = self.assembly.places(self.places(), arm)
-        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm)) | {
+        x = self.assembly.mass_positions(self.places(), arm)
+        result = inertia_invariants(x, mass, rotary, self.assembly.mass_motion(psi, arm)) | {
             "Kr": basis.stiffness,
             "psi": psi,
         }

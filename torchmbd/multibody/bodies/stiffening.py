@@ -30,7 +30,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import Assembly, GivenElements, MassPoints
-from torchmbd.fem.elements.geometric import projected
+from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.sparse import SparseMatrix
@@ -71,7 +71,7 @@ class Stiffening:
         psi   modes at the nodes [..., n, 6, m]
         """
         loads = inertial_loads(points, x)
-        forces = self.assembly.freedoms.gathered(self.assembly.carried(loads, points.arm))
+        forces = self.assembly.freedoms.gathered(self.assembly.forces_on_nodes(loads, points.arm))
         if nodes:
             unit = forces.new_zeros(6 * len(self.assembly.mesh.nodes), 6 * len(nodes))
             for k, node in enumerate(nodes):
@@ -79,8 +79,8 @@ class Stiffening:
             own = self.assembly.freedoms.gathered(unit.unflatten(0, (-1, 6)))
             forces = torch.cat([forces, own.expand(*forces.shape[:-2], *own.shape)], -1)
         u = self.assembly.freedoms.expand(self._static(K, forces))
-        Kg = projected(self.assembly.stressed(u), psi)
-        turned = _turned_arms(points, x, self.assembly.motion(psi, points.arm)[..., 3:, :])
+        Kg = projected_geometric_stiffness(self.assembly.stressed(u), psi)
+        turned = _turned_arms(points, x, self.assembly.mass_motion(psi, points.arm)[..., 3:, :])
         inertial = Kg[..., :INERTIAL, :, :].unflatten(-3, (4, 3))
         inertial = inertial if turned is None else inertial + turned
         F1, F2 = inertial[..., 0, :, :, :], inertial[..., 1:, :, :, :].transpose(-4, -3)

@@ -57,7 +57,7 @@ class Pressure(ForceElement):
         mesh = getattr(body, "mesh", None)
         if not isinstance(mesh, Mesh) or mesh.cell_count == 0:
             raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles or quadrilaterals")
-        nodes, share, _ = mesh.pieces
+        nodes, share, _ = mesh.covering_triangles
         area = share[:, None] * directed_area(mesh.nodes[nodes])
         self.follows = direction is None
         self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
@@ -101,4 +101,4 @@ def _fixed(body: Any, area: Tensor, direction: Sequence[float] | Tensor) -> Iter
 def _at_nodes(body: Any, area: Tensor) -> Tensor:
     """A third of the area [m, k] of its pieces for every node [n, k]."""
     own = area.new_zeros(len(body.mesh.nodes), area.shape[1])
-    return own.index_add(0, body.mesh.pieces.nodes.T.flatten(), (area / 3.0).repeat(3, 1))
+    return own.index_add(0, body.mesh.covering_triangles.nodes.T.flatten(), (area / 3.0).repeat(3, 1))

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.fem.elements.geometric import projected
+from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
@@ -75,7 +75,7 @@ class BucklingSeries:
             Kg = supported.geometric(moved).expand(lanes, -1, -1)
         V, y, scale = _Basis.apply(self, number, K.values, Kg, c)
         a = V.mT @ (K @ V)
-        B = projected(supported.assembly.stressed(moved), supported.motion(V))
+        B = projected_geometric_stiffness(supported.assembly.stressed(moved), supported.motion(V))
         b = torch.einsum("ltk,lkij->ltij", c, B.expand(lanes, -1, -1, -1))
         a, b = (y.mT @ x @ y for x in (a[:, None], b))
         index = inverse_factors(a, b)[..., :number]

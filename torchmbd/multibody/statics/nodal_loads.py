@@ -77,7 +77,7 @@ def _areas(mesh: Mesh | BeamLine, inside: Tensor) -> Float[Tensor, " n"]:
     if not isinstance(mesh, BeamLine):
         for kind, corners in mesh.cells.items():
             own = inside[corners].all(1)
-            area = mesh.areas[mesh.first(kind) : mesh.first(kind) + len(corners)][own] / corners.shape[1]
+            area = mesh.areas[mesh.first_cell(kind) : mesh.first_cell(kind) + len(corners)][own] / corners.shape[1]
             weight.index_add_(0, corners[own].flatten(), area.repeat_interleave(corners.shape[1]))
     return weight
 

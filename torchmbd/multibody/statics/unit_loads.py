@@ -41,8 +41,8 @@ class UnitLoads:
         """U of the present design."""
         assembly, body = self.body.assembly, self.body
         points = assembly.masses()
-        x = assembly.places(body.places(), points.arm)
-        P = assembly.carried(inertial_loads(points, x), points.arm)
+        x = assembly.mass_positions(body.places(), points.arm)
+        P = assembly.forces_on_nodes(inertial_loads(points, x), points.arm)
         P = torch.cat([P, *(own.expand(*P.shape[:-3], *own.shape) for own in self._carried)], -1)
         whole = assembly.freedoms.expand(self._static(assembly.stiffness(), assembly.freedoms.gathered(P)))
         share = torch.linalg.solve(Kr, psi.flatten(-3, -2).mT @ P.flatten(-3, -2))

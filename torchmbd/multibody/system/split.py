@@ -107,7 +107,7 @@ def _line(body: Any) -> BeamLine:
         )
     line: BeamLine = body.mesh
     chain = torch.arange(len(line.nodes))
-    if line.shape is not None or not torch.equal(line.elements, torch.stack([chain[:-1], chain[1:]], 1)):
+    if line.node_module is not None or not torch.equal(line.elements, torch.stack([chain[:-1], chain[1:]], 1)):
         raise InputError(
             f"line of {body.name!r} has branches, or nodes that vary; allowed in split: elements from each node to the next"
         )
@@ -130,7 +130,7 @@ def _piece(
     pairs = torch.stack([torch.arange(last - first), torch.arange(1, last - first + 1)], 1)
     some = {name: members for name, members in sets.items() if members}
     mesh = BeamLine(line.nodes[first : last + 1], pairs, some | ends, middles)
-    parts = {key: part.on(mesh, own) for key, part in body.beams.items()}
+    parts = {key: part.on_line(mesh, own) for key, part in body.beams.items()}
     place = body.position + body.axes @ (line.nodes[first] - body.origin)
     inner = sorted(i - first for i in kept if first < i < last)
     free = 6 * (last - first - 1 - len(inner))
