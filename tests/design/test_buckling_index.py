@@ -17,7 +17,7 @@ import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
 from torchmbd.design.response_spec import history_of, measure_of
 from torchmbd.multibody.statics import BucklingSeries, UnitLoads, eigenproblem
-from torchmbd.results.body_loads import body_loads, carriers
+from torchmbd.results.body_loads import body_loads, interpolations
 
 pytestmark = pytest.mark.usefixtures("compiled")
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
@@ -138,8 +138,8 @@ def test_the_small_basis_against_the_full_eigenproblem(supports):
     body, motion = system.body("rod"), mbd.simulate(system, 0.04, steps=20, backend="eager")
     with torch.no_grad():
         loads, view = body_loads(motion, body), motion.body("rod")
-        moved = torch.cat([view.psi, UnitLoads(body, carriers(system, body))(view.psi, view.stiffness[0])], -1)
-        c = torch.cat([view.w, loads.inertia, loads.carried.flatten(2)], -1)
+        moved = torch.cat([view.psi, UnitLoads(body, interpolations(system, body))(view.psi, view.stiffness[0])], -1)
+        c = torch.cat([view.w, loads.inertia, loads.concentrated.flatten(2)], -1)
         series = BucklingSeries(body, supports)
         found, supported = series(moved, c, 3), series.supported
         Kg = torch.einsum("tk,kn->tn", c[0], supported.geometric(moved).reshape(c.shape[-1], -1))

@@ -29,7 +29,7 @@ from torchmbd.math.module_call import call_module, outside_transforms
 from torchmbd.multibody.bodies import FlexibleBeam
 from torchmbd.multibody.statics import BucklingSeries, UnitLoads
 from torchmbd.multibody.system import System
-from torchmbd.results.body_loads import body_loads, carriers
+from torchmbd.results.body_loads import body_loads, interpolations
 
 _SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()  # body -> digest of supports
 
@@ -65,11 +65,11 @@ class BucklingIndex(History):
         system, view = motion.system, motion.body(self.body)
         series, body = self._series(system), flexible_body(system, self.body)
         loads = body_loads(motion, body)
-        unit = outside_transforms(lambda: UnitLoads(body, carriers(system, body)))
+        unit = outside_transforms(lambda: UnitLoads(body, interpolations(system, body)))
         parameters = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
         designs = {f"system.{name}": x for name, x in parameters.items()}
         c = torch.cat(
-            [view.w, loads.inertia, loads.carried.flatten(2)], -1
+            [view.w, loads.inertia, loads.concentrated.flatten(2)], -1
         )  # amplitudes of modes and static displacements
         index = call_module(_Index(system, series, unit, self.number), designs, view.psi, view.stiffness[0], c)
         return index[..., -1]

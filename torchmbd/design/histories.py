@@ -132,7 +132,7 @@ class Position(History):
         view = motion.body(self.body)
         point = view.at(self.point if self.node is None else self.node)
         if self.observer == self.body and not isinstance(view, BeamMotion):
-            return point.rho, point.slow, point.fast
+            return point.rho, point.rho_rate, point.rho_acceleration
         jets = point.position, point.velocity, point.acceleration
         if self.observer == GROUND:
             return jets
@@ -237,7 +237,9 @@ class RelativeDisplacement(History):
         if self.axes not in (None, self.body):
             return None
         a, b = (motion.body(self.body).at(node) for node in (self.a, self.b))
-        return (a.slow - b.slow) @ unit_vector(self.axis), (a.fast - b.fast) @ unit_vector(self.axis)
+        return (a.rho_rate - b.rho_rate) @ unit_vector(self.axis), (
+            a.rho_acceleration - b.rho_acceleration
+        ) @ unit_vector(self.axis)
 
 
 @dataclass(frozen=True)

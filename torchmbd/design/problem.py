@@ -41,7 +41,7 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure, argument_names
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
-from torchmbd.integrate.arguments import check, check_backend, check_gradients, start_of
+from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
 from torchmbd.integrate.memory import lanes_at_once, require_memory
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
@@ -118,7 +118,7 @@ class Problem(Summary):
         if isinstance(start, str):
             start, motion_start = None, start
         start_of(system, motion_start)
-        integrator = check(duration, method, steps, options, phases is not None, argument_names(Problem))
+        integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(Problem))
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
         if phases is not None:

@@ -27,7 +27,7 @@ from torchmbd.results.motion_data import MotionData
 GRADIENTS = ("auto", "forward", "reverse", "none")
 
 
-def check(
+def checked_integrator(
     duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False, own: Collection[str] = ()
 ) -> Integrator:
     """The integrator; InputError for arguments of `simulate` that are wrong for every system.
@@ -49,14 +49,14 @@ def check(
 
 
 def check_gradients(gradients: Any, integrator: Integrator) -> None:
-    """Refuse a way to gradients that does not exist, or not for this integrator; InputError says why."""
+    """InputError for a mode of gradients that does not exist, or not for this integrator."""
     one_of("gradients", gradients, GRADIENTS)
     if gradients != "reverse":
         return
     if not integrator.adjoint:
-        there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        methods = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
         raise InputError(
-            f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {there}, or 'forward'"
+            f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {methods}, or 'forward'"
         )
 
 
@@ -65,17 +65,17 @@ def seconds_of(duration: Any) -> Any:
     return untransformed(duration).item() if isinstance(duration, Tensor) else duration
 
 
-def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
-    """Whether the motion is differentiated by its duration; InputError where it cannot be, or where that would be lost."""
+def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
+    """Whether the motion is differentiated by its duration; InputError where this derivative does not exist."""
     if not isinstance(duration, Tensor) or not is_differentiated(duration):
         return False
-    found = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
-    found = "phases are given" if phases else found
+    obstacle = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
+    obstacle = "phases are given" if phases else obstacle
     if phases or not integrator.adjoint or gradients in ("forward", "none"):
-        there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        methods = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
         raise InputError(
-            f"duration is being differentiated, but {found}; allowed: method {there} without phases with gradients='auto' or "
-            "'reverse', which have both modes, or duration.detach()"
+            f"duration is being differentiated, but {obstacle}; allowed: method {methods} without phases with "
+            "gradients='auto' or 'reverse', which have both modes, or duration.detach()"
         )
     if duration.dtype != torch.float64:
         raise InputError(f"duration is {duration.dtype}; allowed: torch.float64")
@@ -83,7 +83,7 @@ def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: b
 
 
 def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
-    """InputError where a dual level of torch.autograd.forward_ad is open: tangents would be a second one inside."""
+    """InputError for dual numbers of torch.autograd.forward_ad: the integration of tangents opens such a level itself."""
     for name, x in batch.items():
         if not in_transform(x) and forward_ad.unpack_dual(x).tangent is not None:
             raise InputError(
@@ -98,14 +98,14 @@ def check_backend(backend: Any) -> None:
 
 
 def start_of(system: System, start: Any) -> Start:
-    """Where motions start; InputError says what is allowed."""
+    """The initial state that `start` describes; InputError says what is allowed."""
     if isinstance(start, MotionData):
         return Start.of_motion(system, start.q[:, -1], start.v[:, -1])
     return Start.of(system, start)
 
 
 def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
-    """InputError where derivatives by what is given for the start would be lost."""
+    """InputError where the start is differentiated, but the gradients of the motion do not reach it."""
     if start.watched and (gradients == "forward" or (gradients != "none" and not integrator.adjoint)):
         raise InputError(
             "start is being differentiated, which tangents do not carry; allowed: gradients='reverse' or 'auto' of a one-step "
@@ -113,7 +113,7 @@ def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
         )
 
 
-def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
+def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
     """Designs with a lane axis; InputError names those that are not finite float64 numbers of the system's parameters."""
     own = dict(system.named_parameters())
     if not isinstance(designs, (Mapping, type(None))):
@@ -126,7 +126,7 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
         if not all_true(torch.isfinite(x)):
             raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
         check_parameter("parameter", name, untransformed(x))
-    found = {}
+    result = {}
     for name, given in (designs or {}).items():
         if name not in own:
             raise unknown("parameter", name, own)
@@ -142,8 +142,8 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
         owner, _, own_name = name.rpartition(".")
         if own_name in getattr(system.get_submodule(owner), "positive", ()):
             _check_lanes(name, x, x > 0.0, "positive numbers")
-        found[name] = x
-    return found
+        result[name] = x
+    return result
 
 
 def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:
@@ -153,7 +153,7 @@ def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:
         raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: {allowed}")
 
 
-def check_variables(system: System, variables: Any) -> list[str]:
+def checked_variables(system: System, variables: Any) -> list[str]:
     """Names of parameters; InputError names what is none."""
     own = dict(system.named_parameters())
     if isinstance(variables, str) or not isinstance(variables, Sequence):

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
-from torchmbd.integrate.phases.switch import accelerations, at_time, lane_of, pick
+from torchmbd.integrate.phases.switch import accelerations, at_time, lane_of, pick_lanes
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
@@ -46,7 +46,7 @@ class FlowStepper:
         return State(*(Pair(y) if isinstance(x.q, Pair) else y for y in full))
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
-        own = [_full(pick(y, [lane])) for y in x]
+        own = [_full(pick_lanes(y, [lane])) for y in x]
         if lane in self.failed:
             return own
         if lane not in self._rates:

@@ -157,7 +157,7 @@ class OneStep(Integrator):
         h, whole, recorded = multiphase.duration / multiphase.steps, multiphase.whole, multiphase.recorded()
         turn = turns(whole, recorded, h)
         if whole.topology.beams is not None:
-            later = second_halves(multiphase.number)
+            later = second_halves(multiphase.phase_number)
             errors["alternation"] = alternating_share(alternations(whole, recorded), later)
         valid_times = errors.get("valid_times", first_true(turn < 0.0))
         errors["valid_times"] = valid_times.minimum(first_true(turn > TURN).clamp_min(1))

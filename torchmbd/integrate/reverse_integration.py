@@ -1,6 +1,6 @@
 """A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
-    inputs    the data of the reduced model, in the order of `names`; with `timed` the duration [1, 1] behind them
+    inputs    the data of the reduced model, in the order of `names`; with `duration_is_input` the duration [1, 1] behind them
     outputs   q, v, v', lam [times, n, 1, lanes] of the condensed system, and the validity of the lanes
               (lane_status.py)
 
@@ -42,7 +42,7 @@ class ReverseIntegration:
 
     system           the mechanism, or None where steps are given
     model            topology and options of its equations; its data are not used
-    names            of the inputs;  timed: whether the duration is one as well
+    names            of the inputs;  duration_is_input: whether the duration is one as well
     steps            their number; None: chosen from the data
     integrator       with a pullback of its steps
     with_gradients   whether derivatives may be taken
@@ -56,7 +56,7 @@ class ReverseIntegration:
     model: Dynamics
     names: tuple[str, ...]
     duration: float
-    timed: bool
+    duration_is_input: bool
     steps: int | None
     integrator: OneStep
     with_gradients: bool
@@ -76,9 +76,9 @@ class ReverseIntegration:
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
         data = inputs[: len(self.names)]
-        if self.timed and inputs[-1].shape[-1] > 1:
+        if self.duration_is_input and inputs[-1].shape[-1] > 1:
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
-        if self.timed and self.integrator.checkpoint > 1:
+        if self.duration_is_input and self.integrator.checkpoint > 1:
             raise InputError(
                 f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
             )
@@ -112,7 +112,7 @@ class ReverseIntegration:
             self.stats["tangent_error"] = results.statistics.get("tangent_error")
             h = results.history
             parts.append([x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)])
-        if self.timed and directions[-1] is not None:
+        if self.duration_is_input and directions[-1] is not None:
             parts.append([x * directions[-1] for x in self.by_duration])
         found = [torch.where(self.validity[1] > 0.0, sum(x), 0.0) for x in zip(*parts, strict=True)]
         return [*found, self.validity.new_zeros(2, found[0].shape[2], len(self.status))]
@@ -122,7 +122,7 @@ class ReverseIntegration:
         names = [name for name, one in zip(self.names, wanted, strict=False) if one]
         found = self.adjoint(outputs[:4], names) if names else {}
         result = [found.get(name) for name in self.names]
-        if self.timed:
+        if self.duration_is_input:
             both = [(bar, dx) for bar, dx in zip(outputs, self.by_duration, strict=False) if bar is not None]
             parts = [torch.einsum("tnrl,tnl->rl", bar, dx.squeeze(2)) for bar, dx in both]
             result.append(torch.stack(parts).sum(0) if parts else None)

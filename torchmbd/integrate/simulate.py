@@ -20,14 +20,13 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, argument_names
 from torchmbd.integrate.arguments import (
-    GRADIENTS,
-    check,
     check_backend,
-    check_designs,
     check_gradients,
     check_start,
-    check_timed,
-    check_variables,
+    checked_designs,
+    checked_integrator,
+    checked_variables,
+    duration_is_differentiated,
     refuse_dual_level,
     seconds_of,
     start_of,
@@ -49,7 +48,7 @@ from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
-from torchmbd.results.singular_positions import explain
+from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.time_rows import IntegratedSignals
 from torchmbd.results.trajectory import Trajectory
@@ -116,12 +115,12 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    integrator = check(duration, method, steps, options, phases is not None, argument_names(simulate))
-    begins = start_of(system, start)
-    system = system if start == "assembled" else system.starting(begins)
+    integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(simulate))
+    initial = start_of(system, start)
+    system = system if start == "assembled" else system.starting(initial)
     integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
-    given = check_designs(system, designs)
+    given = checked_designs(system, designs)
     seconds = seconds_of(duration)
     check_gradients(gradients, integrator)
     check_backend(backend)
@@ -129,24 +128,22 @@ def simulate(
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
         warn_static_truncation(system)
-        timed = check_timed(duration, gradients, integrator, phases is not None)
-        names = variables_of(system, given, gradients, variables, timed)
-        check_start(begins, gradients, integrator)
+        by_duration = duration_is_differentiated(duration, gradients, integrator, phases is not None)
+        names = variable_names(system, given, gradients, variables, by_duration)
+        check_start(initial, gradients, integrator)
         if gradients != "none":
-            _require_wanted(names, given)
-        own = dict(system.named_parameters())
-        batch = same_lanes({name: own[name][None] for name in names if name not in given} | given, begins.lanes)
+            _refuse_other_designs(names, given)
+        batch = lanes_of_batch(system, given, names, initial.lanes)
         if gradients in ("forward", "reverse"):
             batch = {k: _leaf(x) if k in names and not is_differentiated(x) else x for k, x in batch.items()}
-        count = sum(x[0].numel() for name, x in batch.items() if name in names)
-        lanes = max((len(x) for x in batch.values()), default=begins.lanes)
-        require_memory(
-            system, lanes, integrator.stored_intervals(steps) if steps else FEWEST, count, gradients != "forward"
-        )
+        lanes = max((len(x) for x in batch.values()), default=initial.lanes)
+        intervals = integrator.stored_intervals(steps) if steps else FEWEST
+        tangents = sum(x[0].numel() for name, x in batch.items() if name in names)
+        require_memory(system, lanes, intervals, tangents, gradients != "forward")
         if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
         if gradients == "forward" or not isinstance(integrator, OneStep):
-            labels = labels_of(system, names)
+            labels = entry_labels(system, names)
             integration = ForwardIntegration(
                 system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
             )
@@ -154,19 +151,16 @@ def simulate(
         elif phases is not None:
             motion = _reverse_phases(system, batch, names, seconds, steps, integrator, backend, phases)
         else:
-            motion = _reverse(system, batch, names, duration if timed else seconds, steps, integrator, backend)
+            motion = _reverse(system, batch, names, duration if by_duration else seconds, steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
-        motion.stats["gradients"] = _route(motion) if names or timed or begins.watched else GRADIENTS[-1]
+        mode = "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
+        motion.stats["gradients"] = mode if names or by_duration or initial.watched else "none"
         with torch.no_grad():
             if phases is None:
-                explain(_plain(motion))
+                report_singular_positions(_plain(motion))
             motion.stats.pop("valid_times", None)
             warn_of_spin(_plain(motion, motion.integration.validity[0, 0]))
         return motion
-
-
-def _route(motion: Trajectory) -> str:
-    return "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
 
 
 def _plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
@@ -183,25 +177,28 @@ def _plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
     )
 
 
-def variables_of(
-    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, timed: bool
+def variable_names(
+    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, by_duration: bool
 ) -> list[str]:
-    """Names of the parameters by which the motion is differentiated."""
+    """Names of the parameters by which the motion is differentiated.
+
+    by_duration: whether it is differentiated by its duration as well
+    """
     if gradients == "none":
         return []
     own = dict(system.named_parameters())
     if variables is not None:
-        return check_variables(system, variables)
+        return checked_variables(system, variables)
     if gradients == "auto":
         return [name for name, x in own.items() if is_differentiated(given.get(name, x))]
     names = [name for name, x in own.items() if x.requires_grad or is_differentiated(given.get(name, x))]
-    if not names and not timed:
+    if not names and not by_duration:
         raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
     return names
 
 
-def _require_wanted(names: Sequence[str], given: Mapping[str, Tensor]) -> None:
-    """InputError where a design is being differentiated, but is none of the variables of this name."""
+def _refuse_other_designs(names: Sequence[str], given: Mapping[str, Tensor]) -> None:
+    """InputError where a design is being differentiated, but is none of the variables of these names."""
     for name, x in given.items():
         if name not in names and is_differentiated(x):
             raise InputError(
@@ -219,8 +216,8 @@ def _reverse(
     integrator: OneStep,
     backend: str,
 ) -> Trajectory:
-    """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint; also by a `duration` []."""
-    timed = isinstance(duration, Tensor)
+    """A motion whose structure stage is differentiated by torch, and its steps by their adjoint; also by a `duration` []."""
+    by_duration = isinstance(duration, Tensor)
     dynamics, shapes = system.stages(batch)
     data = dynamics.data
     integration = ReverseIntegration(
@@ -228,22 +225,22 @@ def _reverse(
         replace(dynamics, data={}),
         tuple(data),
         seconds_of(duration),
-        timed,
+        by_duration,
         steps,
         integrator,
-        bool(names) or timed or any(x.requires_grad for x in data.values()),
+        bool(names) or by_duration or any(x.requires_grad for x in data.values()),
         backend,
         tuple(name for name, x in data.items() if x.requires_grad),
     )
-    inputs = (*data.values(), duration[None, None]) if timed else data.values()
+    inputs = (*data.values(), duration[None, None]) if by_duration else data.values()
     outputs: Any = Motion.apply(integration, *inputs)
     if not torch.is_grad_enabled():
-        shapes = {}  # they are made on demand, and take no room before
-    motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
-    return _timed(motion, duration) if timed else motion
+        shapes = {}  # made on demand: they take memory
+    motion = trajectory_of(system, integration, outputs, dict(data), batch, entry_labels(system, names), names, shapes)
+    return _at_moving_times(motion, duration) if by_duration else motion
 
 
-def _timed(motion: Trajectory, duration: Tensor) -> Trajectory:
+def _at_moving_times(motion: Trajectory, duration: Tensor) -> Trajectory:
     """The motion at times that are functions of the duration."""
     signals = motion.signals
     assert isinstance(signals, IntegratedSignals)
@@ -266,40 +263,40 @@ def _reverse_phases(
     backend: str,
     phases: Sequence[Phase],
 ) -> Trajectory:
-    """The same through phases."""
-    whole, stages = outside_transforms(lambda: plan(system, phases, duration))
+    """As `_reverse`, through phases."""
+    whole, phase_models = outside_transforms(lambda: plan(system, phases, duration))
     dynamics = whole.reduced(batch)
     data, model = dynamics.data, replace(dynamics, data={})
     integration = ReversePhaseIntegration(
-        whole, stages, model, tuple(data), tuple(batch), duration, steps, integrator, backend
+        whole, phase_models, model, tuple(data), tuple(batch), duration, steps, integrator, backend
     )
     outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
     end = 5 + len(integration.moving)
     data = dict(data) | dict(zip(integration.moving, outputs[5:end], strict=True))
-    motion = presented(whole, integration, outputs[:5], data, batch, labels_of(system, names), names)
+    motion = trajectory_of(whole, integration, outputs[:5], data, batch, entry_labels(system, names), names)
     motion.switches = integration.switches_of(outputs[end:])
-    motion.actions = tuple(stage.topology.actions for stage in stages)
+    motion.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
     return motion
 
 
 def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
-    """Designs [lanes, ...] as inputs of `Motion` [..., 1, lanes]."""
+    """Designs [lanes, ...] as inputs [..., 1, lanes] of `Motion`."""
     return [x.movedim(0, -1).unsqueeze(-2) for x in batch.values()]
 
 
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
-    """A motion with tangents."""
+    """A motion whose tangents are integrated with it."""
     outputs: Any = Motion.apply(integration, *_lanes_last(batch))
     end = 5 + len(integration.moving)
     data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[5:end], strict=True))
     names, labels = list(integration.variables), integration.labels
-    motion = presented(integration.system, integration, outputs[:5], data, batch, labels, names)
+    motion = trajectory_of(integration.system, integration, outputs[:5], data, batch, labels, names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = integration.actions
     return motion
 
 
-def presented(
+def trajectory_of(
     system: System,
     integration: Any,
     outputs: Sequence[Tensor],
@@ -309,7 +306,10 @@ def presented(
     names: list[str],
     shapes: Mapping[str, Tensor] = MappingProxyType({}),
 ) -> Trajectory:
-    """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
+    """The motion as a function of the outputs of `Motion`, the data of the reduced model and the designs.
+
+    labels   one for each entry of the variables `names`;  shapes: mode shapes that were made already
+    """
     q, v, vd, lam, (valid_times, good) = outputs
     valid_times, good = valid_times[0].detach(), good[0] > 0.0
     whole = integration.dynamics
@@ -333,7 +333,7 @@ def presented(
     )
 
 
-def labels_of(system: System, names: Sequence[str]) -> tuple[str, ...]:
+def entry_labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
     """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
     own = dict(system.named_parameters())
     return tuple(f"{name}[{i}]" for name in names for i in range(own[name].numel()))
@@ -343,11 +343,15 @@ def _leaf(x: Tensor) -> Tensor:
     return x.detach().clone().requires_grad_()
 
 
-def same_lanes(batch: dict[str, Tensor], least: int = 1) -> dict[str, Tensor]:
-    """least: lanes of the start."""
+def lanes_of_batch(
+    system: System, designs: Mapping[str, Tensor], names: Sequence[str], start_lanes: int
+) -> dict[str, Tensor]:
+    """Designs, and own values of the other variables `names`, all with the same lanes [lanes, ...]."""
+    own = dict(system.named_parameters())
+    batch = {name: own[name][None] for name in names if name not in designs} | dict(designs)
     counts = {name: x.shape[0] for name, x in batch.items()}
-    lanes = max([*counts.values(), least])
-    if not {1, lanes}.issuperset([*counts.values(), least]):
-        other = f" and start {least}" if least > 1 else ""
-        raise InputError(f"designs have lanes {counts}{other}; allowed: the same number for all, or one")
+    lanes = max([*counts.values(), start_lanes])
+    if not {1, lanes}.issuperset([*counts.values(), start_lanes]):
+        start = f" and start {start_lanes}" if start_lanes > 1 else ""
+        raise InputError(f"designs have lanes {counts}{start}; allowed: the same number for all, or one")
     return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

@@ -2,9 +2,8 @@
 
     parameters --structure stage--> data --Motion--> q, lam at rest at one or several times --torch--> responses
 
-At each time drives and loads are held where their laws put them, and the mechanism is where all forces balance, found from
-where it rested at the time before: quasi-static steps. Rates and accelerations are zero, or those of a steady rotation of
-the whole.
+At each time drives and loads have the values of their laws at that time, and all forces on the mechanism balance: quasi-static
+steps, each from the equilibrium before. Rates and accelerations are zero, or those of a steady rotation of the whole.
 Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
 """
 
@@ -19,10 +18,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false
-from torchmbd.integrate.arguments import GRADIENTS, check_designs, start_of
+from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
-from torchmbd.integrate.simulate import labels_of, presented, same_lanes, variables_of
+from torchmbd.integrate.simulate import entry_labels, lanes_of_batch, trajectory_of, variable_names
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pair import Pair, value
@@ -54,7 +53,7 @@ class Equilibrium(Trajectory):
     @cached_property
     def vibrations(self) -> list[Vibrations]:
         """Small vibrations about the equilibrium at the last time, of each lane."""
-        return [self._at_rest(lane, -1) for lane in range(self.lanes)]
+        return [self._vibrations(lane, -1) for lane in range(self.lanes)]
 
     @property
     def frequencies(self) -> Tensor:
@@ -64,10 +63,10 @@ class Equilibrium(Trajectory):
     @property
     def stable(self) -> bool:
         """Whether no freedom of any lane is unstable, at any time."""
-        found = [self._at_rest(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
+        found = [self._vibrations(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
         return not any(bool(x.frequencies.isnan().any()) for x in [*found, *self.vibrations])
 
-    def _at_rest(self, lane: int, time: int) -> Vibrations:
+    def _vibrations(self, lane: int, time: int) -> Vibrations:
         with torch.no_grad():
             dynamics = self.dynamics.values().select_lanes([lane])
             return Vibrations.of(
@@ -79,7 +78,7 @@ class Equilibrium(Trajectory):
 class StaticIntegration:
     """Equilibria at given times as an `Integration` of `Motion`; data of the model by `names` in, as ReverseIntegration.
 
-    follow     each lane is searched from where the one before rests
+    follow     the search of each lane starts at the equilibrium of the lane before
     unstable   as of `equilibrium`
     """
 
@@ -95,7 +94,7 @@ class StaticIntegration:
     validity: Tensor = field(init=False)
     stats: dict[str, Any] = field(default_factory=dict, init=False)
     variables: tuple[str, ...] = ()
-    _found: list[list[Balance]] = field(default_factory=list, init=False, repr=False)
+    _balances: list[list[Balance]] = field(default_factory=list, init=False, repr=False)
 
     @property
     def duration(self) -> float:
@@ -107,11 +106,11 @@ class StaticIntegration:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
-            self._found.append(find_equilibria(self.dynamics, q, t, self.follow, self.rotation, self.unstable))
-            self._refuse(t, self._found[-1])
-            q = equilibrium_coordinates(self.dynamics, self._found[-1], t, self.rotation)
+            self._balances.append(find_equilibria(self.dynamics, q, t, self.follow, self.rotation, self.unstable))
+            self._require_balance(t, self._balances[-1])
+            q = equilibrium_coordinates(self.dynamics, self._balances[-1], t, self.rotation)
         self.status = [OK] * self.dynamics.lanes
-        q, v, a, lam = self._numbers(self.dynamics)
+        q, v, a, lam = self._states(self.dynamics)
         self.history = History(q, v, a, lam, times=self.times)
         self.dynamics.evaluate_rank()
         self.validity = torch.tensor([[float(len(q))], [1.0]], dtype=torch.float64).expand(2, q.shape[-1])[:, None]
@@ -122,8 +121,8 @@ class StaticIntegration:
         data = self.dynamics.data
         moving = {n: Pair.of(data[n], dx) for n, dx in zip(self.names, directions, strict=True) if dx is not None}
         count = max(dx.shape[-2] for dx in directions if dx is not None)
-        found = self._numbers(replace(self.dynamics, data=data | moving))
-        by = [x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in found]
+        states = self._states(replace(self.dynamics, data=data | moving))
+        by = [x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in states]
         return [*by, self.validity.new_zeros(2, count, len(self.status))]
 
     def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
@@ -135,12 +134,12 @@ class StaticIntegration:
             if one
         }
         with torch.enable_grad():
-            found = self._numbers(replace(self.dynamics, data=self.dynamics.data | leaves))
-        pulled = [(y, bar) for y, bar in zip(found, outputs, strict=False) if bar is not None and y.requires_grad]
+            states = self._states(replace(self.dynamics, data=self.dynamics.data | leaves))
+        pulled = [(y, bar) for y, bar in zip(states, outputs, strict=False) if bar is not None and y.requires_grad]
         if not pulled:
             return [None] * len(self.names)
         rows = max(bar.shape[-2] for _, bar in pulled)
-        slopes: dict[str, list[Tensor]] = {name: [] for name in leaves}
+        by_leaf: dict[str, list[Tensor]] = {name: [] for name in leaves}
         for row in range(rows):
             by = torch.autograd.grad(
                 [y for y, _ in pulled],
@@ -151,8 +150,8 @@ class StaticIntegration:
                 materialize_grads=True,
             )
             for name, x in zip(leaves, by, strict=True):
-                slopes[name].append(x)
-        return [torch.cat(slopes[name], -2) if name in slopes else None for name in self.names]
+                by_leaf[name].append(x)
+        return [torch.cat(by_leaf[name], -2) if name in by_leaf else None for name in self.names]
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """As of ReverseIntegration."""
@@ -162,21 +161,22 @@ class StaticIntegration:
         """As of ReverseIntegration."""
         return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
-    def _numbers(self, dynamics: Dynamics) -> list[Tensor]:
+    def _states(self, dynamics: Dynamics) -> list[Tensor]:
         """q, v, v' and lam [times, n, 1 + n_b, lanes] as functions of the data."""
         rows: list[list[Tensor]] = []
-        for t, found in zip(self.times, self._found, strict=True):
-            q = equilibrium_coordinates(dynamics, found, t, self.rotation)
+        for t, balances in zip(self.times, self._balances, strict=True):
+            q = equilibrium_coordinates(dynamics, balances, t, self.rotation)
             lam = reactions(dynamics, q, t, self.rotation)
             still = value(q).detach().new_zeros(dynamics.topology.n_v, 1, value(q).shape[-1])
             v, a = (still, still.clone()) if self.rotation is None else self.rotation.rates(dynamics.topology, q)
             rows.append([x.full if isinstance(x, Pair) else x for x in (q, v, a, lam)])
         return [torch.stack(x) for x in zip(*rows, strict=True)]
 
-    def _refuse(self, t: Tensor, found: list[Balance]) -> None:
-        for lane, one in enumerate(found):
+    def _require_balance(self, t: Tensor, balances: list[Balance]) -> None:
+        """InputError for a lane without an equilibrium."""
+        for lane, one in enumerate(balances):
             if one.failure:
-                where = f" of lane {lane}" * (len(found) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
+                where = f" of lane {lane}" * (len(balances) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
                 raise InputError(one.failure + (f" ({where.strip()})" if where else ""))
 
 
@@ -221,31 +221,30 @@ def equilibrium(
     follow, unstable = true_or_false("follow", follow), true_or_false("unstable", unstable)
     t = _times(times)
     rotation = SteadyRotation.of(spin, center)
-    begins = start_of(system, start)
-    if begins.in_equilibrium:
+    initial = start_of(system, start)
+    if initial.in_equilibrium:
         raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
-    system = system.starting(begins)
-    given = check_designs(system, designs)
+    system = system.starting(initial)
+    given = checked_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
         warn_static_truncation(system)
-        names = variables_of(system, given, "auto", variables, False)
-        own = dict(system.named_parameters())
-        batch = {name: own[name][None] for name in names if name not in given} | given
-        batch = same_lanes(batch, begins.lanes)
+        names = variable_names(system, given, "auto", variables, False)
+        batch = lanes_of_batch(system, given, names, initial.lanes)
         dynamics, shapes = system.stages(batch)
         data = dynamics.data
         integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, follow, rotation, unstable)
         outputs: Any = Motion.apply(integration, *data.values())
         if not torch.is_grad_enabled():
             shapes = {}
-        motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
-        motion.stats["gradients"] = "reverse" if names else GRADIENTS[-1]
+        motion = trajectory_of(
+            system, integration, outputs, dict(data), batch, entry_labels(system, names), names, shapes
+        )
+        motion.stats["gradients"] = "reverse" if names else "none"
         motion.stats["backend"] = "eager"
         if rotation is not None:
             warn_of_spin(motion)
-    found: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
-    found |= {"t": t, "rotation": rotation}
-    return Equilibrium(**found)
+    own: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
+    return Equilibrium(**own | {"t": t, "rotation": rotation})
 
 
 def _times(given: Any) -> Tensor:

@@ -1,4 +1,4 @@
-"""A flexible beam along a trajectory: places, rotations, displacements, strains and section forces.
+"""A flexible beam along a trajectory: positions, rotations, displacements, strains and section forces.
 
     f = K (l - l_0)     of each element (multibody/system/beams.py); its dampers are left out
 
@@ -30,7 +30,7 @@ class BeamMotion(Summary):
     """One flexible beam along a trajectory, as `motion.body(NAME)` gives it.
 
     r, A            origin [lanes, times, 3] [m] and rotation [lanes, times, 3, 3] of the first node
-    nodes           places of the nodes in ground axes [lanes, times, n, 3] [m]
+    nodes           positions of the nodes in ground axes [lanes, times, n, 3] [m]
     omega           angular velocity of the first node in its axes [lanes, times, 3] [rad/s]
     rotations       of the nodes, from mesh axes to ground axes [lanes, times, n, 3, 3]
     displacements   of the nodes from the beam without strain, in the axes of its first node [lanes, times, n, 3] [m]
@@ -45,7 +45,7 @@ class BeamMotion(Summary):
 
     @property
     def r(self) -> Float[Tensor, "lanes times 3"]:
-        """Place of the first node in ground axes [m]."""
+        """Position of the first node in ground axes [m]."""
         return self.nodes[:, :, 0]
 
     @property
@@ -79,7 +79,7 @@ class BeamMotion(Summary):
 
     @cached_property
     def nodes(self) -> Float[Tensor, "lanes times n 3"]:
-        """Places of the nodes in ground axes [m]."""
+        """Positions of the nodes in ground axes [m]."""
         return self._rows("r_slice", 3)
 
     @cached_property

@@ -152,7 +152,7 @@ class BodyMotion(Summary):
         """Positions of the deformed mesh in ground axes [lanes, times, nodes, 3] [m]."""
         self._flexible()
         body = self.motion.system.body(self.name)
-        local = _places(self.motion, body)[:, None] + self.displacements
+        local = _node_positions(self.motion, body)[:, None] + self.displacements
         return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
 
     def to_dataframe(self) -> DataFrame:
@@ -182,7 +182,7 @@ class BodyMotion(Summary):
         return PointMotion.of(self, where)
 
 
-class _Places(nn.Module):
+class _NodePositions(nn.Module):
     """Nodes of a body as a module of the whole system, so that designs go by their names."""
 
     def __init__(self, system: Any, name: str):
@@ -193,12 +193,12 @@ class _Places(nn.Module):
         return self.system.body(self.name).places()
 
 
-def _places(motion: MotionData, body: Any) -> Tensor:
-    """Nodes of the undeformed body from its origin [lanes or 1, n, 3] [m]."""
+def _node_positions(motion: MotionData, body: Any) -> Tensor:
+    """Positions of the nodes of the undeformed body from its origin [lanes or 1, n, 3] [m]."""
     if not varying_nodes(body.mesh):
         return (body.mesh.nodes - body.origin)[None]
     designs = {f"system.{name}": x for name, x in motion.designs.items()}
-    found = call_module(_Places(motion.system, body.name), designs)
+    found = call_module(_NodePositions(motion.system, body.name), designs)
     return found if found.dim() == 3 else found[None]
 
 
@@ -206,7 +206,7 @@ def point_of(motion: MotionData, frame: Frame) -> Tensor:
     """Point of a frame in the axes of its body [lanes or 1, 1, 3] [m], as the designs have it."""
     if frame.interpolation is not None and varying_nodes(frame.body.mesh):
         nominal = frame.interpolation.center(frame.body.mesh.nodes - frame.body.origin)
-        return (frame.interpolation.center(_places(motion, frame.body)) + frame.point - nominal)[:, None]
+        return (frame.interpolation.center(_node_positions(motion, frame.body)) + frame.point - nominal)[:, None]
     if frame.place is None:
         return frame.point[None, None]
     places = [attached.place for attached in motion.dynamics.topology.attached]
@@ -226,21 +226,21 @@ class PointMotion:
     body: BodyMotion
     displacement: Tensor
     rho: Tensor
-    slow: Tensor  # rate of rho in body axes
-    fast: Tensor  # its rate
+    rho_rate: Tensor  # in body axes
+    rho_acceleration: Tensor  # in body axes
 
     @classmethod
     def of(cls, body: BodyMotion, where: Where) -> PointMotion:
         """The point `where` of a body; InputError if it has no such point."""
         frame = _frame(body, where)
-        still = torch.zeros_like(body.r)
+        zero = torch.zeros_like(body.r)
         if frame is None:
-            return cls(body, still, still, still, still)
+            return cls(body, zero, zero, zero, zero)
         if frame.interpolation is None:
-            return cls(body, still, point_of(body.motion, frame) + still, still, still)
+            return cls(body, zero, point_of(body.motion, frame) + zero, zero, zero)
         psi = Attached(frame.body, frame.point, frame.interpolation, True).modal_rows(body.psi)
-        u, slow, fast = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
-        return cls(body, u, point_of(body.motion, frame) + u, slow, fast)
+        u, rate, acceleration = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
+        return cls(body, u, point_of(body.motion, frame) + u, rate, acceleration)
 
     @property
     def position(self) -> Tensor:
@@ -250,13 +250,13 @@ class PointMotion:
     @property
     def velocity(self) -> Tensor:
         """In ground axes [m/s]."""
-        return self.body._origin_rates("v") + self._ground(_cross(self.body.omega, self.rho) + self.slow)
+        return self.body._origin_rates("v") + self._ground(_cross(self.body.omega, self.rho) + self.rho_rate)
 
     @property
     def acceleration(self) -> Tensor:
         """In ground axes [m/s2]."""
         om, turn = self.body.omega, self.body.omega_rate
-        local = _cross(turn, self.rho) + _cross(om, _cross(om, self.rho) + 2.0 * self.slow) + self.fast
+        local = _cross(turn, self.rho) + _cross(om, _cross(om, self.rho) + 2.0 * self.rho_rate) + self.rho_acceleration
         return self.body._origin_rates("a") + self._ground(local)
 
     def _ground(self, x: Tensor) -> Tensor:

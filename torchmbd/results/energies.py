@@ -1,4 +1,4 @@
-"""Where the energy of a motion is, where it came from and where it went.
+"""Energies of a motion, and the work done on it.
 
     kinetic     1/2 v' M v                                        strain      1/2 w' Kr w and that of beam elements
     potential   - sum (m r + A S) . g                             dissipated  integral of w' . D w', and by beam elements
@@ -9,8 +9,8 @@
 
     balance = kinetic + strain + potential + dissipated + lost - applied - driven, less its value at the start
 
-is zero along an exact motion; what is left of it tells what steps and iterations did. Integrals are trapezoidal over
-the output times, and on both sides of every switch.
+is zero along an exact motion; the rest is the error of steps and iterations. Integrals are trapezoidal over the output
+times, and on both sides of every switch.
 Values only. All functions of time [lanes, times] [J].
 Checked in tests/physics/test_energies.py: against nodal sums, and the balance to second order.
 """
@@ -59,13 +59,13 @@ class Energies(Summary):
 
     @property
     def balance(self) -> Tensor:
-        """What is missing or too much since the start."""
+        """Change of the energies since the start, less the work done: zero along an exact motion."""
         total = self.stored + self.dissipated + self.lost - self.applied - self.driven
         return total - total[:, :1]
 
 
 def energies(motion: MotionData) -> Energies:
-    """Of all lanes of a motion."""
+    """The energies of all lanes of a motion."""
     if motion.switches and len(motion.status) != motion.lanes:
         raise InputError(
             "energies of a motion with phases are asked for in torch.func.vmap, but lanes switch at times of their own; "
@@ -76,7 +76,7 @@ def energies(motion: MotionData) -> Energies:
 
 
 class _Samples(NamedTuple):
-    """One lane: times [n], q, v, lam [rows, 1, n]; which are output times, and which begin a phase."""
+    """One lane at all times [n]: q, v, lam [rows, 1, n]; `output`: at output times, `begins`: after a switch."""
 
     t: Tensor
     q: Tensor
@@ -106,8 +106,7 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
     t, q, v, lam = samples[:4]
     data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
-    given = as_lanes(T.schedule(t, data))
-    at = equations.placement(T, data, q, given)
+    at = equations.placement(T, data, q, as_lanes(T.schedule(t, data)))
     w, wd = at.w, equations.split_v(T, v)[2]
     plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}
     strain = dissipation = torch.zeros_like(v[0])
@@ -129,10 +128,8 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     drop = -energy[0][0].diff(prepend=energy[0][0, :1])
     lost = torch.where(samples.begins, drop, 0.0).cumsum(0)
     works = [torch.nn.functional.pad(torch.cumulative_trapezoid(x[0], t), (1, 0)) for x in powers]
-    known = torch.where(
-        torch.isfinite(q).all(0)[0], 0.0, torch.nan
-    )  # none after a failure, not even of what is constant
-    return [(x + known)[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
+    valid = torch.where(torch.isfinite(q).all(0)[0], 0.0, torch.nan)  # nan after a failure, also of constant energies
+    return [(x + valid)[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
 
 
 def _of(x: Tensor, lane: int) -> Tensor:
@@ -149,7 +146,7 @@ def _potential(motion: MotionData, data: equations.Data, at: equations.Placement
 
 
 def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
-    """Power of the applied forces: what they do to the bodies times the rates; `phase`: of each time, from 0."""
+    """Power of the applied forces [1, n]: generalized forces times rates; `phase`: number of the phase at each time."""
     T, power = motion.dynamics.topology, torch.zeros_like(v[0])
     for k, actions in enumerate(motion.actions or (T.actions,)):
         if actions:
@@ -160,7 +157,7 @@ def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, 
 
 
 def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
-    """lam . dPhi/dt: constraints without laws do no work."""
+    """Power of the drives lam . dPhi/dt [1, n]: constraints without laws do no work."""
     power = torch.zeros_like(q[0])
     if not any(p.driven for p in T.primitives):
         return power

@@ -1,4 +1,4 @@
-"""Mode shapes of the designs of a motion: the structure stage once more, on demand.
+"""Mode shapes of the designs of a motion, by the structure stage, on demand.
 
     values(name)     [lanes, nodes, 6, modes] of a flexible body
 
@@ -19,13 +19,13 @@ from torchmbd.math.module_call import call_module
 
 
 class Shapes:
-    """What was asked for once is kept."""
+    """Mode shapes of the bodies of a motion; each is kept."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[str, bool], Tensor] = {}
 
     def values(self, name: str) -> Tensor:
-        """Of one body."""
+        """[lanes, nodes, 6, modes] of one body."""
         key = name, torch.is_grad_enabled()
         if key not in self._kept:
             self._kept[key] = self._values(name)
@@ -40,7 +40,7 @@ class Shapes:
 
 
 class DesignShapes(Shapes):
-    """Of all lanes; designs by name [lanes, ...].
+    """Mode shapes of all lanes, of designs by name [lanes, ...].
 
     good     which lanes have not failed [lanes]: shapes of the others have no gradient; None: all
     shapes   those that the structure stage has made already, with gradients
@@ -56,9 +56,9 @@ class DesignShapes(Shapes):
     ):
         super().__init__()
         self.system, self.lanes, self.good = system, lanes, good
-        # All parameters as they are now: they may be others later.
+        # All parameters as they are now: they may change later.
         self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
-        self._kept |= {(name, True): self._of_all(psi) for name, psi in shapes.items()}
+        self._kept |= {(name, True): self._in_all_lanes(psi) for name, psi in shapes.items()}
 
     def detach(self) -> DesignShapes:
         """As of Shapes."""
@@ -66,9 +66,9 @@ class DesignShapes(Shapes):
         return DesignShapes(self.system, designs, self.lanes, self.good)
 
     def _values(self, name: str) -> Tensor:
-        return self._of_all(call_module(self.system, self.designs, name)["psi"])
+        return self._in_all_lanes(call_module(self.system, self.designs, name)["psi"])
 
-    def _of_all(self, psi: Tensor) -> Tensor:
+    def _in_all_lanes(self, psi: Tensor) -> Tensor:
         wide = psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
         if self.good is None or all_true(self.good):
             return wide
@@ -84,7 +84,7 @@ def without_failed(data: dict[str, Any], good: Tensor) -> dict[str, Any]:
 
 
 class OneLane(Shapes):
-    """Of one lane."""
+    """Mode shapes of one lane of others."""
 
     def __init__(self, base: Shapes, lane: int):
         super().__init__()
@@ -99,7 +99,7 @@ class OneLane(Shapes):
 
 
 class GivenShapes(Shapes):
-    """Made by a function of the body's name."""
+    """Mode shapes by a function of the body's name."""
 
     def __init__(self, make: Callable[[str], Tensor]):
         super().__init__()
@@ -117,11 +117,11 @@ def shape_tangents(system: Any, designs: Mapping[str, Tensor], directions: Mappi
     """Tangents of the mode shapes of a body [k, lanes, nodes, 6, modes] along directions of designs [k, lanes, ...]."""
     moving = {key: designs[key] for key in directions}
 
-    def stage(some: dict[str, Tensor]) -> Tensor:
-        return call_module(system, {**designs, **some}, name)["psi"]
+    def shapes_of(moving: dict[str, Tensor]) -> Tensor:
+        return call_module(system, {**designs, **moving}, name)["psi"]
 
     def push(direction: dict[str, Tensor]) -> Tensor:
-        return torch.func.jvp(stage, (moving,), (direction,))[1]
+        return torch.func.jvp(shapes_of, (moving,), (direction,))[1]
 
     with torch.no_grad():
         found: Any = torch.func.vmap(push)(dict(directions))

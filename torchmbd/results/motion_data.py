@@ -73,12 +73,12 @@ class MotionData(Summary):
     lam         multipliers [lanes, times, rows] [N, N m]
     dq_db, ...  their sensitivities, the design axis last [..., n_b]
     system      the model;  dynamics: its equations of motion for these designs
-    known       what measures evaluated together share
+    known       results that measures evaluated together share
     signals     coordinates, rates, accelerations and multipliers by rows
     shapes      mode shapes of the designs
     status      for each lane "ok"; "failed: ..." with the reason, its numbers nan from there on; or "unresolved: ...", all
                 numbers there, where the vibrations that they show are no more than errors of the steps
-    stats       what the integrator counted
+    stats       numbers of the integration
     designs     parameters of the lanes by name, [lanes, ...]
     parameters  names of the design variables of the sensitivities, one for each tangent
     switches    those into the second phase and all later ones
@@ -99,7 +99,7 @@ class MotionData(Summary):
     parameters: tuple[str, ...] = ()
     switches: list[Switch] = field(default_factory=list)
     actions: tuple[tuple[Action, ...], ...] = ()
-    known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
+    known: dict[Any, Any] | None = field(default=None, repr=False)
     good: Tensor | None = field(default=None, repr=False)
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
     integration: Any = field(default=None, repr=False)

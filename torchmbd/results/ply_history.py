@@ -4,7 +4,7 @@
 
 Points of a body run over its laminates, their cells, layers from the bottom, and the two faces of each layer;
 `points` names them.
-The index of a body is the largest over all points: its derivative is that of the point where it stands, exact wherever
+The index of a body is the largest over all points; its derivative is that of the point of this largest index, exact wherever
 this point is unique.
 Differentiable by the design along `Trajectory.moved`: through w, the modes and the laminate itself.
 Checked in tests/results/test_ply_history.py.
@@ -27,7 +27,7 @@ from torchmbd.math.module_call import call_module
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
 
-_CHUNK = 500_000  # indices that are looked through at once
+_CHUNK = 500_000  # indices in memory at once
 
 
 class PlyHistory:

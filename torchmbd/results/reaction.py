@@ -89,25 +89,25 @@ def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
     if frame.interpolation is None:
         return view.A @ frame.axes
     turn = frame.interpolation.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
-    bent = rotation_matrix(exponential(torch.einsum("lim,ltm->ilt", turn, view.w)))
-    return view.A @ bent.movedim((0, 1), (-2, -1)) @ frame.axes
+    elastic = rotation_matrix(exponential(torch.einsum("lim,ltm->ilt", turn, view.w)))
+    return view.A @ elastic.movedim((0, 1), (-2, -1)) @ frame.axes
 
 
 def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Placement, Tensor]:
-    """Attached vectors and the gradients by them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
-    _, at = placed(motion)
+    """Placement of bodies, and gradients [3, vectors, 1, lanes x times] of lam . Phi of some rows by attached vectors."""
+    _, at = placement_at_times(motion)
     return at, equations.force_on_vectors(motion.dynamics.topology, at, in_lanes(motion.lam * rows))
 
 
-def placed(motion: MotionData) -> tuple[equations.Data, equations.Placement]:
-    """Attached vectors at all times in the place of lanes [lanes x times], and the data of these and of laws of forces."""
+def placement_at_times(motion: MotionData) -> tuple[equations.Data, equations.Placement]:
+    """Data of attached vectors and laws of forces, and the placement of bodies, with lanes x times as lanes."""
     T, data = motion.dynamics.topology, motion.dynamics.data
     lanes, times = motion.lanes, len(motion.t)
     own = {key: value(x) for key, x in data.items() if key in equations.ATTACHED or key.startswith("law ")}
     wide = {key: x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x for key, x in own.items()}
-    given = as_lanes(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
-    given = given._replace(t=motion.t.repeat(lanes))
-    return wide, equations.placement(T, wide, in_lanes(motion.q), given)
+    schedule = T.schedule(motion.t, {name: value(x) for name, x in data.items()})
+    prescribed = as_lanes(schedule, lanes, lanes_first=True)._replace(t=motion.t.repeat(lanes))
+    return wide, equations.placement(T, wide, in_lanes(motion.q), prescribed)
 
 
 def in_lanes(x: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ forces   section forces of the body's modes (fem/elements/beams.py)
 unit     stresses of the section under unit forces (fem/sections/section.py)
 
 Forces vary linearly along an element, so its ends are where a stress is largest. The failure index of a body is the
-largest over ends and points: its derivative is that of the point where it stands, exact wherever this point is unique.
+largest over ends and points; its derivative is that of the point of this largest index, exact wherever this point is unique.
 The criteria are those of plies (fem/materials/strength.py): the stress through the ply, 33, is in `stress`, but not judged.
 Differentiable by the design along `Trajectory.moved`: through w, the modes and the section itself.
 Assumed: Saint-Venant's stresses; where a beam is held or its section changes the true ones differ.
@@ -32,7 +32,7 @@ from torchmbd.results.ply_history import of_plies, require_plies
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
 
-_CHUNK = 500_000  # indices that are looked through at once
+_CHUNK = 500_000  # indices in memory at once
 
 #: Where the five stresses of a ply, PLY_COMPONENTS, stand among the six of a solid.
 _OF_PLY = [0, 1, 5, 4, 3]

@@ -1,10 +1,10 @@
-"""Singular positions along a trajectory: where and when the constraints lose rank, and which rows.
+"""Singular positions along a trajectory: times at which the constraints lose rank, and the rows that do.
 
     s(t) = the singular value of Phi_q, rows of length one, that counts last at the start
 
 A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a freedom for a moment, its
-motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported; a motion that failed says
-in its status where it came near one, one that failed before it was integrated again (integrate/retries.py) warns.
+motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported: in the status of a lane that
+failed, as a warning for a lane that failed before it was integrated again (integrate/retries.py).
 Checked in tests/results/test_singular_positions.py: four-bars that fold flat.
 """
 
@@ -41,11 +41,11 @@ class SingularPosition:
 
 def singular_positions(motion: MotionData) -> list[SingularPosition]:
     """The singular positions that a motion came near to, at its output times."""
-    return [found for lane in range(motion.lanes) for found in of_lane(motion, lane)]
+    return [found for lane in range(motion.lanes) for found in positions_of_lane(motion, lane)]
 
 
-def of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
-    """Those of one lane; times at which its numbers are not finite are left out."""
+def positions_of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
+    """The singular positions of one lane; times at which its numbers are not finite are left out."""
     T = motion.dynamics.topology
     good = torch.isfinite(motion.q[lane]).all(1)
     if not T.rows or not bool(good.any()):
@@ -55,9 +55,8 @@ def of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
         dynamics = motion.dynamics.values()
         J = jacobians(dynamics.select_lanes([lane if dynamics.lanes > 1 else 0]), q, t)
         J[:, list(dynamics.rank.left_out)] = 0.0
-        sound = torch.isfinite(J).all(2).all(1)
-        t = t[sound]
-        J = J[sound]
+        finite = torch.isfinite(J).all(2).all(1)
+        t, J = t[finite], J[finite]
         s = torch.linalg.svdvals(J)
         rank = int((s > RELATIVE * s[:, :1]).sum(1).max())
         last = s[:, rank - 1] / s[:, 0]
@@ -74,16 +73,16 @@ def _minima(x: Tensor, below: float) -> list[int]:
     return torch.nonzero(low)[:, 0].tolist()
 
 
-def explain(motion: MotionData) -> None:
-    """Name singular positions: in the status of lanes that failed, else as a warning.
+def report_singular_positions(motion: MotionData) -> None:
+    """Add singular positions, and laws of forces that are not finite, to the status of lanes that failed.
 
-    Of lanes that failed, laws of forces are named as well.
+    Of lanes that succeeded when they were integrated again they are a warning.
     """
     failed_first = motion.stats.get("failed_first", ())
     for lane, status in enumerate(motion.status):
         if has_failed(status):
-            near = of_lane(motion, lane)[:1]  # what follows the first is no motion to trust
+            near = positions_of_lane(motion, lane)[:1]  # after the first the motion means little
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
         elif lane in failed_first:
-            for near in of_lane(motion, lane):
+            for near in positions_of_lane(motion, lane):
                 warn(f"{near}; from there the motion may go on in several ways")

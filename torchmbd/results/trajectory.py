@@ -1,6 +1,6 @@
 """The result of a simulation: coordinates, rates, accelerations, multipliers, and their sensitivities.
 
-Presented lanes (designs) first, then time, then components, the design axis last:
+Axes are lanes (designs), times, components, the design axis last:
 
     t [times]   q [lanes, times, n_q]   v, a [lanes, times, n_v]   lam [lanes, times, rows]
     dq_db [lanes, times, n_q, n_b]   dv_db, da_db [lanes, times, n_v, n_b]   dlam_db [lanes, times, rows, n_b]
@@ -8,7 +8,7 @@ Presented lanes (designs) first, then time, then components, the design axis las
 Sensitivities of modal rows go with the basis, which moves with the design (fem/reduction/transport.py): differences of w of two
 designs are something else, for each has modes of its own. Responses do not depend on the choice.
 
-What is not asked for is not made: rows of the whole, multipliers of condensed joints, mode shapes (time_rows.py,
+Rows of the whole system, multipliers of condensed joints and mode shapes are computed on demand (time_rows.py,
 mode_shapes.py). A lane that failed says why in `status`; its numbers are nan from the failure on and must not be used.
 """
 
@@ -64,7 +64,7 @@ class Trajectory(MotionData):
     @property
     def energies(self) -> Energies:
         """Kinetic, strain and potential energy, what was dissipated, and the work of forces and drives, over time."""
-        mode = torch.is_grad_enabled()  # those of one mode have no gradient, or keep a graph
+        mode = torch.is_grad_enabled()  # energies of one mode have no gradient, those of the other keep a graph
         if mode not in self._energies:
             self._energies[mode] = energies(self)
         return self._energies[mode]

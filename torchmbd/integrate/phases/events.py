@@ -2,8 +2,9 @@
 
     g(t*, x(t*, b)) = 0        dt*/db = -g_b / g_t        both total derivatives along the motion
 
-g is a function: motion -> [lanes, times], written as for a history; here it sees one time only. torch differentiates it in
-reverse mode by all that it sees: time, state, data of the model, designs and mode shapes. Where these have tangents, so has g.
+g is a function: motion -> [lanes, times], written as for a history; here the motion has one time only. torch differentiates g
+in reverse mode by all that it may depend on: time, state, data of the model, designs and mode shapes. Where these have
+tangents, so has g.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 
@@ -63,8 +64,8 @@ class Event:
         g = self.function.values(motion) if hasattr(self.function, "values") else self.function(motion)
         shape = (motion.lanes, len(motion.t))
         if not isinstance(g, Tensor) or g.shape != shape:
-            found = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
-            raise InputError(f"the function of an event returned {found}; allowed: a tensor [lanes, times], {shape}")
+            returned = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
+            raise InputError(f"the function of an event returned {returned}; allowed: a tensor [lanes, times], {shape}")
         return g
 
     def passed(self, before: Tensor, after: Tensor) -> Tensor:
@@ -128,28 +129,28 @@ class Leaves:
         """A leaf of a number [..., 1 + k, 1]."""
         return self.leaf(value(x), x.tangent.movedim(-2, 0) if isinstance(x, Pair) else None)
 
-    def pushed(self, y: Tensor) -> Tensor:
+    def tangents_of(self, y: Tensor) -> Tensor:
         """Tangents [m, n] of y [m], a function of the leaves."""
-        found = y.new_zeros(len(y), self.n)
+        result = y.new_zeros(len(y), self.n)
         for i, row in enumerate(y.unbind()):
             if row.requires_grad:
                 slopes = torch.autograd.grad(row, self.values, retain_graph=True, allow_unused=True)
                 parts = [dx @ s.flatten() for s, dx in zip(slopes, self.tangents, strict=True) if s is not None]
-                found[i] = torch.stack(parts).sum(0) if parts else 0.0
-        return found
+                result[i] = torch.stack(parts).sum(0) if parts else 0.0
+        return result
 
 
 @dataclass
 class Views:
-    """Makes motions of one time, for functions of the motion to look at.
+    """Makes motions of one time, the arguments of functions of the motion.
 
-    whole       the motion's system and designs, with all lanes; keeps the mode shapes that were asked for
-    directions  tangents of designs by name [k, lanes, ...]; designs without them stay as they are
+    whole       the motion's system and designs, with all lanes and no times; keeps the mode shapes that were asked for
+    directions  tangents of designs by name [k, lanes, ...]; other designs have none
     """
 
     whole: Trajectory
     directions: dict[str, Tensor] = field(default_factory=dict)
-    _slopes: dict[str, Tensor] = field(default_factory=dict, init=False)
+    _shape_tangents: dict[str, Tensor] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(
@@ -161,10 +162,10 @@ class Views:
     ) -> Views:
         T, lanes = dynamics.topology, dynamics.lanes
         sizes = {"q": T.n_q, "v": T.n_v, "a": T.n_v, "lam": T.rows}
-        nothing = TensorSignals({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
+        no_times = TensorSignals({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
         whole = Trajectory(
             t=torch.zeros(0, dtype=torch.float64),
-            signals=nothing,
+            signals=no_times,
             shapes=DesignShapes(system, designs, lanes),
             status=[OK] * lanes,
             stats={},
@@ -193,10 +194,10 @@ class Views:
         )
         return self._motion(one, dynamics, t, x)
 
-    def through(
+    def with_leaves(
         self, lane: int, design: Callable[[str, Tensor], Tensor], shape: Callable[[str, Tensor], Tensor]
     ) -> Views:
-        """Of one lane, which is lane 0 there, with designs and mode shapes passed through functions (name, values)."""
+        """Views of one lane, its lane 0, with designs and mode shapes replaced by those of functions (name, values)."""
         kept = OneLane(self.whole.shapes, lane)
         whole = replace(
             self.whole,
@@ -205,38 +206,38 @@ class Views:
         )
         return Views(whole)
 
-    def number(self, f: Callable[[Trajectory], Tensor], lane: int, dynamics: Dynamics, t: Any, x: State) -> Any:
+    def evaluate(self, f: Callable[[Trajectory], Tensor], lane: int, dynamics: Dynamics, t: Any, x: State) -> Any:
         """f [m] of the motion of one lane as a number [m, 1 + n, 1], with tangents if t has any; else [m, 1, 1]."""
         if not isinstance(t, Pair):
             return f(self.at(lane, dynamics, t, x))[:, None, None]
         leaves = Leaves(t.shape[0] - 1)
         with torch.enable_grad():
-            views = self.through(
+            views = self.with_leaves(
                 lane,
-                lambda name, y: leaves.leaf(y, self._along(name, lane)),
-                lambda name, y: leaves.leaf(y, self._bent(name, lane)),
+                lambda name, y: leaves.leaf(y, self._design_tangents(name, lane)),
+                lambda name, y: leaves.leaf(y, self._tangents_of_shapes(name, lane)),
             )
             data = {name: leaves.number(y) for name, y in dynamics.data.items()}
             y = f(views.at(0, replace(dynamics, data=data), leaves.number(t), x.map(leaves.number)))
-            slopes = leaves.pushed(y)
+            slopes = leaves.tangents_of(y)
         return Pair.of(y.detach()[:, None, None], slopes[..., None])
 
     def slopes(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Tensor, Tensor]:
         """The function of one lane [] and its derivatives [n] in the directions of the pairs."""
-        g = self.number(lambda motion: event.of(motion)[0], lane, dynamics, t, x)
+        g = self.evaluate(lambda motion: event.of(motion)[0], lane, dynamics, t, x)
         return g.value[0, 0, 0], g.tangent[0, :, 0]
 
-    def _along(self, name: str, lane: int) -> Tensor | None:
+    def _design_tangents(self, name: str, lane: int) -> Tensor | None:
         """Tangents of a design [k, ...] of one lane."""
         return self.directions[name][:, lane] if name in self.directions else None
 
-    def _bent(self, name: str, lane: int) -> Tensor | None:
+    def _tangents_of_shapes(self, name: str, lane: int) -> Tensor | None:
         """Tangents of the mode shapes of a body [k, nodes, 6, modes] of one lane."""
         if not self.directions:
             return None
-        if name not in self._slopes:
-            self._slopes[name] = shape_tangents(self.whole.system, self.whole.designs, self.directions, name)
-        return self._slopes[name][:, lane]
+        if name not in self._shape_tangents:
+            self._shape_tangents[name] = shape_tangents(self.whole.system, self.whole.designs, self.directions, name)
+        return self._shape_tangents[name][:, lane]
 
     @staticmethod
     def _motion(base: Trajectory, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
@@ -244,7 +245,7 @@ class Views:
         return replace(base, t=value(t)[0], signals=Instant(dynamics, t, x), dynamics=dynamics, known=None)
 
 
-def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
+def gap_gradient(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
     """Derivatives of a gap g(q, t) of one lane: by increments of q [n_v, ...] and by time [1, ...]; pairs if x are."""
     T = dynamics.topology
 
@@ -255,11 +256,11 @@ def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x:
             q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
             others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
             signals = TensorSignals({"q": q[:, 0].T[None]} | others)
-            there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
-            g = event.of(there)[0, 0]
+            moved = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
+            g = event.of(moved)[0, 0]
             if not g.requires_grad:
                 return torch.zeros_like(step).detach()
             return torch.autograd.grad(g, step, create_graph=kept)[0]
 
-    both = views.number(slope, lane, dynamics, t, x)
+    both = views.evaluate(slope, lane, dynamics, t, x)
     return both[: T.n_v], both[T.n_v :]

@@ -1,4 +1,4 @@
-"""One lane of a simulation through phases as a graph of torch: its leaves, and cotangents of these from those of outputs.
+"""One lane of a simulation through phases as a graph of torch: its leaves, and their cotangents from those of outputs.
 
 Cotangents have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
 Checked in tests/sensitivity/test_phase_adjoint.py.
@@ -29,7 +29,7 @@ class LaneLeaves:
         one = lane_of(dynamics, lane)
         data = {name: self._leaf("data", name, x) if name in wanted else x for name, x in one.data.items()}
         self.dynamics = replace(one, data=data)
-        self.views = views.through(
+        self.views = views.with_leaves(
             lane,
             lambda name, x: self._leaf("design", name, x),
             lambda name, x: self._leaf("shape", name, x),
@@ -39,7 +39,7 @@ class LaneLeaves:
         return self.leaves.setdefault((kind, name), leaf(x))
 
 
-def pulled(
+def pull_back(
     outputs: Sequence[Tensor], cotangents: Sequence[Tensor | None], inputs: Sequence[Tensor], rows: int
 ) -> list[Tensor]:
     """Cotangents [rows, ...] of the inputs from those of the outputs."""
@@ -53,7 +53,7 @@ def pulled(
 
 
 def zeros(rows: int, like: Sequence[Tensor]) -> list[Tensor]:
-    """Cotangents of numbers that nothing depends on."""
+    """Cotangents [rows, ...] of zero, of tensors like these."""
     return [x.new_zeros(rows, *x.shape) for x in like]
 
 

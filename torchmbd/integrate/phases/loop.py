@@ -24,7 +24,7 @@ from torch import Tensor
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
-from torchmbd.integrate.phases.switch import lane_of, pick
+from torchmbd.integrate.phases.switch import lane_of, pick_lanes
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
 from torchmbd.math.pair import Pair, value
 from torchmbd.results.state import State
@@ -53,8 +53,8 @@ class _PhaseLoop:
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(integrator.shortest_step, _SAME)
         self.dynamics, x = multiphase.enter(number, entry)
-        self.ends = multiphase.end(self.phase_model, entry.t)
-        self.entry, self.alive = PhaseExit(entry.t, x), multiphase.arrived(entry)
+        self.ends = multiphase.end_times(self.phase_model, entry.t)
+        self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
@@ -79,7 +79,7 @@ class _PhaseLoop:
                 stepper.restart()
                 inside[lane] = True
             passed, g = self._passed(i, x, inside)
-            self.multiphase.put(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
+            self.multiphase.record(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
             for lane in torch.nonzero(passed)[:, 0].tolist():
                 self.record.exit[lane] = self._leave(lane, i, (recent, older), g)
             self.g = torch.where(inside, g, self.g)
@@ -105,7 +105,7 @@ class _PhaseLoop:
     def _on_grid(self, lane: int, k: int) -> bool:
         """Whether a lane enters at a point of the grid, whatever the design."""
         t = float(value(self.entry.t)[0, lane])
-        return not self.multiphase.moves[self.number] and abs(t - k * self.h) < _SAME * self.h
+        return not self.multiphase.begin_depends[self.number] and abs(t - k * self.h) < _SAME * self.h
 
     def _arrival(self, lane: int) -> State:
         """The state of a lane at its first point of the grid."""
@@ -124,7 +124,7 @@ class _PhaseLoop:
             between = self.alive & (t <= self.times[k] + _SAME * self.h) & (k < self.first)
             if bool(between.any()):
                 h = self._time(k) - self.entry.t
-                self.multiphase.put(
+                self.multiphase.record(
                     self.phase_model, k, between, shortly_after(self.dynamics.topology, self.entry.x, h)
                 )
 
@@ -163,7 +163,7 @@ class _PhaseLoop:
         t, x = before.lane(lane)
         self.record.base[lane] = k, x
         if self.event is None:
-            end = pick(self.ends, [lane])
+            end = pick_lanes(self.ends, [lane])
             return PhaseExit(end, self.integrator.step_of_size(lane_of(self.dynamics, lane), x, end - t, end))
         return self._located(self.event, lane, PhaseExit(t, x), float(self.times[i] - value(t)[0, 0]), share)
 

@@ -83,7 +83,7 @@ def steps_of_phases(
         statistics = integrator.integrate_phases(multiphase)
         constant = abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0)  # pyright: ignore[reportAttributeAccessIssue]
         errors = StepErrors(values, constant, duration / steps)
-        errors.update(multiphase.recorded(), multiphase.number[1:] == multiphase.number[:-1])
+        errors.update(multiphase.recorded(), multiphase.phase_number[1:] == multiphase.phase_number[:-1])
         status = status_of_lanes(multiphase.history, duration, statistics)
         # A phase that never ends does so with more steps as well.
         status = [OK if own != OK else other for own, other in zip(multiphase.status, status, strict=True)]

@@ -9,13 +9,13 @@
 
 The joints of a phase are those of the system without the released ones; a locked joint is held where it is when the
 phase begins (multibody/joints/lock.py). Bodies, structure stage and attached vectors are those of one whole system with all
-joints
-and all locks; a phase has some of its constraint rows (multibody/system/selection.py). Multipliers are rows of that whole.
+joints and all locks; a phase has some of its constraint rows (multibody/system/selection.py). Multipliers are those of all
+rows of the whole.
 A law of a force that jumps, such as eq. (39), is a phase for each of its continuous pieces: its jumps are located, not
 smoothed.
 Gradients through switches, forward and reverse, are those of the discrete map: of steps, sizes of the last and first step
-of a phase, times of events, jumps. Where a switch passes a point of the grid that map jumps by O(h^2), which they do not see.
-One-step methods have both ways (adjoint.py), methods of torchdiffeq forward tangents only.
+of a phase, times of events, jumps. Where a switch passes a point of the grid that map jumps by O(h^2): gradients are those of
+one side. One-step methods have both modes (adjoint.py), methods of torchdiffeq forward tangents only.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_laws_that_jump.py, test_phase_adjoint.py.
 """
 
@@ -120,36 +120,39 @@ class PhaseModel:
 
 
 def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[PhaseModel]]:
-    """The system with all joints and locks, and its stages; InputError names what a phase cannot have."""
+    """The system with all joints and locks, and its phases; InputError names what a phase cannot have."""
     if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
         raise InputError(f"phases is {phases!r}; allowed: a list of at least one mbd.Phase")
     names = [phase.name or str(i) for i, phase in enumerate(phases, 1)]
     joints = [joint.name for joint in system.joints]
-    for some, kind in ((names, "phases"), (joints, "joints")):
-        twice = sorted({name for name in some if some.count(name) > 1})
+    for labels, kind in ((names, "phases"), (joints, "joints")):
+        twice = sorted({name for name in labels if labels.count(name) > 1})
         if twice:
             raise InputError(
                 f"{kind} have the names {', '.join(twice)} more than once; allowed with phases: unique names"
             )
-    _ordered(phases, names, duration)
-    locked = [_chosen(system, name, phase.lock, "lock") for name, phase in zip(names, phases, strict=True)]
-    released = [_chosen(system, name, phase.release, "release") for name, phase in zip(names, phases, strict=True)]
-    for name, some, free in zip(names, locked, released, strict=True):
-        _checked(name, system, some, free)
-    locks = [
-        [Lock(joint, f"lock of {joint.name} in phase {name}") for joint in some]
-        for name, some in zip(names, locked, strict=True)
+    _check_order(phases, names, duration)
+    locked = [_joints_named(system, name, phase.lock, "lock") for name, phase in zip(names, phases, strict=True)]
+    released = [
+        _joints_named(system, name, phase.release, "release") for name, phase in zip(names, phases, strict=True)
     ]
-    whole = system.with_joints([*system.joints, *(lock for some in locks for lock in some)])
+    for name, locked_joints, released_joints in zip(names, locked, released, strict=True):
+        _check_locks(name, system, locked_joints, released_joints)
+    locks = [
+        [Lock(joint, f"lock of {joint.name} in phase {name}") for joint in joints_of_phase]
+        for name, joints_of_phase in zip(names, locked, strict=True)
+    ]
+    whole = system.with_joints([*system.joints, *itertools.chain.from_iterable(locks)])
     phase_models = []
     for k, phase in enumerate(phases):
-        gone = {joint.name for joint in released[k]}
-        start = {joint.name for joint in system.joints} - gone
-        active = start | {lock.name for lock in locks[k]}
-        rows, first = (_rows(whole.topology, some) for some in (active, start))
-        topology = replace(selected(whole.topology, rows), actions=_acting(whole, names[k], phase.laws))
+        closing = {joint.name for joint in system.joints} - {joint.name for joint in released[k]}
+        rows = _rows(whole.topology, closing | {lock.name for lock in locks[k]})
+        closing_rows = _rows(whole.topology, closing)
+        topology = replace(selected(whole.topology, rows), actions=_actions_of_phase(whole, names[k], phase.laws))
         phase_models.append(
-            PhaseModel(phase, names[k], topology, Saddle(topology), rows, first, locks[k], whole.topology.row_names)
+            PhaseModel(
+                phase, names[k], topology, Saddle(topology), rows, closing_rows, locks[k], whole.topology.row_names
+            )
         )
     return whole, phase_models
 
@@ -158,8 +161,8 @@ def _rows(T: Topology, joints: set[str]) -> list[int]:
     return [i for i, name in enumerate(T.row_joints) if name in joints]
 
 
-def _acting(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action, ...]:
-    """The actions of the forces with other laws in the places of some."""
+def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action, ...]:
+    """The actions of the forces, with the laws of a phase instead of those of the named forces."""
     named = {force.name: force for force in system.forces}
     changed = {kind: list(kind.laws) for kind in system.topology.actions}
     of_kind, count = {type(kind): kind for kind in system.topology.actions}, Counter()
@@ -175,11 +178,11 @@ def _acting(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action
             if force.name in laws:
                 changed[of_kind[action.kind]][count[action.kind]] = laws[force.name]
             count[action.kind] += 1
-    return tuple(replace(kind, laws=tuple(some)) for kind, some in changed.items())
+    return tuple(replace(kind, laws=tuple(laws_of_kind)) for kind, laws_of_kind in changed.items())
 
 
-def _ordered(phases: Sequence[Phase], names: Sequence[str], duration: float) -> None:
-    """Check that every phase but the last has an end, and the times of these."""
+def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float) -> None:
+    """InputError unless every phase but the last has an end, at increasing times."""
     for name, phase in zip(names[:-1], phases[:-1], strict=True):
         if phase.until is None and phase.lasting is None:
             raise InputError(f"phase {name!r} never ends; allowed: until or lasting for every phase but the last")
@@ -195,19 +198,20 @@ def _ordered(phases: Sequence[Phase], names: Sequence[str], duration: float) -> 
         )
 
 
-def _chosen(system: System, phase: str, chosen: Sequence[Joint | str], what: str) -> list[Joint]:
+def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], argument: str) -> list[Joint]:
+    """Joints of the system by name or as they are; InputError names one that the system does not have."""
     named = {joint.name: joint for joint in system.joints}
     result = []
-    for x in chosen:
+    for x in joints:
         name = x if isinstance(x, str) else x.name
         if name not in named or (isinstance(x, Joint) and named[name] is not x):
-            raise unknown(f"in {what} of phase {phase!r} the joint", name, named)
+            raise unknown(f"in {argument} of phase {phase!r} the joint", name, named)
         result.append(named[name])
     return result
 
 
-def _checked(phase: str, system: System, locked: Sequence[Joint], released: Sequence[Joint]) -> None:
-    """Check the locks of a phase against its other joints."""
+def _check_locks(phase: str, system: System, locked: Sequence[Joint], released: Sequence[Joint]) -> None:
+    """InputError for locks that do not go with the other joints of a phase."""
     for joint in locked:
         if joint in released:
             raise InputError(f"phase {phase!r} both locks and releases {joint.name!r}; allowed: one of them")

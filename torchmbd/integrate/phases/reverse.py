@@ -1,7 +1,7 @@
 """A motion by a one-step method through phases whose reverse mode is the adjoint of its steps; see motion.py, adjoint.py.
 
-    inputs    the data of the reduced model, then designs [component..., 1, lanes]: events and impact maps may look at these,
-              and at the mode shapes that are made of them
+    inputs    the data of the reduced model, then designs [component..., 1, lanes]: events and impact maps may depend on these,
+              and on the mode shapes that follow from them
     outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (lane_status.py), the data that locks change, and of
               every switch its time and the states on both sides
 
@@ -42,14 +42,14 @@ from torchmbd.results.motion_data import Switch, has_failed
 class ReversePhaseIntegration:
     """Equal steps over a duration [s], and steps of other sizes at switches.
 
-    system    with the locks of its phases;  stages: these phases
-    model     topology and options of the equations; its data are not used
-    names     of the data;  designs: of the designs
-    steps     their number; None: chosen from the data
+    system       with the locks of its phases
+    model        topology and options of the equations; its data are not used
+    names        of the data;  designs: of the designs
+    steps        their number; None: chosen from the data
     integrator   with a pullback of its steps
-    backend   of the steps, as of `simulate`
+    backend      of the steps, as of `simulate`
 
-    dynamics, history, status, stats, switches   what came of it
+    Results: dynamics, history, status, stats, switches.
     """
 
     system: System
@@ -88,7 +88,7 @@ class ReversePhaseIntegration:
             self.system, model, self.phase_models, designs, self.duration, self.integrator, check_memory
         )
         views = Views.of(self.system, model, designs)
-        self._multiphase, self.stats, self.status = self._through(model, views)
+        self._multiphase, self.stats, self.status = self._integrate(model, views)
         self.dynamics, self.history, self.switches = (
             self._multiphase.whole,
             self._multiphase.history,
@@ -100,14 +100,14 @@ class ReversePhaseIntegration:
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
         own = dict(zip(self.names, directions, strict=False))
-        given = self._multiphase.given
+        given = self._multiphase.data_without_marks
         data = {name: x if own[name] is None else Pair.of(x, _tensor(own[name])) for name, x in given.items()}
         designs = self._multiphase.views.whole.designs
         moves = zip(self.designs, directions[len(self.names) :], strict=True)
         along = {name: dx.movedim((-2, -1), (0, 1)) for name, dx in moves if dx is not None}
         along = {name: dx.expand(len(dx), len(designs[name]), *dx.shape[2:]) for name, dx in along.items()}
         model = replace(self.dynamics, data=data)
-        multiphase, stats, _ = self._through(model, Views.of(self.system, model, designs, along))
+        multiphase, stats, _ = self._integrate(model, Views.of(self.system, model, designs, along))
         self.stats["tangent_error"] = stats.get("tangent_error")
         h, count = multiphase.history, next(x.shape[-2] for x in directions if x is not None)
         numbers: list[Any] = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self.validity]
@@ -125,7 +125,10 @@ class ReversePhaseIntegration:
         found = self._adjoint(names)(
             PhaseCotangents(outputs[:4], dict(zip(self.moving, outputs[5:marks], strict=True)), switches), rows
         )
-        data = {name: self._of_data(found, ("data", name), self._multiphase.given[name], rows) for name in names}
+        data = {
+            name: self._of_data(found, ("data", name), self._multiphase.data_without_marks[name], rows)
+            for name in names
+        }
         designs = self._of_designs(found, rows) if any(wanted[len(self.names) :]) else {}
         return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
 
@@ -146,7 +149,7 @@ class ReversePhaseIntegration:
         data = dict(zip(self.names, inputs[:n], strict=True))
         return data, {k: x.squeeze(-2).movedim(-1, 0) for k, x in zip(self.designs, inputs[n:], strict=True)}
 
-    def _through(self, model: Dynamics, views: Views) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
+    def _integrate(self, model: Dynamics, views: Views) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
         assert self.steps is not None
         return integrate(model, self.phase_models, views, self.duration, self.steps, self.integrator)
 

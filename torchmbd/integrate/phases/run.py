@@ -1,8 +1,8 @@
-"""A motion through its phases: what both families of integrators share.
+"""The record of a motion through its phases, whatever the integrator: states on the grid, switches, status of lanes.
 
-A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between the
-grid's. A `PhaseExit` is where each of them stands, with *total* derivatives by the design; a `Switch` is its presentation.
-On the grid, derivatives are taken at fixed times.
+A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between those of
+the grid. A `PhaseExit` has these times and the states there, with *total* derivatives by the design; a `Switch` shows them
+to the user. On the grid, derivatives are taken at fixed times.
 Over 300 lines: locating, leaving and entering phases change one record, that of a run.
 Checked in tests/integrate/phases/test_phase.py.
 """
@@ -21,13 +21,13 @@ from torchmbd.integrate.phases.switch import (
     InitialState,
     accelerations,
     at_time,
-    joined_lanes,
+    data_with_marks,
+    join_lanes,
+    join_states,
     jump,
     lane_of,
-    mapped,
-    marked,
-    pick,
-    together,
+    pick_lanes,
+    velocities_after_impact,
 )
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system import equations
@@ -44,18 +44,18 @@ CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
 
 
 class PhaseExit(NamedTuple):
-    """Where lanes leave a phase: time t [1 + n_b, lanes] (inf: a lane that does not get there) and state."""
+    """Times t [1 + n_b, lanes] at which lanes leave a phase (inf: a lane that does not), and their states then."""
 
     t: Any
     x: State
 
     def lane(self, lane: int) -> PhaseExit:
-        return PhaseExit(pick(self.t, [lane]), self.x.map(lambda y: pick(y, [lane])))
+        return PhaseExit(pick_lanes(self.t, [lane]), self.x.map(lambda y: pick_lanes(y, [lane])))
 
 
 @dataclass
 class PhaseRecord:
-    """What the lanes did in one phase, for the adjoint (adjoint.py).
+    """The steps of all lanes in one phase, for the adjoint (adjoint.py).
 
     dynamics   of the phase, with the marks of its locks
     entry      time and state before the switch that begins the phase;  start: the state after it
@@ -78,9 +78,9 @@ class PhaseRecord:
 
 @dataclass
 class MultiphaseRun:
-    """One simulation through all stages.
+    """One simulation through all phases.
 
-    whole   dynamics of the system with all joints and locks; its data take up the marks of the locks
+    whole   dynamics of the system with all joints and locks; its data receive the marks of the locks
     """
 
     whole: Dynamics
@@ -95,19 +95,19 @@ class MultiphaseRun:
         T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.status = [OK] * lanes
-        self.given = self.whole.data  # without marks
+        self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
-        self.moves = [False]
+        self.begin_depends = [False]
         for phase_model in self.phase_models[:-1]:
             until = phase_model.phase.until
-            self.moves.append(isinstance(until, Event) or (until is None and self.moves[-1]))
+            self.begin_depends.append(isinstance(until, Event) or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
-        def nothing(rows: int) -> Tensor:
+        def not_recorded(rows: int) -> Tensor:
             return torch.full((self.steps + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
 
-        self.q, self.v, self.vd, self.lam = (nothing(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
-        self.number = torch.full((self.steps + 1, lanes), -1)
+        self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+        self.phase_number = torch.full((self.steps + 1, lanes), -1)
 
     @property
     def history(self) -> History:
@@ -121,20 +121,20 @@ class MultiphaseRun:
         """
         lam = history.lam
         for number, least in enumerate(self.least_norm):
-            here = self.number == number
-            some = here.any(1)
-            if least is not None and bool(some.any()):
-                found = least.at_times(data or self.whole.data, self.times[some], history.q[some], lam[some])
-                lam = lam.index_put((some,), torch.where(here[some][:, None, None], found, lam[some]))
+            in_phase = self.phase_number == number
+            times = in_phase.any(1)
+            if least is not None and bool(times.any()):
+                least_lam = least.at_times(data or self.whole.data, self.times[times], history.q[times], lam[times])
+                lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], least_lam, lam[times]))
         return lam
 
     def recorded(self) -> History:
-        """The same with zeros where nothing is recorded."""
+        """The motion on the grid, with zeros where nothing is recorded."""
         q, v, vd = (torch.nan_to_num(x, 0.0, 0.0, 0.0) for x in (self.q, self.v, self.vd))
         return History(q, v, vd, self.lam)
 
-    def broken(self, lane: int) -> bool:
-        """Note the first time at which a lane that was integrated to the end is not finite; whether there is one."""
+    def fail_if_not_finite(self, lane: int) -> bool:
+        """Fail a lane that was integrated to the end, but is not finite at some time; whether it is so."""
         bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
         first = torch.nonzero(bad[0] | bad[1] | bad[2])
         if len(first):
@@ -143,21 +143,21 @@ class MultiphaseRun:
 
     def start(self) -> PhaseExit:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
-        q, v = (self._wide(x) for x in self.closed(self.whole))
+        q, v = (self._wide(x) for x in self.initial_coordinates(self.whole))
         self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1])
         t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
         return PhaseExit(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
 
-    def closed(self, whole: Dynamics) -> tuple[Any, Any]:
-        """Initial q and v for the data of some dynamics of the whole."""
+    def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
+        """Initial q and v, joints closed, as functions of the data of `whole`."""
         phase_model = self.phase_models[0]
-        first = selected(whole.topology, phase_model.start)
-        initial = replace(whole.initial, topology=first)
-        free = replace(whole, topology=first, saddle=Saddle(first), initial=initial)
+        T = selected(whole.topology, phase_model.start)
+        initial = replace(whole.initial, topology=T)
+        free = replace(whole, topology=T, saddle=Saddle(T), initial=initial)
         if not isinstance(initial, EquilibriumConditions):
             return initial.solve(free)
-        q, v = initial.assembled(free)  # locks hold there, and what they hold sags
-        held = replace(whole, data=marked(whole.topology, whole.data, self._wide(q), phase_model.locks))
+        q, v = initial.assembled(free)  # locks hold these positions while bodies sag
+        held = replace(whole, data=data_with_marks(whole.topology, whole.data, self._wide(q), phase_model.locks))
         held = replace(held, topology=phase_model.topology, saddle=phase_model.saddle)
         q = initial.equilibrium_near(held, q)
         for lane, reason in held.start_errors.items():
@@ -165,7 +165,7 @@ class MultiphaseRun:
         return q, initial.compatible(replace(free, data=held.data), q, v)
 
     def _wide(self, x: Any) -> Any:
-        """All lanes and tangents of a number."""
+        """A number with all lanes and tangents."""
         n, lanes = self.whole.tangents, self.whole.lanes
         if isinstance(x, Pair) or not n:
             return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
@@ -173,18 +173,20 @@ class MultiphaseRun:
 
     def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, State]:
         """The dynamics of a phase and the state in which its lanes begin, with consistent accelerations."""
-        data = marked(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
+        data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
         self.whole = replace(self.whole, data=data)
         dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
         self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, phase_model.rows))
-        parts = [self._begin(number, lane, lane_of(dynamics, lane), phase_exit) for lane in range(self.whole.lanes)]
-        state = together(parts)
+        parts = [
+            self._enter_lane(number, lane, lane_of(dynamics, lane), phase_exit) for lane in range(self.whole.lanes)
+        ]
+        state = join_states(parts)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
         return dynamics, state
 
     def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
-        """Of a phase, with the data of the whole."""
+        """The dynamics of a phase, with the data of the whole."""
         phase_model = self.phase_models[number]
         return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=self.initial_state)
 
@@ -199,27 +201,27 @@ class MultiphaseRun:
         )
 
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
-        """Multipliers of all rows [rows, ...] on one side of a switch, as `multipliers`."""
+        """Multipliers of all rows [rows, ...] on one side of a switch, of redundant ones those of least norm."""
         parts = []
         for lane in range(self.whole.lanes):
-            own = [pick(y, [lane]) for y in (t, x.q, x.lam)]
+            own = [pick_lanes(y, [lane]) for y in (t, x.q, x.lam)]
             data = lane_of(self.whole, lane).data if bool(torch.isfinite(value(own[0])).all()) else None
-            parts.append(self.settled(number, data, *own))
-        return joined_lanes(parts)
+            parts.append(self.all_multipliers(number, data, *own))
+        return join_lanes(parts)
 
-    def settled(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
+    def all_multipliers(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
         """Multipliers of all rows of one lane from those of a phase; data None: as they are."""
         n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         least = self.least_norm[number]
         return lam if least is None or data is None else least.at_own_time(data, t, q, lam)
 
-    def _begin(self, number: int, lane: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
-        """The state of one lane after a switch."""
+    def _enter_lane(self, number: int, lane: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
+        """The state of one lane after the switch into a phase; nan where it does not get there."""
         t, x = phase_exit.lane(lane)
         if not bool(torch.isfinite(value(x.q)).all()):
             self.fail(lane, f"the motion is not finite when phase {self.phase_models[number].name!r} begins")
-        if not self.arrived(phase_exit)[lane]:
+        if not self.entered_lanes(phase_exit)[lane]:
             rows = value(x.q).new_zeros(dynamics.topology.rows, *x.q.shape[1:])
             q, v = x.q * torch.nan, x.v * torch.nan
             return State(q, v, v, v, Pair(rows) if isinstance(x.q, Pair) else rows)
@@ -232,7 +234,7 @@ class MultiphaseRun:
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.phase_models[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
-            v = mapped(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
+            v = velocities_after_impact(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
@@ -253,20 +255,19 @@ class MultiphaseRun:
                 f"at t = {float(value(t)[0, 0]):.6g} s: a joint that begins to act must be closed",
             )
 
-    def arrived(self, phase_exit: PhaseExit) -> Tensor:
-        """Which lanes take part in what follows [lanes]."""
+    def entered_lanes(self, phase_exit: PhaseExit) -> Tensor:
+        """Which lanes enter the next phase [lanes]."""
         good = torch.tensor([status == OK for status in self.status])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end(self, phase_model: PhaseModel, t: Any) -> Any:
-        """Times at which a phase ends that begins at t, where that is known: a number [1 + n_b, lanes]."""
-        if not isinstance(phase_model.phase.until, (int, float)):
-            return (
-                None
-                if phase_model.phase.lasting is None
-                else t + torch.full_like(value(t), float(phase_model.phase.lasting))
-            )
-        until = float(phase_model.phase.until)
+    def end_times(self, phase_model: PhaseModel, t: Any) -> Any:
+        """Times [1 + n_b, lanes] at which a phase that begins at t ends; None where an event or the simulation ends it."""
+        phase = phase_model.phase
+        if phase.lasting is not None:
+            return t + torch.full_like(value(t), float(phase.lasting))
+        if not isinstance(phase.until, (int, float)):
+            return None
+        until = float(phase.until)
         for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
             begins = float(value(t)[0, lane])
             self.fail(
@@ -287,35 +288,35 @@ class MultiphaseRun:
             reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
         self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
 
-    def put(self, phase_model: PhaseModel, i: int, lanes: Tensor, x: State) -> None:
+    def record(self, phase_model: PhaseModel, i: int, lanes: Tensor, x: State) -> None:
         """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
         full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
         q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
-        for record, y in ((self.q, q), (self.v, v), (self.vd, vd)):
-            record[i, ..., lanes] = y[..., lanes]
+        for states, y in ((self.q, q), (self.v, v), (self.vd, vd)):
+            states[i, ..., lanes] = y[..., lanes]
         rows = torch.zeros_like(self.lam[i])
         rows[phase_model.rows] = lam
         self.lam[i, ..., lanes] = rows[..., lanes]
-        self.number[i, lanes] = self.phase_models.index(phase_model)
+        self.phase_number[i, lanes] = self.phase_models.index(phase_model)
 
     def phase_exit(
         self, phase_model: PhaseModel, entry: PhaseExit, left: dict[int, PhaseExit], staying: list[int]
     ) -> PhaseExit:
-        """Where all lanes left a phase that they entered at `entry`; those that did not are at an infinite time.
+        """Where all lanes left a phase that they entered at `entry`; the time is infinite for lanes that did not.
 
         left     exits of the lanes that left
         staying  lanes that were in the phase when the simulation ended: an error, unless it is the last
         """
         for lane in staying:
-            if not self.broken(lane) and phase_model is not self.phase_models[-1]:
+            if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
                 self.never_ends(phase_model, lane)
         nowhere = PhaseExit(entry.t * 0.0 + torch.inf, entry.x)
         parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
-        return PhaseExit(joined_lanes([p.t for p in parts]), together([p.x for p in parts]))
+        return PhaseExit(join_lanes([p.t for p in parts]), join_states([p.x for p in parts]))
 
 
 def _moment(x: State, lam: Any) -> Moment:
-    """Lanes first; lam: multipliers of all rows."""
+    """One side of a switch as the user sees it, lanes first; lam: multipliers of all rows."""
     full = [y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, lam)]
     tangents = [y[:, 1:].permute(2, 0, 1) if isinstance(x.q, Pair) else None for y in full]
     return Moment(*(y[:, 0].T for y in full), *tangents)

@@ -1,11 +1,11 @@
-"""What happens at a switch from one phase to the next: marks of locks, the jump of the velocities, impacts.
+"""A switch from one phase to the next: marks of locks, the jump of the velocities, impacts.
 
     positions   continuous
     velocities  M (v+ - v-) + Phi_q' Lambda = 0,   Phi_q v+ = -Phi_t             momentum-consistent
     impact      M (v+ - v-) + Phi_q' Lambda + g_q' lam = 0,   g'+ = -e g'-       g: the gap, e: restitution (Newton)
 
 with the constraints of the new phase. Numbers carry *total* derivatives by the design: the time t* of the switch moves
-with it. What depends on time and state, f(t, q, v), is evaluated lane by lane, each at its own time:
+with it. Functions of time and state, f(t, q, v), are evaluated lane by lane, each at its own time:
 
     df/db = f_t dt*/db + f_q dq/db + f_v dv/db + f_b
 
@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.phases.events import Event, Views, normal
+from torchmbd.integrate.phases.events import Event, Views, gap_gradient
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.joints.lock import Lock
@@ -37,7 +37,7 @@ from torchmbd.results.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Where a simulation of phases started: there, bodies undeformed, the rank of the constraints of each is judged."""
+    """Initial coordinates of a simulation of phases, where the rank of the constraints of each phase is found."""
 
     q: Tensor
     v: Tensor
@@ -51,22 +51,22 @@ class InitialState:
         return self.q, self.v
 
 
-def pick(x: Any, lanes: Sequence[int]) -> Any:
-    """Some lanes of a number."""
+def pick_lanes(x: Any, lanes: Sequence[int]) -> Any:
+    """Some lanes of a number [..., lanes]."""
     index = torch.tensor(list(lanes))
     return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
 
 
-def joined_lanes(parts: Sequence[Any]) -> Any:
-    """Lanes of several numbers as one."""
+def join_lanes(parts: Sequence[Any]) -> Any:
+    """Several numbers [..., lanes] as one, with the lanes of all."""
     if isinstance(parts[0], Pair):
         return Pair(torch.cat([x.full for x in parts], -1))
     return torch.cat(list(parts), -1)
 
 
-def together(states: Sequence[State]) -> State:
-    """Lanes of several states as one."""
-    q, v, vd, a, lam = (joined_lanes(x) for x in zip(*states, strict=True))
+def join_states(states: Sequence[State]) -> State:
+    """Several states as one, with the lanes of all."""
+    q, v, vd, a, lam = (join_lanes(x) for x in zip(*states, strict=True))
     return State(q, v, vd, a, lam)
 
 
@@ -75,26 +75,25 @@ def lane_of(dynamics: Dynamics, lane: int) -> Dynamics:
     return replace(dynamics.select_lanes([lane]), statistics=dynamics.statistics)
 
 
-def marked(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
-    """The data with the marks of locks where the coordinates q [n_q, ...] put them."""
+def data_with_marks(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
+    """The data with the marks of locks as the coordinates q [n_q, ...] have them: points and axes that a lock holds."""
     if not locks:
         return data
-    place = {id(attached): i for i, attached in enumerate(T.attached)}
+    index = {id(attached): i for i, attached in enumerate(T.attached)}
     at = equations.placement(T, data, q, T.prescribed(value(q).new_zeros(()), data))
     for lock in locks:
         m = lock.marks
-        point_a, point_b, point = (place[id(x)] for x in (m.point_a, m.point_b, m.point))
-        axes_a, axes_b, axes = ([place[id(x)] for x in some] for some in (m.axes_a, m.axes_b, m.axes))
+        point_a, point_b, point = (index[id(x)] for x in (m.point_a, m.point_b, m.point))
+        axes_a, axes_b, axes = ([index[id(x)] for x in triad] for triad in (m.axes_a, m.axes_b, m.axes))
         offset = matvec_t(at.A_of[:, :, point_a], at.g[:, point_b] - at.g[:, point_a])
-        data = _set(data, T, point, axes_a, _solve(at.rho[:, axes_a], offset), point_a)
+        data = _set_vector(data, T, point, axes_a, _solve(at.rho[:, axes_a], offset), point_a)
         A, B = at.A_of[:, :, point_b], at.rho[:, axes_b]
         for j, own in enumerate(axes):
             e, other = at.g[:, axes_a[j]], at.g[:, axes_a[(j + 2) % 3]]
-            if (
-                axes_a[j] < T.attached_flexible
-            ):  # on a bent body not quite perpendicular, as the mark's equation wants them
+            # On a bent body axes are not quite perpendicular; those of the equation of a mark are.
+            if axes_a[j] < T.attached_flexible:
                 e = combine(e, -dot(e, other) * reciprocal(dot(other, other)), other)
-            data = _set(data, T, own, axes_b, _solve(B, matvec_t(A, e)), None)
+            data = _set_vector(data, T, own, axes_b, _solve(B, matvec_t(A, e)), None)
     return data
 
 
@@ -110,31 +109,33 @@ def _solve(B: Any, y: Any) -> Any:
     return Pair.of(x, times((y - matvec(B, x)).tangent))
 
 
-def _set(data: equations.Data, T: Topology, own: int, axes: list[int], c: Any, origin: int | None) -> equations.Data:
+def _set_vector(
+    data: equations.Data, T: Topology, own: int, axes: list[int], c: Any, origin: int | None
+) -> equations.Data:
     """Set an attached vector to c_1 axes_1 + c_2 axes_2 + c_3 axes_3, from the vector `origin` if there is one."""
     data = dict(data)
     for name, axis in equations.ATTACHED.items():
         if name not in data or (name != "x" and own >= T.attached_flexible):
             continue
         x = data[name]
-        take = (slice(None),) * axis
-        vectors = x[(*take, axes)]
+        before = (slice(None),) * axis
+        vectors = x[(*before, axes)]
         vector = (vectors * c).sum(axis)
         if origin is not None:
-            vector = vector + x[(*take, origin)]
-        parts = [x[(*take, slice(0, own))], vector.unsqueeze(axis), x[(*take, slice(own + 1, None))]]
+            vector = vector + x[(*before, origin)]
+        parts = [x[(*before, slice(0, own))], vector.unsqueeze(axis), x[(*before, slice(own + 1, None))]]
         data[name] = cat(parts, axis)
     return data
 
 
 def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) -> tuple:
-    """f(dynamics, time, *state) of one lane at a time t [1, 1] that may depend on the design."""
+    """f(dynamics, time, *state) of one lane at a time t [1 + n, 1] that may depend on the design."""
     now = value(t)[0, 0]
     found = f(dynamics, now, *state)
     if not (isinstance(t, Pair) and bool(t.tangent.any())):
         return found
     plain, values = dynamics.values(), [value(x) for x in state]
-    _ = plain.rank  # found once, outside of the derivative
+    _ = plain.rank  # is found once, outside of the derivative
     _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
     return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(found, rates, strict=True))
 
@@ -145,7 +146,7 @@ def accelerations(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
 
 
 def jump(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
-    """Velocities v+ [n_v, ...] after the constraints took hold of the bodies moving with v."""
+    """Velocities v+ [n_v, ...] after the constraints begin to act on bodies that move with v."""
     if not dynamics.topology.rows:
         return (v,)
     change, _ = _impulse(dynamics, t, q, None, v)
@@ -177,11 +178,11 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
 
 
 def restitution(dynamics: Dynamics, t: Tensor, q: Any, v: Any, gap: tuple[Any, Any], e: float) -> tuple:
-    """Velocities after an impact with a gap of the slopes (g_q [n_v, ...], g_t [1, ...])."""
-    slope, own = gap
-    response, _ = _impulse(dynamics, t, q, slope, None)
-    closing = (slope * v).sum(0).unsqueeze(0) + own
-    size = (-(1.0 + e)) * closing * reciprocal((slope * response).sum(0).unsqueeze(0))
+    """Velocities after an impact at a gap g, of the gradient (g_q [n_v, ...], g_t [1, ...])."""
+    g_q, g_t = gap
+    response, _ = _impulse(dynamics, t, q, g_q, None)
+    rate = (g_q * v).sum(0).unsqueeze(0) + g_t
+    size = (-(1.0 + e)) * rate * reciprocal((g_q * response).sum(0).unsqueeze(0))
     return (v + response * size,)
 
 
@@ -194,15 +195,15 @@ def _velocities(impact: Callable, motion: Trajectory) -> Tensor:
     return v
 
 
-def mapped(
+def velocities_after_impact(
     impact: float | Callable, event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State
 ) -> Any:
     """Velocities [n_v, ...] of one lane after the impact that ends a phase: a restitution, or a map motion -> v."""
     if callable(impact):
-        return views.number(lambda motion: _velocities(impact, motion)[0, 0], lane, dynamics, t, x)
-    slope, rate = normal(event, views, lane, dynamics, t, x)
+        return views.evaluate(lambda motion: _velocities(impact, motion)[0, 0], lane, dynamics, t, x)
+    g_q, g_t = gap_gradient(event, views, lane, dynamics, t, x)
 
-    def rebound(one: Dynamics, now: Tensor, q: Any, v: Any, slope: Any, rate: Any) -> tuple:
-        return restitution(one, now, q, v, (slope, rate), impact)
+    def rebound(dynamics: Dynamics, t: Tensor, q: Any, v: Any, g_q: Any, g_t: Any) -> tuple:
+        return restitution(dynamics, t, q, v, (g_q, g_t), impact)
 
-    return at_time(rebound, dynamics, t, x.q, x.v, slope, rate)[0]
+    return at_time(rebound, dynamics, t, x.q, x.v, g_q, g_t)[0]
