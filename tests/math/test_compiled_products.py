@@ -81,7 +81,7 @@ def test_pair(p: int) -> None:
     near = random(29, 29).abs() > 1
     pattern = Pattern(*(near | near.mT).nonzero().unbind(1), 29)
     Y, X = random(2, 3, 29, p), random(2, 29, p)
-    close(code().pair(pattern, Y, X), (Y @ X[:, None].mT)[..., pattern.rows, pattern.cols])
+    close(code().products_at_pattern(pattern, Y, X), (Y @ X[:, None].mT)[..., pattern.rows, pattern.cols])
 
 
 def started(p: int, lanes: int = 3) -> Recurrence:

@@ -81,8 +81,8 @@ def test_a_part_that_two_share_is_not_two_equal_parts():
 
 def test_numbers_that_are_set_aside_do_not_count_but_their_shape_does():
     a, b, c = torch.ones(2), torch.zeros(2), torch.zeros(3)
-    assert digest([a], aside=[a]) == digest([b], aside=[b])
-    assert digest([b], aside=[b]) != digest([c], aside=[c])
+    assert digest([a], ignored=[a]) == digest([b], ignored=[b])
+    assert digest([b], ignored=[b]) != digest([c], ignored=[c])
 
 
 def test_what_was_worked_out_and_kept_does_not_count():

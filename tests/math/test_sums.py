@@ -25,6 +25,6 @@ def test_the_map_and_its_transpose() -> None:
 @pytest.mark.usefixtures("products")
 def test_chosen_rows() -> None:
     chosen = torch.tensor([2, 4, 1, 4])
-    sums, x, y = Sums.of(ROWS, TERMS, (6, 7)).chosen(chosen), random(3, 7), random(3, 4)
+    sums, x, y = Sums.of(ROWS, TERMS, (6, 7)).selected(chosen), random(3, 7), random(3, 4)
     torch.testing.assert_close(sums(x), x @ MATRIX[chosen].T)
     torch.testing.assert_close(sums.adjoint(y), y @ MATRIX[chosen])

@@ -1,1 +1,1 @@
-"""Value-tangent pairs, time jets and rotations: the arithmetic in which the motion is written."""
+"""Arithmetic without mechanics: value-tangent pairs, time jets, rotations, sparse matrices, generated code."""

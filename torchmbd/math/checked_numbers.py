@@ -41,7 +41,7 @@ def _joined(given: Any) -> Tensor:
 
 
 def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = "") -> float:
-    """Read one finite number; InputError names the argument. A gradient would be lost here, so none is taken."""
+    """Read one finite number as a float; InputError names the argument, also one with a gradient, which a float would lose."""
     refuse_gradients(name, given, allowed)
     try:
         x = math.nan if isinstance(given, (str, bytes, bool)) else float(given)
@@ -52,14 +52,14 @@ def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = 
     return x
 
 
-def is_whole(given: Any) -> bool:
-    """Whether it is a whole number, of Python or NumPy; True and False are none."""
-    return isinstance(given, numbers.Integral) and not isinstance(given, bool)
+def is_whole(x: Any) -> bool:
+    """Whether x is an integer of Python or NumPy, not a bool."""
+    return isinstance(x, numbers.Integral) and not isinstance(x, bool)
 
 
-def is_real(given: Any) -> bool:
-    """Whether it is one real number, of Python or NumPy; True and False are none."""
-    return isinstance(given, numbers.Real) and not isinstance(given, bool)
+def is_real(x: Any) -> bool:
+    """Whether x is a real number of Python or NumPy, not a bool."""
+    return isinstance(x, numbers.Real) and not isinstance(x, bool)
 
 
 def positive(name: str, given: Any, unit: str) -> float:
@@ -90,7 +90,7 @@ def indices(name: str, given: ArrayLike | Tensor) -> Tensor:
 
 
 def list_of(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
-    """Read a list of things of some kinds; InputError names the argument and what is none."""
+    """Read a sequence of objects of some classes as a list; InputError names the argument and an object of another class."""
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise InputError(f"{name} is {given!r}; allowed: a list of {allowed}")
     for x in given:
@@ -100,7 +100,7 @@ def list_of(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str)
 
 
 def parameter(name: str, given: ArrayLike | Tensor) -> nn.Parameter:
-    """A parameter as it is, or numbers of any shape as one of their own; InputError for anything that is computed."""
+    """The parameter `given`, or a new one of numbers of any shape; InputError for a computed tensor with a gradient."""
     if not isinstance(given, nn.Parameter):
         refuse_gradients(
             name, given, "numbers; a torch.nn.Parameter, registered as it is; of a computed x, " + _COMPUTED

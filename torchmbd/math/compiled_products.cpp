@@ -1,7 +1,8 @@
-// Products with a few columns, one design after another, so that its numbers stay near the processor. See compiled_products.py.
+// Products with a few columns, one design after another, so that the numbers of a design stay in the cache of the processor.
+// See compiled_products.py.
 //
-// Arrays are row-major and [lane][row][column]. Inside, columns are filled up with zeros to a multiple of eight.
-// A tile keeps R rows of W x 8 columns of a product in registers: with wide ones it runs at the speed of arithmetic.
+// Arrays are row-major and [lane][row][column]. Inside, columns are padded with zeros to a multiple of eight.
+// A tile keeps R rows of W x 8 columns of a product in registers; for wide matrices arithmetic is then the bottleneck.
 
 #include <algorithm>
 #include <cmath>
@@ -9,7 +10,7 @@
 #include <vector>
 
 typedef double V __attribute__((vector_size(64), aligned(8)));
-typedef std::vector<double> Room;
+typedef std::vector<double> Buffer;
 constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-2;  // as in sparse_modes.py
 
 struct Factor {  // of a block-tridiagonal matrix, as in blocks.py
@@ -33,10 +34,10 @@ struct Left {  // the left factor of a product: entry (r, c) at at[r * row + c *
 };
 
 namespace {
-inline long filled(long columns) { return (columns + 7) / 8 * 8; }
+inline long padded(long columns) { return (columns + 7) / 8 * 8; }
 
 // C = A B, or C -= A B. B and C have rows of P numbers.
-template <int R, int W, bool take>
+template <int R, int W, bool subtract>
 inline void tile(long inner, Left A, const double* B, double* C, long P) {
   V sum[R][W] = {};
   for (long c = 0; c < inner; c++) {
@@ -48,43 +49,44 @@ inline void tile(long inner, Left A, const double* B, double* C, long P) {
   for (int r = 0; r < R; r++)
     for (int w = 0; w < W; w++) {
       V* to = (V*)(C + r * P + 8 * w);
-      *to = take ? *to - sum[r][w] : sum[r][w];
+      *to = subtract ? *to - sum[r][w] : sum[r][w];
     }
 }
 
-// Few rows leave registers idle: what tiles of R rows leave goes to tiles of half as many.
-template <int R, int W, bool take>
+// The rows that tiles of R rows do not cover are computed by tiles of half as many rows.
+template <int R, int W, bool subtract>
 void panel(long rows, long inner, Left A, const double* B, double* C, long P) {
   long r = 0;
-  for (; r + R <= rows; r += R) tile<R, W, take>(inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
+  for (; r + R <= rows; r += R) tile<R, W, subtract>(inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
   if constexpr (R > 1)
-    if (r < rows) panel<R / 2, W, take>(rows - r, inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
+    if (r < rows) panel<R / 2, W, subtract>(rows - r, inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
 }
 
-template <bool take>
+template <bool subtract>
 void product(long rows, long inner, Left A, const double* B, double* C, long P) {
   long p = 0;
-  for (; p + 24 <= P; p += 24) panel<6, 3, take>(rows, inner, A, B + p, C + p, P);
-  for (; p + 16 <= P; p += 16) panel<8, 2, take>(rows, inner, A, B + p, C + p, P);
-  for (; p < P; p += 8) panel<8, 1, take>(rows, inner, A, B + p, C + p, P);
+  for (; p + 24 <= P; p += 24) panel<6, 3, subtract>(rows, inner, A, B + p, C + p, P);
+  for (; p + 16 <= P; p += 16) panel<8, 2, subtract>(rows, inner, A, B + p, C + p, P);
+  for (; p < P; p += 8) panel<8, 1, subtract>(rows, inner, A, B + p, C + p, P);
 }
 
-void fill_up(const double* from, double* to, long rows, long p) {
-  const long P = filled(p);
+void pad_columns(const double* from, double* to, long rows, long p) {
+  const long P = padded(p);
   for (long i = 0; i < rows; i++) {
     std::memcpy(to + i * P, from + i * p, p * sizeof(double));
     for (long j = p; j < P; j++) to[i * P + j] = 0.0;
   }
 }
 
-void cut(const double* from, double* to, long rows, long p) {
-  const long P = filled(p);
+void unpad_columns(const double* from, double* to, long rows, long p) {
+  const long P = padded(p);
   for (long i = 0; i < rows; i++) std::memcpy(to + i * p, from + i * P, p * sizeof(double));
 }
 
-// Takes the components along the k first columns of a basis [N][stride] out of w: first those along the last `recent` of
-// them, then all; `all` has both together [k][P].
-void take_out(const double* basis, long N, long k, long stride, long recent, double* w, double* some, double* all, long P) {
+// Subtracts from w its components along the first k columns of a basis [N][stride]: first those along the last `recent`
+// columns, then those along all columns. `all` is the sum of both coefficients [k][P].
+void remove_components(const double* basis, long N, long k, long stride, long recent, double* w, double* some, double* all,
+                       long P) {
   std::fill(all, all + k * P, 0.0);
   for (long first : {recent < k ? k - recent : 0, 0L}) {
     product<false>(k - first, N, {basis + first, 1, stride}, w, some, P);
@@ -93,9 +95,10 @@ void take_out(const double* basis, long N, long k, long stride, long recent, dou
   }
 }
 
-// w = x r with orthonormal x in the place of w [N][P], p columns, and r [p][P] upper triangular: Gram-Schmidt, twice.
-// False: next to nothing is left in a column beside the others, or beside `taken` that was taken out before.
-bool orthonormal(double* w, long N, long p, double* r, double* second, long P, double taken) {
+// w = x r: overwrites w [N][P] by p orthonormal columns x, r [p][P] is upper triangular: Gram-Schmidt, twice.
+// False: the remainder of a column is of the size of rounding, compared with the others or with `removed`, the components
+// that were removed before.
+bool orthonormal(double* w, long N, long p, double* r, double* second, long P, double removed) {
   bool whole = true;
   for (double* s : {r, second}) {
     std::fill(s, s + p * P, 0.0);
@@ -106,7 +109,7 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
         for (long i = 0; i < N; i++) sum += w[i * P + j] * *(const V*)&w[i * P + q];
         std::memcpy(row + q, &sum, sizeof(V));
       }
-      if (!(row[j] > TINY)) {  // nothing at all: any other column, which the second time makes orthogonal
+      if (!(row[j] > TINY)) {  // a zero column: any other one, made orthogonal in the second pass
         for (long i = 0; i < N; i++) w[i * P + j] = std::cos((i + 1.0) * (j + 2.0));
         std::fill(row, row + P, 0.0);
         continue;
@@ -122,9 +125,9 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
     if (s != r) break;
     double least = r[0], most = r[0];
     for (long j = 0; j < p; j++) least = std::min(least, r[j * P + j]), most = std::max(most, r[j * P + j]);
-    whole = least > std::max(1e-8 * most, 1e-12 * taken);  // as in `_repair` of lanczos.py
+    whole = least > std::max(1e-8 * most, 1e-12 * removed);  // as in `_repair` of lanczos.py
   }
-  for (long i = 0; i < p; i++)  // r = second r; rows below i are still those of the first
+  for (long i = 0; i < p; i++)  // r = second r; rows below i are still those of the first pass
     for (long j = i; j < p; j++) {
       double sum = 0.0;
       for (long k = i; k <= j; k++) sum += second[i * P + k] * r[k * P + j];
@@ -133,7 +136,7 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
   return whole;
 }
 
-// x = A^-1 y; y is used up.
+// x = A^-1 y; overwrites y.
 void solve_lane(const Factor& f, long lane, double* y, double* x, long P) {
   const double* E = f.lane(lane) + f.start(0, true);
   for (long b = 1; b < f.blocks; b++) {
@@ -173,14 +176,14 @@ bool invert(double* a, long s, long P, double* pivot) {
   return true;
 }
 
-// Columns of a lane in conjugate gradients; those that are done leave.
+// Columns of a lane in conjugate gradients; converged columns are removed.
 struct Columns {
   long N, P;
-  std::vector<long> number;               // which column of the result stands here; -1: none
-  Room y, r, d, Hd, work;                 // [N][P]
-  Room square, target, inverse_mu, step;  // [P]
+  std::vector<long> number;               // index in the result of each column; -1: padding
+  Buffer y, r, d, Hd, work;                 // [N][P]
+  Buffer square, target, inverse_mu, step;  // [P]
 
-  void dots(const Room& a, const Room& b, Room& out) const {
+  void dots(const Buffer& a, const Buffer& b, Buffer& out) const {
     for (long p = 0; p < P; p += 8) {
       V sum = {};
       for (long i = 0; i < N; i++) sum += *(const V*)&a[i * P + p] * *(const V*)&b[i * P + p];
@@ -193,8 +196,8 @@ struct Columns {
         for (long i = 0; i < N; i++) to[i * p + number[j]] = y[i * P + j];
   }
   void keep(const std::vector<long>& open) {
-    const long few = filled((long)open.size());
-    for (Room* x : {&y, &r, &d})
+    const long few = padded((long)open.size());
+    for (Buffer* x : {&y, &r, &d})
       for (long i = 0; i < N; i++)  // rows only move forward
         for (long j = 0; j < few; j++) (*x)[i * few + j] = j < (long)open.size() ? (*x)[i * P + open[j]] : 0.0;
     std::vector<long> kept(few, -1);
@@ -211,37 +214,37 @@ struct Columns {
 };
 }  // namespace
 
-// S_i^-1 and E_i in the place of D_i and B_i: BlockFactor of blocks.py. pivot [lane]: the smallest, relative to the diagonal.
+// Overwrites D_i and B_i by S_i^-1 and E_i: BlockFactor of blocks.py. pivot [lane]: the smallest, relative to the diagonal.
 extern "C" void factorize(const Factor* f, double* pivot) {
   long most = 0;
   for (long b = 0; b < f->blocks; b++) most = std::max(most, f->rows(b));
-  Room S(most * filled(most)), B(most * filled(most)), E(most * filled(most)), diagonal(most), found(most);
+  Buffer S(most * padded(most)), B(most * padded(most)), E(most * padded(most)), diagonal(most), found(most);
   for (long lane = 0; lane < f->lanes; lane++) {
     double *D = f->lane(lane), *lower = D + f->start(0, true);
     pivot[lane] = HUGE_VAL;
     for (long b = 0; b < f->blocks; b++) {
-      const long s = f->rows(b), P = filled(s);
-      fill_up(D, S.data(), s, s);
+      const long s = f->rows(b), P = padded(s);
+      pad_columns(D, S.data(), s, s);
       for (long i = 0; i < s; i++) diagonal[i] = D[i * s + i];
       if (b) {  // S -= E B'
         const long before = f->rows(b - 1);
-        product<true>(s, before, {E.data(), filled(before), 1}, B.data(), S.data(), P);
+        product<true>(s, before, {E.data(), padded(before), 1}, B.data(), S.data(), P);
       }
       if (invert(S.data(), s, P, found.data())) {
         for (long i = 0; i < s; i++) pivot[lane] = std::min(pivot[lane], found[i] / diagonal[i]);
-      } else {  // what cannot be factorized must not stop the other lanes
+      } else {  // an identity, so that the other lanes go on
         pivot[lane] = -1.0;
         std::fill(S.begin(), S.end(), 0.0);
         for (long i = 0; i < s; i++) S[i * P + i] = 1.0;
       }
-      cut(S.data(), D, s, s);
+      unpad_columns(S.data(), D, s, s);
       D += s * s;
       if (b + 1 == f->blocks) continue;
-      const long next = f->rows(b + 1), Q = filled(next);
+      const long next = f->rows(b + 1), Q = padded(next);
       product<false>(next, s, {lower, s, 1}, S.data(), E.data(), P);
       for (long i = 0; i < s; i++)
         for (long j = 0; j < Q; j++) B[i * Q + j] = j < next ? lower[j * s + i] : 0.0;  // B'
-      cut(E.data(), lower, next, s);
+      unpad_columns(E.data(), lower, next, s);
       lower += next * s;
     }
   }
@@ -249,25 +252,26 @@ extern "C" void factorize(const Factor* f, double* pivot) {
 
 // out [lane][N][p] = A^-1 X.
 extern "C" void solve(const Factor* f, const double* X, double* out, long p) {
-  const long N = f->size(), P = filled(p);
-  Room y(N * P), x(N * P);
+  const long N = f->size(), P = padded(p);
+  Buffer y(N * P), x(N * P);
   for (long lane = 0; lane < f->lanes; lane++) {
-    fill_up(X + lane * N * p, y.data(), N, p);
+    pad_columns(X + lane * N * p, y.data(), N, p);
     solve_lane(*f, lane, y.data(), x.data(), P);
-    cut(x.data(), out + lane * N * p, N, p);
+    unpad_columns(x.data(), out + lane * N * p, N, p);
   }
 }
 
 // Steps `from` to `to` of block Lanczos for H = G A^-1 G, as `_extend` of lanczos.py: the next block X [lane][N][p] becomes
-// columns of Q [lane][N][room], and what H X has along Q columns of T [lane][room][room]; X and R [lane][p][p] the rest.
+// columns of Q [lane][N][room], the components of H X along Q become columns of T [lane][room][room]; X R, with R
+// [lane][p][p], is the remainder of H X.
 extern "C" void lanczos(const Factor* f, const double* G, long from, long to, long room, long p, double* Q, double* T,
                         double* X, double* R) {
-  const long N = f->size(), P = filled(p), most = to * p;
-  Room x(N * P), y(N * P), w(N * P), some(most * P), all(most * P), r(p * P), second(p * P);
+  const long N = f->size(), P = padded(p), most = to * p;
+  Buffer x(N * P), y(N * P), w(N * P), some(most * P), all(most * P), r(p * P), second(p * P);
   for (long lane = 0; lane < f->lanes; lane++) {
     const double* g = G + lane * N;
     double *basis = Q + lane * N * room, *t = T + lane * room * room;
-    fill_up(X + lane * N * p, x.data(), N, p);
+    pad_columns(X + lane * N * p, x.data(), N, p);
     for (long k = from * p; k < to * p; k += p) {
       for (long i = 0; i < N; i++) {
         std::memcpy(basis + i * room + k, &x[i * P], p * sizeof(double));
@@ -276,31 +280,31 @@ extern "C" void lanczos(const Factor* f, const double* G, long from, long to, lo
       solve_lane(*f, lane, y.data(), w.data(), P);
       for (long i = 0; i < N; i++)
         for (long j = 0; j < P; j++) w[i * P + j] *= g[i];
-      take_out(basis, N, k + p, room, 2 * p, w.data(), some.data(), all.data(), P);
+      remove_components(basis, N, k + p, room, 2 * p, w.data(), some.data(), all.data(), P);
       for (long i = 0; i < k + p; i++) std::memcpy(t + i * room + k, &all[i * P], p * sizeof(double));
       double largest = 0.0;
       for (long i = 0; i < (k + p) * P; i++) largest = std::max(largest, std::abs(all[i]));
       x = w;
-      if (!orthonormal(x.data(), N, p, r.data(), second.data(), P, largest))  // there is rounding in place of what is new
+      if (!orthonormal(x.data(), N, p, r.data(), second.data(), P, largest))  // the remainder is rounding
         for (int again = 0; again < 2; again++) {
-          take_out(basis, N, k + p, room, p, x.data(), some.data(), all.data(), P);
+          remove_components(basis, N, k + p, room, p, x.data(), some.data(), all.data(), P);
           orthonormal(x.data(), N, p, some.data(), second.data(), P, 0.0);
         }
     }
-    cut(x.data(), X + lane * N * p, N, p);
-    cut(r.data(), R + lane * p * p, p, p);
+    unpad_columns(x.data(), X + lane * N * p, N, p);
+    unpad_columns(r.data(), R + lane * p * p, p, p);
   }
 }
 
-// out [lane][t][nnz] = Y X' at the places of a pattern, for Y [lane][T][N][p] and X [lane][N][p].
-extern "C" void pair(long lanes, long T, long N, const int* start, const int* column, const double* Y, const double* X,
-                     double* out, long p) {
-  const long P = filled(p), nnz = start[N];
-  Room x(N * P), y(N * P);
+// out [lane][t][nnz] = Y X' at the entries of a pattern, for Y [lane][T][N][p] and X [lane][N][p].
+extern "C" void products_at_pattern(long lanes, long T, long N, const int* start, const int* column, const double* Y,
+                                    const double* X, double* out, long p) {
+  const long P = padded(p), nnz = start[N];
+  Buffer x(N * P), y(N * P);
   for (long lane = 0; lane < lanes; lane++) {
-    fill_up(X + lane * N * p, x.data(), N, p);
+    pad_columns(X + lane * N * p, x.data(), N, p);
     for (long t = lane * T; t < (lane + 1) * T; t++) {
-      fill_up(Y + t * N * p, y.data(), N, p);
+      pad_columns(Y + t * N * p, y.data(), N, p);
       for (long i = 0; i < N; i++)
         for (int e = start[i]; e < start[i + 1]; e++) {
           V sum = {};
@@ -314,10 +318,10 @@ extern "C" void pair(long lanes, long T, long N, const int* start, const int* co
 // out [lane][T][N][p] = K X for values [lane][T][nnz] on one pattern and X [lane][N][p].
 extern "C" void multiply_sparse(long lanes, long T, long N, const int* start, const int* column, const double* values,
                                 const double* X, double* out, long p) {
-  const long P = filled(p), nnz = start[N];
-  Room x(N * P), z(N * P);
+  const long P = padded(p), nnz = start[N];
+  Buffer x(N * P), z(N * P);
   for (long lane = 0; lane < lanes; lane++) {
-    fill_up(X + lane * N * p, x.data(), N, p);
+    pad_columns(X + lane * N * p, x.data(), N, p);
     for (long t = lane * T; t < (lane + 1) * T; t++) {
       for (long i = 0; i < N; i++)
         for (long j = 0; j < P; j += 8) {
@@ -325,27 +329,27 @@ extern "C" void multiply_sparse(long lanes, long T, long N, const int* start, co
           for (int e = start[i]; e < start[i + 1]; e++) sum += values[t * nnz + e] * *(const V*)&x[column[e] * P + j];
           std::memcpy(&z[i * P + j], &sum, sizeof(V));
         }
-      cut(z.data(), out + t * N * p, N, p);
+      unpad_columns(z.data(), out + t * N * p, N, p);
     }
   }
 }
 
-// Conjugate gradients for (1 - H / mu) y = c within what is orthogonal to U, H = G A^-1 G: `_conjugate_gradients` of
+// Conjugate gradients for (1 - H / mu) y = c among vectors orthogonal to U, H = G A^-1 G: `_conjugate_gradients` of
 // sparse_modes.py. y [lane][N][p] in and out, r its residual, U [lane][N][n], G [lane][N], target and inverse_mu [lane][p].
 // Returns 1 if a lane needs more than `most` steps.
 extern "C" long conjugate_gradients(const Factor* f, const double* G, const double* U, long n, const double* inverse_mu,
                                     const double* target, double* y, const double* r, long p, long most) {
-  const long N = f->size(), full = filled(p);
-  Room inside(n * full);
+  const long N = f->size(), full = padded(p);
+  Buffer inside(n * full);
   for (long lane = 0; lane < f->lanes; lane++) {
     Columns c{N, full};
-    for (Room* x : {&c.y, &c.r, &c.Hd, &c.work}) x->resize(N * full);
-    for (Room* x : {&c.square, &c.target, &c.inverse_mu, &c.step}) x->resize(full);
+    for (Buffer* x : {&c.y, &c.r, &c.Hd, &c.work}) x->resize(N * full);
+    for (Buffer* x : {&c.square, &c.target, &c.inverse_mu, &c.step}) x->resize(full);
     for (long j = 0; j < full; j++) c.number.push_back(j < p ? j : -1);
     std::memcpy(c.target.data(), target + lane * p, p * sizeof(double));
     std::memcpy(c.inverse_mu.data(), inverse_mu + lane * p, p * sizeof(double));
-    fill_up(y + lane * N * p, c.y.data(), N, p);
-    fill_up(r + lane * N * p, c.r.data(), N, p);
+    pad_columns(y + lane * N * p, c.y.data(), N, p);
+    pad_columns(r + lane * N * p, c.r.data(), N, p);
     c.d = c.r;
     c.dots(c.r, c.r, c.square);
     const double *g = G + lane * N, *u = U + lane * N * n;
@@ -353,7 +357,7 @@ extern "C" long conjugate_gradients(const Factor* f, const double* G, const doub
       std::vector<long> open;
       for (long j = 0; j < c.P; j++)
         if (std::sqrt(c.square[j]) > c.target[j]) open.push_back(j);
-      if (filled((long)open.size()) < c.P) {
+      if (padded((long)open.size()) < c.P) {
         c.put(y + lane * N * p, p);
         c.keep(open);
       }
@@ -375,7 +379,7 @@ extern "C" long conjugate_gradients(const Factor* f, const double* G, const doub
           c.y[i * P + j] += c.step[j] * c.d[i * P + j];
           c.r[i * P + j] -= c.step[j] * c.Hd[i * P + j];
         }
-      Room before = c.square;
+      Buffer before = c.square;
       c.dots(c.r, c.r, c.square);
       for (long j = 0; j < P; j++) before[j] = c.square[j] / (before[j] > TINY ? before[j] : TINY);
       for (long i = 0; i < N; i++)
@@ -385,7 +389,7 @@ extern "C" long conjugate_gradients(const Factor* f, const double* G, const doub
   return 0;
 }
 
-// Rows [i <= j][a][A] of d_i d_j' of one point, d [r][s][A] with A = filled(a); with e: d_i e_j' + e_i d_j'.
+// Rows [i <= j][a][A] of d_i d_j' of one point, d [r][s][A] with A = padded(a); with e: d_i e_j' + e_i d_j'.
 static void outer(const double* d, const double* e, long r, long s, long a, long A, double* rows) {
   for (long i = 0; i < r; i++)
     for (long j = i; j < r; j++, rows += a * A)
@@ -401,20 +405,20 @@ static void outer(const double* d, const double* e, long r, long s, long a, long
         }
 }
 
-constexpr long POINTS = 32;  // points whose products stay near the processor
+constexpr long POINTS = 32;  // points whose products fit into the cache
 
 // out [lane][k][a][a] = sum over points and i <= j of law [lane][k][point][ij] times the rows of `outer`; d, e [lane][point][r][s][a].
 extern "C" void quadratic_forms(long lanes, long k, long points, long r, long s, long a, const double* law, const double* d,
                                 const double* e, double* out) {
-  const long A = filled(a), ij = r * (r + 1) / 2, one = r * s * a;
-  Room left(r * s * A), right(r * s * A), rows(POINTS * ij * a * A), sum(k * a * A);
+  const long A = padded(a), ij = r * (r + 1) / 2, one = r * s * a;
+  Buffer left(r * s * A), right(r * s * A), rows(POINTS * ij * a * A), sum(k * a * A);
   for (long lane = 0; lane < lanes; lane++, law += k * points * ij, d += points * one, e += points * one) {
     std::fill(sum.begin(), sum.end(), 0.0);
     for (long first = 0; first < points; first += POINTS) {
       const long count = std::min(POINTS, points - first);
       for (long p = 0; p < count; p++) {
-        fill_up(d + (first + p) * one, left.data(), r * s, a);
-        if (e != d) fill_up(e + (first + p) * one, right.data(), r * s, a);
+        pad_columns(d + (first + p) * one, left.data(), r * s, a);
+        if (e != d) pad_columns(e + (first + p) * one, right.data(), r * s, a);
         outer(left.data(), e == d ? left.data() : right.data(), r, s, a, A, &rows[p * ij * a * A]);
       }
       product<true>(k, count * ij, {law + first * ij, points * ij, 1}, rows.data(), sum.data(), a * A);
@@ -427,11 +431,11 @@ extern "C" void quadratic_forms(long lanes, long k, long points, long r, long s,
 // The derivatives of sum G . quadratic_forms, G [lane][k][a][a] symmetric, by law and by d where e is d.
 extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s, long a, const double* law, const double* d,
                                  const double* G, double* by_law, double* by_d) {
-  const long A = filled(a), K = filled(k), ij = r * (r + 1) / 2, one = r * s * a;
-  Room own(r * s * A), turned(r * s * A), rows(POINTS * ij * a * A), H(POINTS * ij * a * A), pairs(POINTS * ij * K);
-  Room weights(k * a * A), across(a * A * K);
+  const long A = padded(a), K = padded(k), ij = r * (r + 1) / 2, one = r * s * a;
+  Buffer own(r * s * A), turned(r * s * A), rows(POINTS * ij * a * A), H(POINTS * ij * a * A), pairs(POINTS * ij * K);
+  Buffer weights(k * a * A), across(a * A * K);
   for (long lane = 0; lane < lanes; lane++, law += k * points * ij, by_law += k * points * ij, G += k * a * a) {
-    fill_up(G, weights.data(), k * a, a);
+    pad_columns(G, weights.data(), k * a, a);
     std::fill(across.begin(), across.end(), 0.0);
     for (long n = 0; n < k; n++)
       for (long i = 0; i < a * A; i++) across[i * K + n] = weights[n * a * A + i];
@@ -439,7 +443,7 @@ extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s
       const long count = std::min(POINTS, points - first);
       product<false>(count * ij, k, {law + first * ij, 1, points * ij}, weights.data(), H.data(), a * A);
       for (long p = 0; p < count; p++, d += one, by_d += one) {
-        fill_up(d, own.data(), r * s, a);
+        pad_columns(d, own.data(), r * s, a);
         outer(own.data(), own.data(), r, s, a, A, &rows[p * ij * a * A]);
         std::fill(turned.begin(), turned.end(), 0.0);
         const double* h = &H[p * ij * a * A];
@@ -452,7 +456,7 @@ extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s
                   *(V*)&turned[(i * s + t) * A + q] += own[(j * s + t) * A + b] * along;
                   *(V*)&turned[(j * s + t) * A + q] += own[(i * s + t) * A + b] * along;
                 }
-        cut(turned.data(), by_d, r * s, a);
+        unpad_columns(turned.data(), by_d, r * s, a);
       }
       product<false>(count * ij, a * A, {rows.data(), a * A, 1}, across.data(), pairs.data(), K);
       for (long n = 0; n < k; n++)
@@ -471,8 +475,9 @@ extern "C" void sums(long lanes, long rows, long size, const long* start, const 
     }
 }
 
-// The transpose: x [lane][size] begins with zeros.
-extern "C" void shares(long lanes, long rows, long size, const long* start, const long* term, const double* y, double* x) {
+// The transpose, added to x [lane][size].
+extern "C" void transposed_sums(long lanes, long rows, long size, const long* start, const long* term, const double* y,
+                                double* x) {
   for (long lane = 0; lane < lanes; lane++, x += size, y += rows)
     for (long k = 0; k < rows; k++)
       for (long e = start[k]; e < start[k + 1]; e++) x[term[e]] += y[k];

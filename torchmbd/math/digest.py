@@ -1,12 +1,12 @@
-"""A digest of everything that an object is made of: what two objects share that compute the same numbers.
+"""A digest of all contents of an object: objects that compute the same numbers have the same digest.
 
     numbers      of tensors and arrays bit for bit, with their type and shape
-    structure    classes, names and contents, in order; an object that is met twice counts as one
-    functions    of a user: the bytecode, defaults, what they close over, and the globals that they name, modules of the
-                 user's among them; classes of a user: their methods as well
+    structure    classes, names and contents, in order; an object that occurs twice is written once
+    functions    of a user: bytecode, defaults, closures and the globals that they use, also those in modules of the user;
+                 classes of a user: their methods as well
 
-Of torchmbd's own functions and classes the name counts (`source_digest` has their text), of installed packages name and file.
-Comments, line numbers and the order of a dictionary or a set do not count. `aside` are objects whose numbers do not count.
+torchmbd's own functions and classes are written by name (`source_digest` has their text), those of installed packages by name
+and file. Comments, line numbers and the order of a dictionary or a set have no influence, nor the numbers of `ignored` tensors.
 Checked in tests/math/test_digest.py.
 """
 
@@ -45,10 +45,10 @@ _ATOMS = (
 _METHODS = (FunctionType, classmethod, staticmethod, property)
 
 
-def digest(*objects: Any, aside: Iterable[Any] = ()) -> str:
-    """Return the digest of objects; it is the same in every process that makes them anew."""
+def digest(*objects: Any, ignored: Iterable[Any] = ()) -> str:
+    """Return the digest of objects, the same in every process; numbers of `ignored` tensors and arrays have no influence."""
     walk = _Walk()
-    walk.aside = {id(x) for x in aside}
+    walk.ignored = {id(x) for x in ignored}
     walk.add(objects)
     return walk.hash.hexdigest()[:32]
 
@@ -65,38 +65,38 @@ def source_digest(folder: Path, parts: Iterable[str]) -> str:
 
 
 class _Walk:
-    """Writes what objects are made of into a hash, each object once."""
+    """Writes the contents of objects into a hash, each object once."""
 
     def __init__(self) -> None:
         self.hash = hashlib.sha256()
-        self.aside: set[int] = set()
-        self._met: dict[int, int] = {}
-        self._kept: list[Any] = []  # alive, so that no other object takes the place of one that was met
+        self.ignored: set[int] = set()
+        self._written: dict[int, int] = {}
+        self._alive: list[Any] = []  # references, so that no other object gets the id of a written one
 
-    def say(self, *words: object) -> None:
+    def write(self, *words: object) -> None:
         self.hash.update("\0".join(map(str, (*words, ""))).encode(errors="surrogatepass"))
 
     def add(self, x: Any) -> None:
         if isinstance(x, _ATOMS):
-            self.say(type(x).__name__, repr(x))
-        elif isinstance(x, tuple):  # which the interpreter may share or not
-            self.say(_name(type(x)), len(x))
+            self.write(type(x).__name__, repr(x))
+        elif isinstance(x, tuple):  # the interpreter may share equal tuples: they are written every time
+            self.write(_name(type(x)), len(x))
             for y in x:
                 self.add(y)
         elif isinstance(x, CodeType):
             self._add_code(x)
-        elif id(x) in self._met:
-            self.say("met", self._met[id(x)])
+        elif id(x) in self._written:
+            self.write("met", self._written[id(x)])
         else:
-            self._met[id(x)] = len(self._met)
-            self._kept.append(x)
+            self._written[id(x)] = len(self._written)
+            self._alive.append(x)
             self._add_new(x)
 
     def _add_new(self, x: Any) -> None:
         if isinstance(x, (torch.Tensor, np.ndarray, np.generic)):
             self._add_numbers(x)
         elif isinstance(x, ModuleType):
-            self.say("module", x.__name__)
+            self.write("module", x.__name__)
         elif isinstance(x, type):
             self._add_class(x)
         elif isinstance(x, FunctionType):
@@ -104,7 +104,7 @@ class _Walk:
         elif isinstance(x, MethodType):
             self.add((x.__self__, x.__func__))
         elif isinstance(x, (BuiltinFunctionType, MethodDescriptorType, np.ufunc)):
-            self.say("builtin", getattr(x, "__qualname__", x.__name__))
+            self.write("builtin", getattr(x, "__qualname__", x.__name__))
             self.add(None if isinstance(owner := getattr(x, "__self__", None), ModuleType) else owner)
         elif isinstance(x, (classmethod, staticmethod)):
             self.add((type(x).__name__, x.__func__))
@@ -130,8 +130,8 @@ class _Walk:
             self.add(x[key])
 
     def _add_numbers(self, x: torch.Tensor | np.ndarray | np.generic) -> None:
-        self.say(_name(type(x)), x.dtype, tuple(x.shape))
-        if id(x) in self.aside:
+        self.write(_name(type(x)), x.dtype, tuple(x.shape))
+        if id(x) in self.ignored:
             return
         if isinstance(x, torch.Tensor) and x.layout is not torch.strided:
             x = x.detach().to_sparse_coo().coalesce()
@@ -145,7 +145,7 @@ class _Walk:
             self.hash.update(x.tobytes())
 
     def _add_object(self, x: Any) -> None:
-        """An instance of a class: what pickling would keep of it, but for what it has worked out from the rest."""
+        """An instance of a class: the state that pickling would keep, without cached properties."""
         kind = type(x)
         self.add(kind)
         state = x.__getstate__()
@@ -153,7 +153,7 @@ class _Walk:
         if state is None and not hasattr(x, "__dict__"):
             try:
                 parts = x.__reduce_ex__(2)[1:]
-            except (TypeError, RuntimeError):  # Python's and pybind11's word for what cannot be pickled
+            except (TypeError, RuntimeError):  # raised by Python and pybind11 for objects that cannot be pickled
                 warn(
                     f"what a {_name(kind)} of the model holds cannot be compared: a change of it goes unnoticed, "
                     "and remembered evaluations are used; allowed: tensors, arrays, numbers, or run --fresh",
@@ -170,29 +170,29 @@ class _Walk:
                 self.add(part)
 
     def _add_class(self, x: type) -> None:
-        self.say("class", _name(x))
+        self.write("class", _name(x))
         if _own(x.__module__) or self._installed(x.__module__):
             return
         self.add(x.__bases__)
-        # What Python itself keeps with a class, such as __doc__ or the names of its slots, comes and goes.
-        own = {k: y for k, y in vars(x).items() if isinstance(y, _METHODS) or (k[:2] != "__" and k != "_abc_impl")}
-        self._add_items({k: y for k, y in own.items() if not (isgetsetdescriptor(y) or ismemberdescriptor(y))})
+        # Attributes that Python adds to a class, such as __doc__ or descriptors of slots, differ between versions.
+        members = {k: y for k, y in vars(x).items() if isinstance(y, _METHODS) or (k[:2] != "__" and k != "_abc_impl")}
+        self._add_items({k: y for k, y in members.items() if not (isgetsetdescriptor(y) or ismemberdescriptor(y))})
 
     def _add_function(self, x: FunctionType) -> None:
-        self.say("function", x.__qualname__)
+        self.write("function", x.__qualname__)
         self.add((x.__defaults__, x.__kwdefaults__, x.__module__))
         for cell in x.__closure__ or ():
             try:
                 self.add(cell.cell_contents)
-            except ValueError:  # not filled yet
-                self.say("empty")
+            except ValueError:  # an empty cell
+                self.write("empty")
         if _own(x.__module__) or self._installed(x.__module__):
             return
         self.add(x.__code__)
         self._add_named(x.__globals__, sorted(_names(x.__code__)), set())
 
     def _add_named(self, space: Mapping[str, Any], names: Sequence[str], seen: set[int]) -> None:
-        """What the names in a function stand for, in its module and in modules of the user's that it names."""
+        """Values of the names in a function: globals of its module, and attributes of modules of the user among them."""
         seen.add(id(space))
         for name in names:
             if name not in space:
@@ -205,15 +205,15 @@ class _Walk:
                 self._add_named(vars(value), names, seen)
 
     def _add_code(self, x: CodeType) -> None:
-        self.say("code", x.co_code.hex(), x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags)
+        self.write("code", x.co_code.hex(), x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags)
         self.add((x.co_exceptiontable, *x.co_consts))
 
     def _installed(self, module: str) -> bool:
-        """Whether a module is Python's or installed; then its file counts as a whole."""
-        found = _installed_file(module)
-        if found is None:
+        """Whether a module belongs to Python or an installed package; then the digest of its file is written."""
+        file_digest = _installed_file(module)
+        if file_digest is None:
             return False
-        self.say(module, found)
+        self.write(module, file_digest)
         return True
 
 
@@ -226,7 +226,7 @@ def _own(module: str) -> bool:
 
 
 def _inherited(kind: type, name: str) -> Any:
-    """What a class says of an attribute."""
+    """The attribute of a class or its bases, without descriptors being called; None if there is none."""
     return next((vars(base)[name] for base in kind.__mro__ if name in vars(base)), None)
 
 

@@ -1,4 +1,4 @@
-"""Functions of numbers, plain or with tangents (pair.py), that work on each entry alone.
+"""Elementwise functions of tensors and of pairs (pair.py).
 
     f([x, dx]) = [f(x), f'(x) dx]
 
@@ -39,34 +39,34 @@ def partial_derivatives(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
     """Partial derivatives of an elementwise function by each of its arguments."""
     result = []
     for k, x in enumerate(xs):
-        moved: Any = torch.func.jvp(lambda y, k=k: f(*xs[:k], y, *xs[k + 1 :]), (x,), (torch.ones_like(x),))
-        result.append(moved[1])
+        of_one: Any = torch.func.jvp(lambda y, k=k: f(*xs[:k], y, *xs[k + 1 :]), (x,), (torch.ones_like(x),))
+        result.append(of_one[1])
     return result
 
 
 def apply_elementwise(f: Callable[..., Tensor], *xs: Any) -> Any:
-    """Apply an elementwise function of several numbers; its derivatives come from forward mode, in reverse mode as well."""
+    """Apply an elementwise function of tensors or pairs; its derivatives come from forward mode, also in reverse mode."""
     paired = [k for k, x in enumerate(xs) if isinstance(x, Pair)]
     values = [value(x) for x in xs]
     if not paired:
         return _InReverse.apply(f, *values) if any(x.requires_grad for x in values) else f(*values)
 
-    def moving(*some: Tensor) -> Tensor:
-        full = list(values)
-        for k, x in zip(paired, some, strict=True):
-            full[k] = x
-        return f(*full)
+    def of_pairs(*pair_values: Tensor) -> Tensor:
+        arguments = list(values)
+        for k, x in zip(paired, pair_values, strict=True):
+            arguments[k] = x
+        return f(*arguments)
 
-    found = partial_derivatives(moving, *(values[k] for k in paired))
-    tangents = [slope * xs[k].tangent for k, slope in zip(paired, found, strict=True)]
+    slopes = partial_derivatives(of_pairs, *(values[k] for k in paired))
+    tangents = [slope * xs[k].tangent for k, slope in zip(paired, slopes, strict=True)]
     return Pair.of(f(*values), torch.stack(tangents).sum(0) if len(tangents) > 1 else tangents[0])
 
 
 class _InReverse(torch.autograd.Function):
-    """An elementwise function in reverse mode, by its slopes in forward mode.
+    """An elementwise function in reverse mode, by its derivatives in forward mode.
 
-    A branch that is not taken (torch.where) may have no slope: forward mode passes it by, reverse mode would multiply it
-    by zero, to nan.
+    The unused branch of torch.where may have an infinite derivative: forward mode selects the other branch, reverse mode would
+    multiply by zero and give nan.
     """
 
     generate_vmap_rule = True
@@ -81,10 +81,12 @@ class _InReverse(torch.autograd.Function):
         ctx.save_for_backward(*inputs[1:])
 
     @staticmethod
-    def backward(ctx: Any, *bars: Tensor) -> tuple:
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple:
         xs = ctx.saved_tensors
-        found = zip(xs, partial_derivatives(ctx.f, *xs), ctx.needs_input_grad[1:], strict=True)
-        return None, *((bars[0] * slope).sum_to_size(x.shape) if needed else None for x, slope, needed in found)
+        arguments = zip(xs, partial_derivatives(ctx.f, *xs), ctx.needs_input_grad[1:], strict=True)
+        return None, *(
+            (cotangents[0] * slope).sum_to_size(x.shape) if needed else None for x, slope, needed in arguments
+        )
 
 
 def reciprocal(x: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Custom operators that are first derivatives themselves: they have none, and say so instead of giving zero."""
+"""Custom operators that are first derivatives of others: an error instead of a wrong second derivative."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from torch.autograd import Function
 
 
 class FirstDerivative(Function):
-    """A torch function that derivatives of another are made of; differentiating it again is refused by name.
+    """A first derivative as a torch function; its own derivative is a NotImplementedError.
 
-    of   what would be differentiated twice
+    of   name of the function that would be differentiated twice
     """
 
     of: str

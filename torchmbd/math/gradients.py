@@ -29,7 +29,7 @@ from torchmbd.errors import InputError
 P = ParamSpec("P")
 R = TypeVar("R")
 _FLOATS = (float, "float", "float | Tensor")
-_MAY_VARY = {
+_VARIABLE_KINDS = {
     "float | Tensor": "a number, or mbd.variable(...) of one",
     "Varying": "numbers, or a torch.nn.Parameter such as mbd.variable(...)",
     "Angles": "numbers, or a torch.nn.Parameter",
@@ -41,7 +41,7 @@ _LIBRARIES = ("torch", "numpy", "scipy", "builtins", "functools", "operator")
 
 
 def is_variable(x: Any) -> bool:
-    """Whether x is one number that may vary."""
+    """Whether x is a design variable of one number: a finite float64 Parameter []."""
     return isinstance(x, nn.Parameter) and x.dim() == 0 and x.dtype == torch.float64 and bool(torch.isfinite(x))
 
 
@@ -50,27 +50,27 @@ def _is_parameter(x: Any) -> bool:
 
 
 def carries_gradient(x: Any) -> bool:
-    """Whether x is a tensor that is being differentiated: by autograd, by dual numbers or by torch.func."""
+    """Whether x is a tensor that requires a gradient or has a tangent, in any mode."""
     return isinstance(x, Tensor) and (x.requires_grad or forward_ad.unpack_dual(x).tangent is not None)
 
 
 def in_transform(x: Tensor) -> bool:
-    """Whether a transform of torch.func (vmap, grad, jvp) looks at x."""
+    """Whether x is wrapped by a transform of torch.func (vmap, grad, jvp)."""
     return debug_unwrap(x, recurse=False) is not x
 
 
 def is_differentiated(x: Tensor) -> bool:
-    """Whether torch differentiates by x here: autograd in grad mode, dual numbers, or a transform of torch.func."""
+    """Whether operations on x are differentiated now: by autograd in grad mode, dual numbers, or a transform of torch.func."""
     return in_transform(x) or (carries_gradient(x) and (torch.is_grad_enabled() or not x.requires_grad))
 
 
 def untransformed(x: Tensor) -> Tensor:
-    """The numbers of x without transforms of torch.func; a batch of these has an axis more."""
+    """The numbers of x without transforms of torch.func; vmap adds an axis."""
     return debug_unwrap(x).detach()
 
 
 def all_true(x: Tensor) -> bool:
-    """Whether all are true, also of a batch of torch.func.vmap."""
+    """Whether all entries are true, also of all members of a batch under torch.func.vmap."""
     return bool(untransformed(x).all())
 
 
@@ -97,10 +97,10 @@ def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
 
 
 def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
-    """A function whose floats are numbers; InputError names an argument that is none, or that carries a gradient.
+    """Decorator: InputError names a float argument that is no number, or an argument whose gradient would be lost.
 
-    A float whose annotation is `float | Tensor` may be a design variable (`is_variable`); what is annotated `Varying` or
-    `Angles` may be a Parameter of any shape.
+    An argument annotated `float | Tensor` may be a design variable (`is_variable`); one annotated `Varying` or `Angles` may be
+    a Parameter of any shape.
     """
     signature = inspect.signature(f)
     floats = {name for name, p in signature.parameters.items() if p.annotation in _FLOATS}
@@ -108,9 +108,9 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(f)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-        if any(map(_may_vary, (*args, *kwargs.values()))):
+        if any(map(_may_have_gradient, (*args, *kwargs.values()))):
             for name, x in signature.bind(*args, **kwargs).arguments.items():
-                allowed = _MAY_VARY.get(kinds[name])
+                allowed = _VARIABLE_KINDS.get(kinds[name])
                 if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and _is_parameter(x))):
                     refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x, allowed or "numbers")
         given = signature.bind_partial(*args, **kwargs).arguments
@@ -125,7 +125,7 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
 
 
 def _number(x: Any) -> bool:
-    """Whether it is one real number, also of NumPy or torch."""
+    """Whether x is one real number, also of NumPy or torch."""
     if isinstance(x, (str, bytes, bool)):
         return False
     try:
@@ -135,14 +135,14 @@ def _number(x: Any) -> bool:
     return True
 
 
-def _may_vary(x: Any) -> bool:
+def _may_have_gradient(x: Any) -> bool:
     return isinstance(x, (Tensor, Mapping, *_CONTAINERS))
 
 
 def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
-    """InputError where a law of the user's own holds a tensor that requires a gradient, by which nothing differentiates it.
+    """InputError if a function or object of a user contains a tensor whose gradient would be lost.
 
-    registered   a module whose parameters are differentiated
+    registered   a module whose parameters are differentiated, and so allowed
     """
     known = {id(x) for x in registered.parameters()} if registered is not None else set()
     seen: set[int] = set()
@@ -157,11 +157,11 @@ def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Modu
                 )
         elif id(x) not in seen and not isinstance(x, _CLOSED):
             seen.add(id(x))
-            stack += [(f"{path} {label}", y) for label, y in _held(x)]
+            stack += [(f"{path} {label}", y) for label, y in _contents(x)]
 
 
-def _held(x: Any) -> Iterator[tuple[str, Any]]:
-    """What an object is made of, with labels."""
+def _contents(x: Any) -> Iterator[tuple[str, Any]]:
+    """The contents of an object, with labels."""
     if isinstance(x, Mapping):
         yield from ((f"[{key!r}]", y) for key, y in x.items())
     elif isinstance(x, _CONTAINERS):
@@ -171,7 +171,7 @@ def _held(x: Any) -> Iterator[tuple[str, Any]]:
     elif isinstance(x, types.MethodType):
         yield from (("method", x.__func__), ("object", x.__self__))
     elif isinstance(x, types.FunctionType):
-        yield from _of_function(x)
+        yield from _function_contents(x)
     elif isinstance(x, nn.Module):
         for members in (x._parameters, x._buffers, x._modules):
             yield from ((f"module {name}", y) for name, y in members.items())
@@ -186,11 +186,11 @@ def _held(x: Any) -> Iterator[tuple[str, Any]]:
         yield from ((f"attribute {name}", y) for name, y in own.items())
 
 
-def _of_function(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
+def _function_contents(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
     for name, cell in zip(f.__code__.co_freevars, f.__closure__ or (), strict=True):
         try:
             yield f"closure {name}", cell.cell_contents
-        except ValueError:  # not filled yet: a function that calls itself
+        except ValueError:  # an empty cell: a function that calls itself
             continue
     yield from (("default", f.__defaults__), ("defaults", f.__kwdefaults__), ("attributes", vars(f)))
     if not _of_library(f):
@@ -198,7 +198,7 @@ def _of_function(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _globals(code: types.CodeType) -> set[str]:
-    """Names of globals that a function, or one defined in it, asks for."""
+    """Names of globals that a function, or one defined in it, reads."""
     names = {x.argval for x in dis.get_instructions(code) if x.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
     return names.union(*(_globals(c) for c in code.co_consts if isinstance(c, types.CodeType)))
 

@@ -1,4 +1,4 @@
-"""The inverse of small matrices whose entries differ by units.
+"""The inverse of small matrices whose entries have different units.
 
 A stiffness of forces and moments has entries in N, N m and N m2. Scaled by its diagonal first, d A d with
 d_i = 1 / sqrt(A_ii), it is inverted without loss of digits in the small entries; the scaling cancels exactly, so it is
@@ -14,7 +14,7 @@ from torch import Tensor
 
 
 def balanced_inverse(A: Float[Tensor, "*lanes n n"]) -> Float[Tensor, "*lanes n n"]:
-    """A^-1."""
+    """A^-1 [..., n, n]."""
     d = A.detach().diagonal(dim1=-2, dim2=-1).rsqrt()
     scale = d[..., :, None] * d[..., None, :]
     return torch.linalg.inv(A * scale) * scale

@@ -1,9 +1,9 @@
-"""Time jets: a quantity with its first and second time derivative, so that a constraint is written once.
+"""Time jets: a quantity with its first and second time derivative.
 
     x -> (x, x', x'')        <u, v>'' = <u'', v> + 2 <u', v'> + <u, v''>
 
-A constraint Phi written on jets of the attached vectors returns Phi, Phi' and Phi'' together; with accelerations a
-in the jets, Phi'' = Phi_q a - gamma. Components are tensors or pairs.
+A constraint Phi of jets of the attached vectors has Phi, Phi' and Phi'', so each constraint has one function; with
+accelerations a in the jets, Phi'' = Phi_q a - gamma. Components are tensors or pairs.
 Checked in tests/math/test_pair.py and, through every joint, in tests/contracts/test_joints.py.
 """
 

@@ -1,9 +1,9 @@
-"""A linear map of batches, defined once with its adjoint: derivatives apply it again.
+"""Linear maps of batches with their adjoint, whose derivatives are the map and the adjoint themselves.
 
     y = L(x_1, x_2, ...),     dy = L(dx_1, dx_2, ...),     (x_1, x_2, ...)' = L*(y')
 
-Left to itself, forward mode differentiates every product with a constant as one of two variables, and multiplies zeros.
-All x and y have one leading axis of lanes; under vmap there are more of these.
+Forward mode of torch would treat every product with a constant as one of two variables, and multiply zero tangents.
+All x and y have one leading axis of lanes; vmap adds lanes.
 Differentiable, forward and reverse, any number of times.
 Checked in tests/math/test_linear_map.py.
 """
@@ -19,14 +19,14 @@ from torchmbd.math.vmap import batch_first
 
 
 class LinearMap(Protocol):
-    """What is asked of a map."""
+    """A linear function of tensors, and its adjoint."""
 
     def __call__(self, *x: Tensor) -> Tensor:
         """y [lanes, ...] of x [lanes, ...]."""
         ...
 
     def adjoint(self, y: Tensor) -> tuple[Tensor, ...]:
-        """The x that have the same products with all x as y has with their map."""
+        """x' [lanes, ...] of y': <x', x> = <y', L(x)> for all x."""
         ...
 
 

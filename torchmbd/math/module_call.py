@@ -1,14 +1,13 @@
-"""A module called with other values of its parameters.
+"""Calls of torch modules with other values of their parameters, and functions that run outside of torch.func.
 
-torch.func.functional_call restores a parameter once for each of its names: where one module has two, as a laminate that two
-bodies share, it leaves the new value behind (torch 2.13). Here every parameter of every module is replaced once, also
-where several modules hold the same one.
+torch.func.functional_call restores a parameter once for each of its names: where one module has two names, as a laminate that
+two bodies share, the new value remains (torch 2.13). `call_module` replaces every parameter of every module once.
 
-The parameters are replaced in place, and torch.func keeps what it differentiates in globals of the process: what does either is
-`exclusive`, one thread at a time. Its operators of torch run in one thread, too: two make it 2 to 50 times slower.
+Parameters are replaced in place, and torch.func keeps its transforms in globals of the process: functions that use either are
+`exclusive`, run by one thread at a time. Their operators of torch use one thread, too: two make them 2 to 50 times slower.
 
-Under a transform of torch.func every tensor that is made is wrapped, also those that are not differentiated: what makes tensors
-that stay, or reads their memory, is run by `outside_transforms`.
+Under a transform of torch.func every new tensor is wrapped, also one that is not differentiated: code that keeps tensors, or
+reads their memory, is run by `outside_transforms`.
 Checked in tests/math/test_module_call.py.
 """
 
@@ -30,33 +29,33 @@ _LOCK = threading.RLock()
 
 
 def exclusive(f: Callable[P, R]) -> Callable[P, R]:
-    """A function that one thread runs at a time, with one thread of torch; others wait."""
+    """Decorator: one thread at a time runs any of the exclusive functions, with one thread of torch; others wait."""
 
     @functools.wraps(f)
-    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+    def locked(*args: P.args, **kwargs: P.kwargs) -> R:
         with _LOCK, one_thread():
             return f(*args, **kwargs)
 
-    return alone
+    return locked
 
 
 @exclusive
 def call_module(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
-    """module(*args) with the named parameters at other values; differentiable by these."""
-    places: dict[tuple[int, str], str] = {}
-    own: dict[str, Tensor] = {}
+    """Return module(*args) with other values of the named parameters; differentiable by these."""
+    first_names: dict[tuple[int, str], str] = {}  # submodule and attribute -> first name of the parameter
+    parameters: dict[str, Tensor] = {}
     for name, x in module.named_parameters(remove_duplicate=False):
         owner, _, last = name.rpartition(".")
-        own[places.setdefault((id(module.get_submodule(owner)), last), name)] = x
-    names: dict[int, list[str]] = {}
-    for name in places.values():
-        names.setdefault(id(own[name]), []).append(name)
-    given = {place: x for name, x in values.items() for place in names[id(own[name])]}
-    return torch.func.functional_call(module, given, args, tie_weights=False)
+        parameters[first_names.setdefault((id(module.get_submodule(owner)), last), name)] = x
+    names: dict[int, list[str]] = {}  # parameter -> its names in different submodules
+    for name in first_names.values():
+        names.setdefault(id(parameters[name]), []).append(name)
+    replacements = {other: x for name, x in values.items() for other in names[id(parameters[name])]}
+    return torch.func.functional_call(module, replacements, args, tie_weights=False)
 
 
-class _Holder(nn.Module):
-    """Runs a function while its module is called with other values."""
+class _Runner(nn.Module):
+    """Runs a function as its forward pass, while parameters of `module` are replaced."""
 
     def __init__(self, module: nn.Module):
         super().__init__()
@@ -67,12 +66,12 @@ class _Holder(nn.Module):
 
 
 def run_with_parameters(module: nn.Module, values: Mapping[str, Tensor], run: Callable[[], R]) -> R:
-    """run(), in which the module has other values of its named parameters."""
-    return call_module(_Holder(module), {f"module.{name}": x for name, x in values.items()}, run)
+    """Return run() while the named parameters of the module have other values."""
+    return call_module(_Runner(module), {f"module.{name}": x for name, x in values.items()}, run)
 
 
 class _Outside(torch.autograd.Function):
-    """An operation whose forward pass runs a function: torch.func lowers it through all transforms first."""
+    """An operation whose forward pass runs a function; torch.func calls it after removing all of its transforms."""
 
     @staticmethod
     def forward(run: Callable[[], None], x: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -89,7 +88,7 @@ class _Outside(torch.autograd.Function):
 
 
 def outside_transforms(f: Callable[[], R]) -> R:
-    """f() outside of all transforms of torch.func, without gradients."""
-    found: list[R] = []
-    _Outside.apply(lambda: found.append(f()), torch.zeros(()))
-    return found[0]
+    """Return f() outside of all transforms of torch.func, without gradients."""
+    results: list[R] = []
+    _Outside.apply(lambda: results.append(f()), torch.zeros(()))
+    return results[0]

@@ -1,20 +1,20 @@
-"""Value-tangent pairs: one text of the physics serves values and all design tangents.
+"""Value-tangent pairs: the same code computes values and all design tangents.
 
     x(b)  ->  [x, dx/db_1, ..., dx/db_n]          f: [x, dx] -> [f(x), f'(x) dx]
 
 A number of the motion stage is a plain tensor or a `Pair`. Both end with the axis of the pair and the axis of lanes:
 
-    tensor      [component..., 1, lane]          a value; no tangent, which is skipped, not multiplied by zero
+    tensor      [component..., 1, lane]          a value without tangents; no operation is spent on zeros
     Pair.full   [component..., 1 + n_b, lane]    the value, then a tangent for each design variable
 
-Value and tangents share one tensor, so a linear map is one operator, and a product two. An eager operator costs about
-5 us whatever its size: this counts more than flops, and it is 3-6 times cheaper than functorch.
+Value and tangents are one tensor, so a linear map is one operator, and a product two. A small eager operator costs about 5 us
+whatever its size, so the number of operators decides; this is 3-6 times cheaper than functorch.
 
 Where functions are translated to scalar code (codegen/scalars.py), value and tangents are two tensors (`separate_tangents`),
 because generated code has one function for values and another for tangents.
 
-The functions below take tensors and pairs alike. Component axes are counted from the front, so one index means the
-same for both. Plain tensors are differentiable in reverse mode as any torch code.
+The functions below accept tensors and pairs. Component axes are counted from the front, so an index has the same meaning for
+both. Plain tensors are differentiable in reverse mode as any torch code.
 Checked in tests/math/test_pair.py against torch.func.jvp.
 """
 
@@ -27,7 +27,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-# (a x b)_k out of the nine products a_i b_j. With it a cross product takes half the time of torch's own.
+# (a x b)_k as a linear map of the nine products a_i b_j: half the time of torch.linalg.cross.
 _UNIT = torch.eye(3, dtype=torch.float64)
 CROSS_FORM = torch.linalg.cross(_UNIT[:, :, None], _UNIT[:, None], dim=0).reshape(3, 9)
 
@@ -45,11 +45,11 @@ class Pair:
     def of(value: Tensor, tangent: Tensor) -> Pair:
         """Join a value [component..., 1, lane] and its tangents [component..., n_b, lane]."""
         if _separate:
-            return _Apart(value, tangent)
+            return _SeparatePair(value, tangent)
         lanes = max(value.shape[-1], tangent.shape[-1])
         return Pair(torch.cat([x.expand(*x.shape[:-1], lanes) for x in (value, tangent)], -2))
 
-    # A view costs as much as a small operator: it is made once.
+    # A view costs as much as a small operator, so it is kept.
     @property
     def value(self) -> Tensor:
         if self._value is None:
@@ -76,7 +76,7 @@ class Pair:
         return Pair(torch.add(self.full, full, alpha=sign))
 
     def times(self, other: Pair) -> Pair:
-        """The product rule: [a, da] b, then a db is added to the tangents."""
+        """The product by the product rule: [a, da] b, then a db is added to the tangents."""
         product = Pair(self.full * other.value)
         product.tangent.addcmul_(self.value, other.tangent)
         return product
@@ -122,8 +122,8 @@ class Pair:
         return self.map(lambda x: x.index_select(dim, index))
 
 
-class _Apart(Pair):
-    """The same with value and tangents in two tensors, which may differ in lanes: one or all."""
+class _SeparatePair(Pair):
+    """A pair with value and tangents in two tensors, of which one may have a single lane."""
 
     __slots__ = ()
 
@@ -149,16 +149,16 @@ class _Apart(Pair):
         return (*self._value.shape[:-2], pair, lanes)
 
     def map(self, f: Callable[[Tensor], Tensor]) -> Pair:
-        return _Apart(f(self._value), f(self._tangent))
+        return _SeparatePair(f(self._value), f(self._tangent))
 
     def plus(self, other: Any, sign: float) -> Pair:
         if isinstance(other, Pair):
-            return _Apart(self._value + sign * other.value, self._tangent + sign * other.tangent)
+            return _SeparatePair(self._value + sign * other.value, self._tangent + sign * other.tangent)
         total = self._value + sign * other
-        return _Apart(total, self._tangent.expand(*total.shape[:-2], *self._tangent.shape[-2:]))
+        return _SeparatePair(total, self._tangent.expand(*total.shape[:-2], *self._tangent.shape[-2:]))
 
     def times(self, other: Pair) -> Pair:
-        return _Apart(self._value * other.value, self._tangent * other.value + self._value * other.tangent)
+        return _SeparatePair(self._value * other.value, self._tangent * other.value + self._value * other.tangent)
 
 
 _separate = False
@@ -166,7 +166,7 @@ _separate = False
 
 @contextmanager
 def separate_tangents() -> Iterator[None]:
-    """Keep values and tangents of the pairs made here apart."""
+    """Context in which new pairs have values and tangents in two tensors."""
     global _separate
     _separate = True
     try:
@@ -187,7 +187,7 @@ def _zero_tangents(x: Tensor | float, like: Tensor) -> Tensor:
 
 
 def variation(x: Any) -> Tensor:
-    """How x moves and not where it is: the tangents of a pair; of a tensor zero, with its derivatives in reverse mode."""
+    """The variation of x: the tangents of a pair; of a tensor zero with the derivative of x in reverse mode."""
     return x.tangent if isinstance(x, Pair) else x - x.detach()
 
 
@@ -204,8 +204,9 @@ def linear(f: Callable[[Tensor], Tensor], x: Any) -> Any:
 def contract(a: Any, b: Any, dims: int | tuple[int, ...]) -> Any:
     """Multiply two numbers that broadcast, and sum over component axes."""
     product = a * b
-    for done, dim in enumerate((dims,) if isinstance(dims, int) else dims):  # at once torch takes three times as long
-        product = product.sum(dim - done)
+    # One sum over several axes takes three times as long in torch.
+    for summed, dim in enumerate((dims,) if isinstance(dims, int) else dims):
+        product = product.sum(dim - summed)
     return product
 
 
@@ -224,14 +225,10 @@ def cat(parts: Sequence[Any], dim: int = 0) -> Any:
     if not pairs:
         return torch.cat(_same_lanes(list(parts)), dim)
     if _separate:
-        nothing = pairs[0].tangent
-        parts = [x if isinstance(x, Pair) else _Apart(x, _no_tangents(x, nothing)) for x in parts]
-        return _Apart(
-            *(
-                torch.cat(_same_lanes(list(both)), dim)
-                for both in zip(*((x.value, x.tangent) for x in parts), strict=False)
-            )
-        )
+        like = pairs[0].tangent
+        parts = [x if isinstance(x, Pair) else _SeparatePair(x, _no_tangents(x, like)) for x in parts]
+        values, tangents = [x.value for x in parts], [x.tangent for x in parts]
+        return _SeparatePair(torch.cat(_same_lanes(values), dim), torch.cat(_same_lanes(tangents), dim))
     like = pairs[0].full
     full = [x.full if isinstance(x, Pair) else _zero_tangents(x, like) for x in parts]
     return Pair(torch.cat(_same_lanes(full), dim))
@@ -242,7 +239,7 @@ def _no_tangents(x: Tensor, like: Tensor) -> Tensor:
 
 
 def _same_lanes(parts: list[Tensor]) -> list[Tensor]:
-    """Expand parts that hold for all lanes to the lanes of the others."""
+    """Expand parts of one lane to the lanes of the others."""
     lanes = max(x.shape[-1] for x in parts)
     return [x if x.shape[-1] == lanes else x.expand(*x.shape[:-1], lanes) for x in parts]
 

@@ -1,8 +1,8 @@
-"""Numbers that are most likely in other units than meters, kilograms, seconds and radians.
+"""Checks for numbers that are most likely not in meters, kilograms, seconds and radians.
 
-An angle beyond a whole turn is refused: degrees are meant, and the same fibre direction has a smaller angle. So is a bound
-in degrees that is pi / 4, pi / 2, pi or 2 pi to three digits: radians are meant. A length, a
-modulus or a density that hardly any structure has is doubted by a warning, for some structure may have it.
+An angle of more than a whole turn is an error: it is probably in degrees, and every fibre direction has a smaller angle. A
+bound in degrees that is pi / 4, pi / 2, pi or 2 pi to three digits is an error: it is probably in radians. An unusual length,
+modulus or density is a warning, as some structure may have it.
 
     length, width, extent of a mesh            10 um to 200 m
     dimension of a section                     1 um to 20 m
@@ -15,7 +15,7 @@ modulus or a density that hardly any structure has is doubted by a warning, for 
     radius of gyration of a rigid body         up to 20 m
     turn of a drive                            not exactly 30, 45, 60, 90, 180, 270, 360 rad
 
-A name stands for the quantity of a parameter: `angles`, `thickness`, `width`, `E1`, `density`.
+The quantity of a parameter is known from its name: `angles`, `thickness`, `width`, `E1`, `density`.
 Checked in tests/math/test_plausible_units.py.
 """
 
@@ -51,7 +51,7 @@ WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
 def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
-    """InputError names the first of the angles [rad] beyond a whole turn, or not a number; `outer`: what it is in."""
+    """InputError for the first angle [rad] of more than a whole turn or nan; `outer`: text before its name."""
     for k, value in enumerate(values):
         if not abs(value) <= WHOLE_TURN:
             hint = " (degrees? use mbd.deg)" if abs(value) > WHOLE_TURN else ""
@@ -59,15 +59,15 @@ def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
 
 
 def warn_degrees(name: str, value: float) -> None:
-    """Warn where a turn of a drive [rad], which may be many turns, is a number of degrees that people turn things by."""
+    """Warn if a turn of a drive [rad], which may be many turns, is a common number of degrees such as 90."""
     if abs(value) in _IN_DEGREES:
         warn(f"units of {name}? It is {value:g} rad; allowed: rad; degrees are mbd.deg({value:g})")
 
 
 def turn_in_radians(degrees: Iterable[float]) -> str | None:
-    """Say which of some numbers of degrees is a part of a turn in radians, to three digits or more; None if none is.
+    """The text "1.57 is pi / 2 in radians" for a number of degrees that is a part of a turn to three digits; None if none is.
 
-    These are pi / 4, pi / 2, pi and 2 pi: hardly anyone bounds an angle by 1.57 degrees; 1.5 or 2 pass.
+    The parts are pi / 4, pi / 2, pi and 2 pi: 1.57 degrees is an unlikely bound of an angle; 1.5 or 2 degrees are allowed.
     """
     for value in degrees:
         for name, part in _TURNS.items():
@@ -77,7 +77,7 @@ def turn_in_radians(degrees: Iterable[float]) -> str | None:
 
 
 def check_parameter(what: str, name: str, values: Tensor) -> None:
-    """Check values that a parameter is given; its last name tells what they are. Infinite ones are bounds that are none."""
+    """Check values of a parameter by the last part of its name; infinite values are missing bounds and ignored."""
     kind, x = name.rpartition(".")[2], values.detach().flatten()
     finite = torch.where(x.isfinite(), x, 0.0)
     if kind == "angles":
@@ -88,7 +88,7 @@ def check_parameter(what: str, name: str, values: Tensor) -> None:
 
 
 def warn_unusual(name: str, value: float, unit: str, usual: tuple[float, float]) -> None:
-    """Warn, naming argument, value and what is allowed, where a number lies outside of what is usual."""
+    """Warn with argument, value and usual range if a number is outside of this range."""
     if not usual[0] <= value <= usual[1]:
         warn(
             f"units of {name}? It is {value:.6g} {unit}; allowed: m, kg, s, N, Pa; usual: {usual[0]:g} to {usual[1]:g} "
@@ -97,7 +97,7 @@ def warn_unusual(name: str, value: float, unit: str, usual: tuple[float, float])
 
 
 def warn_unusual_material(kind: str, moduli: Mapping[str, float], density: float, strength: float | None) -> None:
-    """Warn where moduli [Pa], density [kg/m3] or strength along the fibre [Pa] of a material do not fit each other."""
+    """Warn if moduli [Pa], density [kg/m3] and strength along the fibre [Pa] of a material do not fit each other."""
     largest = max(moduli, key=lambda name: moduli[name])
     softest = min(moduli, key=lambda name: moduli[name])
     high, low = moduli[largest], moduli[softest]

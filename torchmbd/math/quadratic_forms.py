@@ -1,6 +1,6 @@
-"""Quadratic forms of motions at points under many laws, summed over the points.
+"""Quadratic forms d' L d at points for several matrices L, summed over the points.
 
-    y_k = sum_points sum_ij L_k,ij d_i' d_j          d_i [s, a]: rows of a point for a motions;  L symmetric;  y [a, a]
+    y_k = sum_points sum_ij L_k,ij d_i' d_j          d_i [s, a]: row i at a point of a vectors;  L symmetric;  y [a, a]
 
 Compiled code computes one design after another (compiled_products.py). Without it, torch computes groups of points: the
 products d_i' d_j of all points and designs would not fit into the cache of the processor.
@@ -78,7 +78,7 @@ class _Forms(torch.autograd.Function):
 
 
 class _Cross(FirstDerivative):
-    """The same of d_i' e_j + e_i' d_j."""
+    """The sums with d_i' e_j + e_i' d_j in place of d_i' d_j: the derivative along e."""
 
     of = "quadratic forms"
 
@@ -133,7 +133,7 @@ def _symmetric(y: Tensor) -> Tensor:
 
 
 def _vmapped(function: Any, info: Any, in_dims: tuple, x: tuple[Tensor, ...]) -> Any:
-    """More lanes."""
+    """The vmap rule: members of the batch are further lanes."""
     size = info.batch_size
     wide = [batch_first(own, dim, size) for own, dim in zip(x, in_dims, strict=True)]
     found = function.apply(*(own.flatten(0, 1) for own in wide))

@@ -90,8 +90,8 @@ def exponential(delta):
 def _half_angle(square: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """cos n, sin(n) / n and d(sin(n) / n)/d(n^2) of n^2.
 
-    n is kept from zero by a number that no digit sees. The slope cancels digits near zero, where it is multiplied by
-    delta twice: its contribution stays exact to rounding.
+    1e-60 keeps n from zero without a change of any digit. Near zero the slope loses digits, but it is multiplied by delta
+    twice, so its contribution is exact to rounding.
     """
     square = square + 1e-60
     n = torch.sqrt(square)

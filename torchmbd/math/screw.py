@@ -1,10 +1,10 @@
-"""Screws of relative motions, components first: as rigid_motion.py, for numbers of a motion (tensors, pairs, traced arrays).
+"""Screws of relative motions, as in rigid_motion.py, for tensors, pairs and traced arrays with components first.
 
     l = log(u, R) = (rho, phi)          dl = B+ eta_2 - B- eta_1
 
 eta  displacement and rotation of a frame, both in its own axes
 
-No branch: the angle is halved twice before its series, so that a step can be written out as C++. Up to LARGEST
+There are no branches, so that steps can be translated to C++: the angle is halved twice before its series. Up to LARGEST
 (rigid_motion.py) screws are exact to rounding; near half a turn they are not finite, so that such a step fails.
 Checked in tests/math/test_screw.py: against rigid_motion.py.
 """
@@ -55,9 +55,9 @@ def wrenches(l: Any, f: Any) -> tuple[Any, Any]:
     l may have axes of length 1 where f [6, ...] has more.
     """
     c2, c4 = _coefficients(l)
-    first = _back(l, f)
-    second = _back(l, first)
-    even = f + c2 * second + c4 * _back(l, _back(l, second))
+    first = _ad_transposed(l, f)
+    second = _ad_transposed(l, first)
+    even = f + c2 * second + c4 * _ad_transposed(l, _ad_transposed(l, second))
     return 0.5 * first - even, 0.5 * first + even
 
 
@@ -65,18 +65,18 @@ def screw_rate(l: Any, first: Any, second: Any) -> Any:
     """l' = B+ second - B- first, of the velocities of both frames [6, ...] in their own axes."""
     c2, c4 = _coefficients(l)
     apart = second - first
-    square = _forth(l, _forth(l, apart))
-    return apart + 0.5 * _forth(l, second + first) + c2 * square + c4 * _forth(l, _forth(l, square))
+    square = _ad(l, _ad(l, apart))
+    return apart + 0.5 * _ad(l, second + first) + c2 * square + c4 * _ad(l, _ad(l, square))
 
 
 def rate_slopes(l: Any, first: Any, second: Any) -> Any:
     """Derivative of `screw_rate` by l, velocities held [6, 6, ...]: values only."""
-    return 0.5 * _forth_by_screw(second + first) + _even_slopes(l, second - first, _forth, _forth_by_screw)
+    return 0.5 * _ad_by_screw(second + first) + _even_slopes(l, second - first, _ad, _ad_by_screw)
 
 
 def wrench_slopes(l: Any, f: Any) -> tuple[Any, Any]:
     """Derivatives of both `wrenches` by l, f held [6, 6, ...]: values only."""
-    half, even = 0.5 * _back_by_screw(f), _even_slopes(l, f, _back, _back_by_screw)
+    half, even = 0.5 * _ad_transposed_by_screw(f), _even_slopes(l, f, _ad_transposed, _ad_transposed_by_screw)
     return half - even, half + even
 
 
@@ -87,8 +87,8 @@ def _even_slopes(l: Any, x: Any, bracket: Callable[[Any, Any], Any], by_screw: C
     wide, slope = l.unsqueeze(1), None
     powers, slopes = [], []
     for _ in range(4):
-        own = by_screw(x)
-        slope = own if slope is None else own + bracket(wide, slope)
+        direct = by_screw(x)
+        slope = direct if slope is None else direct + bracket(wide, slope)
         x = bracket(l, x)
         powers.append(x)
         slopes.append(slope)
@@ -102,25 +102,25 @@ def _coefficients(l: Any) -> tuple[Any, Any]:
     return _polynomial(SERIES[:, 1].tolist(), s), _polynomial(SERIES[:, 2].tolist(), s)
 
 
-def _forth(l: Any, x: Any) -> Any:
+def _ad(l: Any, x: Any) -> Any:
     """ad x."""
     rho, phi, straight, turn = l[:3], l[3:], x[:3], x[3:]
     return cat([cross(phi, straight) + cross(rho, turn), cross(phi, turn)])
 
 
-def _back(l: Any, x: Any) -> Any:
+def _ad_transposed(l: Any, x: Any) -> Any:
     """ad' x."""
     rho, phi, force, moment = l[:3], l[3:], x[:3], x[3:]
     return -cat([cross(phi, force), cross(rho, force) + cross(phi, moment)])
 
 
-def _back_by_screw(x: Any) -> Any:
+def _ad_transposed_by_screw(x: Any) -> Any:
     """ad' x as a matrix [6, 6, ...] times the screw."""
     force, moment = _hat(x[:3]), _hat(x[3:])
     return cat([cat([force * 0.0, force], 1), cat([force, moment], 1)])
 
 
-def _forth_by_screw(x: Any) -> Any:
+def _ad_by_screw(x: Any) -> Any:
     """ad x as a matrix [6, 6, ...] times the screw."""
     straight, turn = -_hat(x[:3]), -_hat(x[3:])
     return cat([cat([turn, straight], 1), cat([turn * 0.0, turn], 1)])

@@ -5,8 +5,8 @@
 rows, cols   sorted row-major, unique, both triangles stored        [nnz]
 values       one row of numbers for each design (leading lanes)     [..., nnz]
 
-A pattern is made once per mesh. All that depends on the design is `values`, so a batch of designs, its
-tangents and its cotangents are ordinary tensors of the last dimension nnz.
+A mesh has one pattern. Only `values` depend on the design, so a batch of designs, its tangents and its cotangents are tensors
+of the last dimension nnz.
 Differentiable, forward and reverse, in the values (and in the right factor of `@`).
 Checked in tests/math/test_sparse.py.
 """
@@ -37,7 +37,7 @@ def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Where a square symmetric matrix of `size` rows may be different from zero; see the module header.
+    """The entries of a square symmetric matrix of `size` rows that may differ from zero; see the module header.
 
     Raises InputError where coordinates are out of range, unsorted, repeated or without their mirror image.
     """
@@ -123,7 +123,7 @@ class Pattern:
 class SparseMatrix:
     """Values [..., nnz] on a pattern: one matrix for each lane.  Raises InputError when their number is wrong.
 
-    symmetric: by the way in which it was made, so that no comparison is needed
+    symmetric  whether the values are known to be symmetric
     """
 
     pattern: Pattern

@@ -1,4 +1,4 @@
-"""Sums of chosen numbers: what an assembly makes of the numbers of its elements.
+"""Sums of selected numbers, as in the assembly of matrices of elements.
 
     y_k = sum of x_e over e in row k
 
@@ -15,10 +15,10 @@ from torchmbd.math.compiled_products import compiled_products
 
 
 class Sums:
-    """A linear map (linear_map.py) of lanes.
+    """The linear map (linear_map.py) x [lanes, x] -> y [lanes, y].
 
-    rows   the row of every term, sorted [terms];  terms   which x it is [terms]
-    shape  how many y and x there are
+    rows   row k of every term, sorted [terms];  terms   its index e in x [terms]
+    shape  numbers of rows and of x
     """
 
     def __init__(self, rows: Int[Tensor, " terms"], terms: Int[Tensor, " terms"], shape: tuple[int, int]) -> None:
@@ -27,12 +27,12 @@ class Sums:
 
     @classmethod
     def of(cls, rows: Int[Tensor, " terms"], terms: Int[Tensor, " terms"], shape: tuple[int, int]) -> Sums:
-        """From rows in any order."""
+        """The map of terms in any order of their rows."""
         order = torch.argsort(rows, stable=True)
         return cls(rows[order], terms[order], shape)
 
-    def chosen(self, rows: Int[Tensor, " k"]) -> Sums:
-        """Only these rows, in this order, which may come again."""
+    def selected(self, rows: Int[Tensor, " k"]) -> Sums:
+        """The map to some of the rows, in this order; a row may occur several times."""
         count = self.start.diff()[rows]
         row = torch.repeat_interleave(count)
         within = torch.arange(len(row)) - (count.cumsum(0) - count)[row]
@@ -45,7 +45,7 @@ class Sums:
         return x.new_zeros(len(x), self.shape[0]).index_add(1, self.rows, x[:, self.terms])
 
     def adjoint(self, y: Float[Tensor, "lanes y"]) -> Float[Tensor, "lanes x"]:
-        """Of every x the sum over the y that it is in."""
+        """The transpose of the map: for every x the sum of the y that contain it."""
         if (code := compiled_products(y)) is not None:
-            return code.shares(self.start, self.terms, y, self.shape[1])
+            return code.transposed_sums(self.start, self.terms, y, self.shape[1])
         return y.new_zeros(len(y), self.shape[1]).index_add(1, self.terms, y[:, self.rows])

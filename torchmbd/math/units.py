@@ -1,4 +1,4 @@
-"""Units by name, where a file or a reader names them: each a multiple of an SI unit.
+"""Units by name, for files and readers of other formats: each a multiple of an SI unit.
 
     UNITS["mm"] = (1e-3, "m")     1 mm = 1e-3 m          UNITS["deg"] = (pi / 180, "rad")
 
@@ -51,13 +51,13 @@ UNITS: dict[str, tuple[float, str]] = {
     NONE: (1.0, ""),
 }
 
-#: What parameters of torchmbd are measured in, by the last part of their names.
+#: SI units of parameters of torchmbd, by the last part of their names.
 _MODULI = ("E", "E1", "E2", "E3", "G12", "G13", "G23", "Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23")
 QUANTITIES = {"angles": "rad", "thickness": "m", "density": "kg/m3", **dict.fromkeys(_MODULI, "Pa")}
 
 
 def factor(name: str) -> float:
-    """The multiple of the SI unit that a unit is."""
+    """The factor from a unit to the SI unit."""
     return UNITS[name][0]
 
 
@@ -67,7 +67,7 @@ def units_of(si: str) -> list[str]:
 
 
 def misfit(parameter: str, unit: str) -> str | None:
-    """Say why a unit cannot be that of a parameter, None if it can; `none` stands for the SI unit."""
+    """The reason why a parameter cannot have a unit, None if it can; `none` is the SI unit."""
     si = QUANTITIES.get(parameter.rpartition(".")[2])
     if si is None or UNITS[unit][1] == si or (unit == NONE):
         return None
@@ -81,7 +81,7 @@ def meters(name: str, given: float | str) -> float:
         if given not in lengths:
             raise unknown(name, given, lengths)
         return factor(given)
-    from torchmbd.math.checked_numbers import scalar  # with torch, which commands that read names spare
+    from torchmbd.math.checked_numbers import scalar  # imports torch, which commands that only read names do not need
 
     x = scalar(name, given, f"meters per unit, > 0, or one of {', '.join(lengths)}")
     if not x > 0.0:

@@ -1,10 +1,11 @@
-"""Numbers of laws that vary with the design: parameters of torch modules.
+"""Numbers of laws, loads and materials that are design variables: parameters of torch modules.
 
     mbd.Sine(mbd.variable(0.4), frequency=1.5)                an amplitude that is a design variable
     mbd.SpringDamper(a, b, stiffness=mbd.variable(2e3))       a stiffness
     mbd.Ply(E1=mbd.variable(128e9), ...)                      a modulus: a field of a frozen dataclass of numbers (`Numbers`)
 
-The same variable in several places is one design variable. Among the data of a design they are flat [k, pair, lanes].
+A variable that is used several times is one design variable. In the data of a design the variables of a law are one vector
+[k, pair, lanes].
 Checked in tests/sensitivity/test_law_variables.py.
 """
 
@@ -26,9 +27,9 @@ from torchmbd.math.pair import linear
 
 
 def variable(x: float | Tensor) -> nn.Parameter:
-    """A number as a design variable: a parameter [] of the law, load, drive or dimension in which it stands.
+    """A number as a design variable: a parameter [] of the law, load, drive or dimension that it is passed to.
 
-    x  its first value, finite, in the unit of its place
+    x  initial value, finite, in the unit of the argument that it is passed as
 
     >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
     >>> push = mbd.Force(arm.at(), (mbd.variable(2.0), 0.0, 0.0), name="push")
@@ -36,67 +37,69 @@ def variable(x: float | Tensor) -> nn.Parameter:
     >>> [(name, number.item()) for name, number in system.named_parameters()]
     [('push.x', 2.0)]
     """
-    given = x.detach() if isinstance(x, Tensor) else x
-    return nn.Parameter(torch.tensor(scalar("variable", given, "one finite number"), dtype=torch.float64))
+    value = x.detach() if isinstance(x, Tensor) else x
+    return nn.Parameter(torch.tensor(scalar("variable", value, "one finite number"), dtype=torch.float64))
 
 
 def number(x: Any) -> Any:
-    """The present number of a variable; anything else as it is."""
+    """The current value of a variable as a float; any other argument unchanged."""
     return float(x.detach()) if is_variable(x) else x
 
 
-def varies(given: Any) -> bool:
-    """Whether a field of a frozen dataclass of numbers, or of one within it, is a variable."""
-    own = [getattr(given, f.name) for f in fields(given)] if is_dataclass(given) else []
-    return any(is_variable(x) or varies(x) for x in own)
+def varies(numbers: Any) -> bool:
+    """Whether a field of a frozen dataclass of numbers, or of a dataclass in it, is a variable."""
+    values = [getattr(numbers, f.name) for f in fields(numbers)] if is_dataclass(numbers) else []
+    return any(is_variable(x) or varies(x) for x in values)
 
 
-def with_fields(given: Any, values: dict[str, Any]) -> Any:
-    """A frozen dataclass with other fields, unchecked: a design has its lanes in them."""
-    result = copy.copy(given)
+def with_fields(numbers: Any, values: dict[str, Any]) -> Any:
+    """A copy of a frozen dataclass with other fields, without its checks: fields of a batch of designs have lanes."""
+    result = copy.copy(numbers)
     for name, x in values.items():
         object.__setattr__(result, name, x)
     return result
 
 
-def without_variables(given: Any) -> Any:
-    """A frozen dataclass of numbers whose variables are the numbers that they have now; anything else as it is."""
-    if not varies(given):
-        return given
-    own = {f.name: getattr(given, f.name) for f in fields(given)}
-    return with_fields(given, {name: number(x) if is_variable(x) else without_variables(x) for name, x in own.items()})
+def without_variables(numbers: Any) -> Any:
+    """A frozen dataclass of numbers with the current values of its variables; any other argument unchanged."""
+    if not varies(numbers):
+        return numbers
+    values = {f.name: getattr(numbers, f.name) for f in fields(numbers)}
+    plain = {name: number(x) if is_variable(x) else without_variables(x) for name, x in values.items()}
+    return with_fields(numbers, plain)
 
 
-def check_positive(given: Any, unit: str = "", infinite: bool = False) -> None:
-    """InputError unless the fields that `given.positive` names are positive; finite, unless `infinite` is allowed."""
-    for name in given.positive:
-        value = number(getattr(given, name))
+def check_positive(numbers: Any, unit: str = "", infinite: bool = False) -> None:
+    """InputError unless the fields that `numbers.positive` names are positive; finite, unless `infinite` is allowed."""
+    for name in numbers.positive:
+        value = number(getattr(numbers, name))
         if not (is_real(value) and value > 0.0 and (infinite or math.isfinite(value))):
             allowed = "a number > 0" if infinite else "a finite number > 0"
             raise InputError(
-                f"{type(given).__name__}: {name} = {value!r}{unit}; allowed: {allowed}, or mbd.variable(...) of one"
+                f"{type(numbers).__name__}: {name} = {value!r}{unit}; allowed: {allowed}, or mbd.variable(...) of one"
             )
 
 
 def stacked(numbers: Sequence[Any]) -> Tensor:
-    """Numbers [] and [lanes] as one tensor [*lanes, n]."""
-    own = [x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64) for x in numbers]
-    return torch.stack(torch.broadcast_tensors(*own), -1)
+    """Numbers and tensors [] or [lanes] as one tensor [*lanes, n]."""
+    tensors = [x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64) for x in numbers]
+    return torch.stack(torch.broadcast_tensors(*tensors), -1)
 
 
 class Numbers(nn.Module):
-    """A frozen dataclass of numbers, some of which vary: a parameter for each field that does, by its name.
+    """A frozen dataclass of numbers, some of which are variables: a parameter for each variable, with the name of its field.
 
-    numbers()     the dataclass of the present design, its variables [] or [lanes]
+    numbers()     the dataclass with the values of the current design, variables [] or [lanes]
 
-    Fields that are such dataclasses are modules of their own: "strength.Xt". `given.positive` names those that are, in every
-    design.
+    A field that is itself such a dataclass is a submodule, so its variables have names such as "strength.Xt".
     """
 
     def __init__(self, given: Any):
         super().__init__()
         self.given = given
-        self.positive: tuple[str, ...] = getattr(given, "positive", ())
+        self.positive: tuple[str, ...] = getattr(
+            given, "positive", ()
+        )  # names of fields that are positive in every design
         for f in fields(given):
             x = getattr(given, f.name)
             if is_variable(x):
@@ -105,15 +108,14 @@ class Numbers(nn.Module):
                 self.add_module(f.name, Numbers(x))
 
     def forward(self) -> Any:
-        return with_fields(
-            self.given, self._parameters | {name: x() for name, x in self._modules.items() if x is not None}
-        )
+        nested = {name: x() for name, x in self._modules.items() if x is not None}
+        return with_fields(self.given, self._parameters | nested)
 
 
 class LayerNumbers:
-    """Dataclasses of numbers, one for each layer; those that vary are modules of `owner`.
+    """Dataclasses of numbers, one for each layer; those with variables are submodules of `owner`.
 
-    Their names are the label, or label and first layer ("ply2") where the layers have several.
+    The name of a submodule is `label`, or `label` and the index of its first layer ("ply2") if layers have different ones.
     """
 
     def __init__(self, owner: nn.Module, label: str, given: Sequence[Any]):
@@ -122,28 +124,28 @@ class LayerNumbers:
             first.setdefault(id(x), k)
         names = {i: label if len(first) == 1 else f"{label}{k}" for i, k in first.items() if varies(given[k])}
         self.given = tuple(given)
-        self.names = tuple(names.get(id(x)) for x in given)
+        self.names = tuple(names.get(id(x)) for x in given)  # of the submodules, None without variables
         for name, x in {name: x for name, x in zip(self.names, given, strict=True) if name is not None}.items():
             owner.add_module(name, Numbers(x))
 
     @property
     def vary(self) -> bool:
-        """Whether one of them does."""
+        """Whether a layer has variables."""
         return any(self.names)
 
-    def now(self, owner: nn.Module) -> tuple[Any, ...]:
-        """Those of the present design."""
-        made = {name: owner.get_submodule(name)() for name in self.names if name is not None}
-        return tuple(x if name is None else made[name] for x, name in zip(self.given, self.names, strict=True))
+    def current(self, owner: nn.Module) -> tuple[Any, ...]:
+        """The dataclasses of all layers with the values of the current design."""
+        values = {name: owner.get_submodule(name)() for name in self.names if name is not None}
+        return tuple(x if name is None else values[name] for x, name in zip(self.given, self.names, strict=True))
 
 
 def law_key(name: str) -> str:
-    """Where the design variables of the law of a joint or force are among the data of a design."""
+    """Key, among the data of a design, of the variables in the law of a joint or force."""
     return f"law {name}"
 
 
 class ParameterVector:
-    """The parameters of a module: one vector of numbers."""
+    """The parameters of a module as one vector of numbers."""
 
     def __init__(self, module: nn.Module):
         self.module = module
@@ -151,11 +153,11 @@ class ParameterVector:
 
     @classmethod
     def of(cls, x: Any) -> ParameterVector | None:
-        """Those of a module; None if there are none."""
+        """The vector of a module; None for a module without parameters, or another object."""
         return cls(x) if isinstance(x, nn.Module) and any(True for _ in x.parameters()) else None
 
     def flat(self) -> Tensor:
-        """As they are now [k, 1, lanes]; each of them may lead with lanes."""
+        """Current values [k, 1, lanes]; each parameter may have a leading axis of lanes."""
         parts = []
         for name, x in self.module.named_parameters():
             lanes = x.shape[0] if x.dim() > len(self.shapes[name]) else 1
@@ -164,22 +166,22 @@ class ParameterVector:
         return torch.cat([x.expand(lanes, -1) for x in parts], 1).T[:, None]
 
     def named(self, flat: Any) -> dict[str, Any]:
-        """Parameters by name out of the vector [k, ...], of shape [*shape, ...]."""
-        found, start = {}, 0
+        """Parameters by name, of shape [*shape, ...], from the vector [k, ...]."""
+        parameters, start = {}, 0
         for name, shape in self.shapes.items():
             part = flat[start : start + shape.numel()]
-            found[name] = linear(lambda x, shape=shape: x.reshape((*shape, *x.shape[1:])), part)
+            parameters[name] = linear(lambda x, shape=shape: x.reshape((*shape, *x.shape[1:])), part)
             start += shape.numel()
-        return found
+        return parameters
 
     def evaluated(self) -> Any:
-        """What the module returns for each design, tensors with lanes in front; one design has none."""
+        """The tensors that the module returns, [lanes, ...] for a batch of designs."""
 
-        def one(x: Tensor) -> Any:
+        def of_design(x: Tensor) -> Any:
             return torch.func.functional_call(self.module, self.named(x), ())
 
-        alone = all(x.dim() == len(self.shapes[name]) for name, x in self.module.named_parameters())
-        found = torch.func.vmap(one, 1)(self.flat()[:, 0])
-        if not alone:
-            return found
-        return tuple(x[0] for x in found) if isinstance(found, tuple) else found[0]
+        has_lanes = any(x.dim() > len(self.shapes[name]) for name, x in self.module.named_parameters())
+        result = torch.func.vmap(of_design, 1)(self.flat()[:, 0])
+        if has_lanes:
+            return result
+        return tuple(x[0] for x in result) if isinstance(result, tuple) else result[0]

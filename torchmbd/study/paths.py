@@ -47,7 +47,7 @@ def problem_key(problem: Any) -> str:
     """
     if isinstance(problem, Problem):
         varied = [problem.system.get_parameter(name) for name in problem.space.variables]
-        built = digest(*problem.settings(), aside=varied)
+        built = digest(*problem.settings(), ignored=varied)
     else:
         built = digest(problem)
     return _hash([built, _code(_PACKAGE), torch.__version__])

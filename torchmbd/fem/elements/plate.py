@@ -176,7 +176,7 @@ class PlateMatrices:
         for known, picked in self._picked:
             if known is chosen:
                 return picked
-        self._picked = [*self._picked[-3:], (chosen, self._whole._replace(sums=self._whole.sums.chosen(chosen)))]
+        self._picked = [*self._picked[-3:], (chosen, self._whole._replace(sums=self._whole.sums.selected(chosen)))]
         return self._picked[-1][1]
 
     def section_strains(

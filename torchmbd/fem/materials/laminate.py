@@ -137,7 +137,7 @@ class Laminate(nn.Module):
     @property
     def plies(self) -> tuple[Ply, ...]:
         """The ply of every given layer, with the numbers of the present design."""
-        return self._plies.now(self)
+        return self._plies.current(self)
 
     @property
     def merge_key(self) -> tuple:

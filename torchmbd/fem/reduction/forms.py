@@ -109,7 +109,7 @@ class Sparse:
 
     def pair(self, Y: Tensor, X: Tensor) -> Tensor:
         if X.dim() == 4 and X.shape[:2] == (len(Y), 1) and (code := compiled_products(X)) is not None:
-            return code.pair(self.pattern, Y, X[:, 0])
+            return code.products_at_pattern(self.pattern, Y, X[:, 0])
         lanes = np.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
         total = Y.new_zeros((*lanes, self.pattern.nnz))
         for y, x in zip(Y.unbind(-1), X.unbind(-1), strict=True):

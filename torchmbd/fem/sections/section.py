@@ -102,7 +102,7 @@ class Section(nn.Module):
     @property
     def plies(self) -> list[Orthotropic]:
         """The solid of every layer, with the numbers of the present design."""
-        return [solid.of_design(ply) for solid, ply in zip(self._solids, self._plies.now(self), strict=True)]
+        return [solid.of_design(ply) for solid, ply in zip(self._solids, self._plies.current(self), strict=True)]
 
     @property
     def mass_varies(self) -> bool:
