@@ -11,7 +11,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from torchmbd.errors import InputError
 from torchmbd.fem.sections import Orthotropic
-from torchmbd.fem.sections.orthotropic import strain_rotation, turned
+from torchmbd.fem.sections.orthotropic import in_wall_axes, strain_rotation
 
 GIVEN = {
     "E1": 130e9, "E2": 10e9, "E3": 8e9, "G12": 5e9, "G13": 4e9, "G23": 3e9,
@@ -65,7 +65,7 @@ def test_rotation_is_that_of_the_fourth_order_tensor():
     c, s = math.cos(0.6), math.sin(0.6)
     to_wall = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)  # columns: ply axes in wall axes
     # the wall's order of components is xx, ss, nn, sn, xn, xs: that of the ply
-    assert_close(turned(C[None], theta)[0], tensor_rotated(C, to_wall), rtol=1e-12, atol=1e-3)
+    assert_close(in_wall_axes(C[None], theta)[0], tensor_rotated(C, to_wall), rtol=1e-12, atol=1e-3)
     T = strain_rotation(theta)
     assert_close(T @ strain_rotation(-theta), torch.eye(6, dtype=torch.float64)[None])
 

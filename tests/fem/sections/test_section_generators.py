@@ -65,14 +65,14 @@ def test_walls_of_a_box_stack_outwards(wall):
         depth = g.points[elements] @ out
         assert low < float(depth.min())
         assert float(depth.max()) < low + 0.01
-        normal = g.turn[elements][..., 2, 1:]
+        normal = g.rotation[elements][..., 2, 1:]
         assert torch.allclose(normal, out.expand_as(normal), atol=1e-12)
 
 
 def test_normals_of_a_tube_point_out():
     g = sections.tube(0.1, AS4, [0.1, 0.2], 0.01, cells=(16, 1)).geometry
     radial = g.points / g.points.norm(dim=-1, keepdim=True)
-    assert float((g.turn[..., 2, 1:] * radial).sum(-1).min()) > 0.999
+    assert float((g.rotation[..., 2, 1:] * radial).sum(-1).min()) > 0.999
     assert float(g.points[g.layer == 0].norm(dim=-1).max()) < 0.09
 
 
@@ -84,7 +84,7 @@ def test_web_and_flanges_of_an_i():
     assert z[:2].tolist() == pytest.approx([0.085, 0.095])
     assert y[2:4].tolist() == pytest.approx([-0.005, 0.005])
     assert z[4:].tolist() == pytest.approx([-0.095, -0.085])
-    web = g.turn[(g.layer == 2) | (g.layer == 3)]
+    web = g.rotation[(g.layer == 2) | (g.layer == 3)]
     assert torch.allclose(web[..., 2, :], torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64).expand_as(web[..., 2, :]))
 
 

@@ -52,7 +52,7 @@ def test_reactions_at_the_held_nodes_are_zero(made):
 
 def test_where_the_section_is_held_does_not_matter(made, monkeypatch):
     """Other nodes hold the rigid motions: the same matrix and the same stresses."""
-    monkeypatch.setattr(warping, "_held", lambda yz: [0, 1, 2, 3 * len(yz) - 1])
+    monkeypatch.setattr(warping, "_held_freedoms", lambda yz: [0, 1, 2, 3 * len(yz) - 1])
     other = Section(made.mesh, ANBA, made.angles.detach())
     assert other.problem.held.tolist() != made.problem.held.tolist()
     assert_close(scaled(other.stiffness().detach()), scaled(made.stiffness().detach()), rtol=0, atol=1e-10)

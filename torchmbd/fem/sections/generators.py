@@ -23,8 +23,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import Ply
-from torchmbd.fem.sections.blocks import Patch, between, graded, grid, line, shaped
 from torchmbd.fem.sections.orthotropic import Orthotropic
+from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
 from torchmbd.fem.sections.section import Section
 from torchmbd.fem.sections.section_checks import (
     WALLS,
@@ -67,7 +67,7 @@ def strip(
         y = graded(-width / 2, width / 2, cells[0], order)
         return _stack(y, np.broadcast_to(thickness, layers), cells[1], order)
 
-    return Section(shaped(build, {"width": width, "thickness": thickness}, order), ply, angles)
+    return Section(parametric_mesh(build, {"width": width, "thickness": thickness}, order), ply, angles)
 
 
 @constant_arguments
@@ -95,7 +95,7 @@ def rectangle(
         y = line(-width / 2, width / 2, cells[0], order)
         return _stack(y, np.full(layers, height / layers), each, order)
 
-    return Section(shaped(build, {"width": width, "height": height}, order), ply, angles)
+    return Section(parametric_mesh(build, {"width": width, "height": height}, order), ply, angles)
 
 
 @constant_arguments
@@ -146,7 +146,9 @@ def box(
 
     plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
     own = angles if shared else np.concatenate([np.asarray(walls[w]) for w in WALLS]).tolist()
-    return Section(shaped(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own)
+    return Section(
+        parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own
+    )
 
 
 @constant_arguments
@@ -182,7 +184,7 @@ def tube(
             for layer, (low, high) in enumerate(pairwise(radii))
         ]
 
-    return Section(shaped(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
+    return Section(parametric_mesh(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
 
 
 @constant_arguments
@@ -216,7 +218,7 @@ def circle(
             patches.append(Patch(between(inner, outer, cells[1], order), 0))
         return patches
 
-    return Section(shaped(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
+    return Section(parametric_mesh(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
 
 
 @constant_arguments
@@ -268,11 +270,13 @@ def i_section(
 
     plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
     own = np.concatenate([np.asarray(angles[n]) for n in names]).tolist()
-    return Section(shaped(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own)
+    return Section(
+        parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own
+    )
 
 
 def _stack(y: np.ndarray, t: np.ndarray, each: int, order: int) -> list[Patch]:
-    """Plies of thicknesses t across the places y, each of so many elements through its thickness."""
+    """Return a patch of each ply: nodes at y across, thicknesses t, `each` elements through the thickness."""
     faces = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
     return [Patch(grid(y, line(a, b, each, order)), layer) for layer, (a, b) in enumerate(pairwise(faces))]
 

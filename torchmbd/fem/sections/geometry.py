@@ -1,4 +1,4 @@
-"""What a section's mesh contributes to its analysis: strains of warping, in wall axes, at the points of all elements.
+"""Strains of a section's mesh by warping and rigid motion, in wall axes, at the integration points of all elements.
 
     eps = P Z psi + B u + P H u'
 
@@ -9,7 +9,7 @@ Z     displacement gradient along x of a rigid section: (eps + z kappa_y - y kap
 B     strains of warping in the section's plane;  H its interpolation;  P puts (x, s, n) into eps_xx, gamma_xs, gamma_xn
 
 Strains (xx, ss, nn, sn, xn, xs), in the axes in which plies are laid: so angles and numbers of plies enter by the layers'
-stiffness D only, and what is here depends on the places of the nodes alone (`of`). Fields are [..., m, g, 6, columns].
+stiffness D only, and the fields here depend on the positions of the nodes alone (`with_dimensions`): [..., m, g, 6, columns].
 Differentiable, forward and reverse, in the nodes, which may carry leading lanes.
 Source: V. Giavotto et al., Anisotropic beam theory and applications, Computers & Structures 16 (1983) 403-413,
 doi:10.1016/0045-7949(83)90179-7.
@@ -35,7 +35,7 @@ AXIAL = [0, 5, 4]  # eps_xx, gamma_xs, gamma_xn: what acts on the face x = const
 
 
 class SectionGeometry:
-    """A mesh with its nodes at places [*lanes, n, 2]; see the module header. Elements of all kinds are padded to one size."""
+    """A mesh with its nodes at positions [*lanes, n, 2] (module header). Elements of all kinds are padded to one size."""
 
     dofs: Int[Tensor, "m 3k"]
     weight: Float[Tensor, "*lanes m g"]
@@ -50,53 +50,53 @@ class SectionGeometry:
         )
         given = [x.detach().flatten() for x, _ in mesh.dimensions.values()]
         self._rest = mesh.nodes - torch.einsum("e,eni->ni", torch.cat([mesh.nodes.new_zeros(0), *given]), self._units)
-        self._place(mesh.nodes)
+        self._set_nodes(mesh.nodes)
 
-    def of(self, x: Float[Tensor, "*lanes e"]) -> SectionGeometry:
-        """The same mesh with dimensions x, in the order of `mesh.dimensions`.
+    def with_dimensions(self, x: Float[Tensor, "*lanes e"]) -> SectionGeometry:
+        """Return the same mesh with dimensions x, in the order of `mesh.dimensions`.
 
         Raises InputError where that turns an element inside out.
         """
         if not x.shape[-1]:
             return self
         result = copy.copy(self)
-        for name in ("turn", "H", "B", "Z"):
+        for name in ("rotation", "H", "B", "Z"):
             vars(result).pop(name, None)
-        result._place(self.places(x))
+        result._set_nodes(self.node_positions(x))
         if not all_true((result.weight >= 0.0).flatten()):
             raise InputError(
                 "dimensions of a section turn an element inside out; allowed: walls that fit into the section"
             )
         return result
 
-    def places(self, x: Float[Tensor, "*lanes e"]) -> Float[Tensor, "*lanes n 2"]:
-        """Of the nodes, for dimensions x."""
+    def node_positions(self, x: Float[Tensor, "*lanes e"]) -> Float[Tensor, "*lanes n 2"]:
+        """Return the positions of the nodes for dimensions x [m]."""
         return self._rest + torch.einsum("...e,eni->...ni", x, self._units)
 
-    def _place(self, nodes: Float[Tensor, "*lanes n 2"]) -> None:
+    def _set_nodes(self, nodes: Float[Tensor, "*lanes n 2"]) -> None:
         self.weight, N, self._slopes, self._along = _padded(self._mesh, nodes, self.connectivity.shape[1])
         self.points = torch.einsum("mgk,...mki->...mgi", N, nodes[..., self.connectivity, :])
         self._N = N
 
     @cached_property
-    def turn(self) -> Float[Tensor, "*lanes m g 3 3"]:
-        """Displacements (x, y, z) to (x, s, n)."""
+    def rotation(self) -> Float[Tensor, "*lanes m g 3 3"]:
+        """Rotation of displacements (x, y, z) to wall axes (x, s, n)."""
         if self._mesh.plane_angle is None:
-            return _turn(self._along)
+            return _wall_rotation(self._along)
         plane = torch.stack([torch.cos(self._mesh.plane_angle), torch.sin(self._mesh.plane_angle)], dim=-1)[:, None]
-        return _turn(plane.expand(*self.points.shape[-3:]))
+        return _wall_rotation(plane.expand(*self.points.shape[-3:]))
 
     @cached_property
     def H(self) -> Float[Tensor, "*lanes m 3g 3k"]:
-        return (self._N[..., None, :, None] * self.turn[..., None, :]).flatten(-2).flatten(-3, -2)
+        return (self._N[..., None, :, None] * self.rotation[..., None, :]).flatten(-2).flatten(-3, -2)
 
     @cached_property
     def B(self) -> Float[Tensor, "*lanes m 6g 3k"]:
-        return _warping_strains(self._slopes @ self.turn[..., 1:, 1:].mT, self.turn).flatten(-3, -2)
+        return _warping_strains(self._slopes @ self.rotation[..., 1:, 1:].mT, self.rotation).flatten(-3, -2)
 
     @cached_property
     def Z(self) -> Float[Tensor, "*lanes m g 3 6"]:
-        return self.turn @ self.rigid
+        return self.rotation @ self.rigid
 
     @property
     def rigid(self) -> Float[Tensor, "*lanes m g 3 6"]:
@@ -104,21 +104,21 @@ class SectionGeometry:
         return _rigid(self.points)
 
     @property
-    def numbers(self) -> int:
-        """Of the largest field of one design."""
+    def field_size(self) -> int:
+        """Number of entries of the largest field of one design."""
         return self.dofs.numel() * self.weight.shape[-1] * 6
 
     def warp_strain(self, u: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
         """B u."""
         return self._per_point(self.B @ u[..., self.dofs, :], 6)
 
-    def carried(self, du: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
-        """P H u'."""
-        return _place(self._per_point(self.H @ du[..., self.dofs, :], 3))
+    def warping_rate_strain(self, du: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
+        """P H u', strains of warping that varies along the beam."""
+        return _face_strains(self._per_point(self.H @ du[..., self.dofs, :], 3))
 
     def rigid_strain(self, psi: Float[Tensor, "*lanes 6 c"]) -> Tensor:
         """P Z psi."""
-        return _place(self.Z @ psi[..., None, None, :, :])
+        return _face_strains(self.Z @ psi[..., None, None, :, :])
 
     def stress(self, D: Float[Tensor, "*lanes layers 6 6"], strain: Tensor) -> Tensor:
         """D eps."""
@@ -152,8 +152,8 @@ class SectionGeometry:
         """E u of the elements' stiffness, at the nodes [*lanes, freedoms, c]."""
         return self._assembled(E @ u[..., self.dofs, :])
 
-    def members(self, layers: int) -> list[Tensor]:
-        """Indices of the elements of each layer."""
+    def elements_of_layers(self, layers: int) -> list[Tensor]:
+        """Return the indices of the elements of each layer."""
         return [(self.layer == k).nonzero()[:, 0] for k in range(layers)]
 
     def _per_point(self, flat: Tensor, rows: int) -> Tensor:
@@ -182,7 +182,7 @@ def _padded(mesh: SectionMesh, nodes: Tensor, most: int) -> tuple[Tensor, Tensor
     return torch.cat(weights, -2), torch.cat(N), torch.cat(slopes, -4), torch.cat(along, -3)
 
 
-def _turn(along: Tensor) -> Float[Tensor, "*lanes m g 3 3"]:
+def _wall_rotation(along: Tensor) -> Float[Tensor, "*lanes m g 3 3"]:
     """Displacements (x, y, z) -> (x, s, n)."""
     c, s = along.unbind(-1)
     o = torch.zeros_like(c)
@@ -212,7 +212,7 @@ def _warping_strains(slopes: Tensor, turn: Tensor) -> Float[Tensor, "m g 6 3k"]:
     return torch.stack(rows, dim=-3).flatten(-2)
 
 
-def _place(face: Tensor) -> Tensor:
+def _face_strains(face: Tensor) -> Tensor:
     """(x, s, n) [..., 3, c] -> rows xx, xs, xn of strains [..., 6, c]."""
     zero = torch.zeros_like(face[..., 0, :])
     return torch.stack([face[..., 0, :], zero, zero, zero, face[..., 2, :], face[..., 1, :]], dim=-2)

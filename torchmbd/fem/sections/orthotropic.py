@@ -1,4 +1,4 @@
-"""An orthotropic solid: nine constants, for sections that know no plane stress.
+"""An orthotropic solid of nine constants, for sections, where stresses are not plane.
 
     (eps_11, eps_22, eps_33, gamma_23, gamma_13, gamma_12) = C^-1 (sig_11, sig_22, sig_33, tau_23, tau_13, tau_12)
 
@@ -104,7 +104,7 @@ class Orthotropic:
             ) from error
 
     def of_design(self, ply: Ply | Orthotropic) -> Orthotropic:
-        """The same with the numbers of a design, [] or [lanes], of the ply that it was made of; unchecked."""
+        """Return the solid with the numbers of a design, [] or [lanes], of the ply that it was made of; unchecked."""
         if isinstance(ply, Orthotropic):
             return ply
         own = {name: getattr(ply, name) for name in ("E1", "E2", "G12", "G13", "G23", "nu12", "density", "strength")}
@@ -123,14 +123,16 @@ class Orthotropic:
         return stacked([x for row in rows for x in row]).unflatten(-1, (6, 6))
 
 
-def turned(C: Float[Tensor, "layers 6 6"], theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*lanes layers 6 6"]:
-    """Stiffness in wall axes (x, s, n) of plies whose fibre lies at theta from x to s: T' C T."""
+def in_wall_axes(
+    C: Float[Tensor, "layers 6 6"], theta: Float[Tensor, "*lanes layers"]
+) -> Float[Tensor, "*lanes layers 6 6"]:
+    """Return the stiffness in wall axes (x, s, n) of plies whose fiber lies at theta from x to s: T' C T."""
     T = strain_rotation(theta)
     return T.mT @ C @ T
 
 
 def strain_rotation(theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*lanes layers 6 6"]:
-    """T: strains (xx, ss, nn, sn, xn, xs) of the wall -> (11, 22, 33, 23, 13, 12) of the ply."""
+    """Return T, which maps strains (xx, ss, nn, sn, xn, xs) of the wall to (11, 22, 33, 23, 13, 12) of the ply."""
     c, s = torch.cos(theta), torch.sin(theta)
     o, one = torch.zeros_like(c), torch.ones_like(c)
     rows = [

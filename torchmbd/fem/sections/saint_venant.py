@@ -18,7 +18,7 @@ For a change dD of the stiffness of the layers, with E = B'DB:
     E n = B'D P H h + H'P'D (eps_v - alpha)
     eta  = P H h - B n - eps_c K4 (<P H h, D eps_c> + <D (eps_v - alpha), P H U>)'
 
-So a derivative in any number of angles costs eight more solutions with the factors at hand. Derived from the equations
+So derivatives in any number of angles cost eight more solutions with the same factors. Derived from the equations
 above by reciprocity; y, z, n are the adjoint warpings.
 Source of the solutions: V. Giavotto et al. (1983), see section.py.
 Checked in tests/fem/sections/test_section_gradients.py.
@@ -42,7 +42,7 @@ from torchmbd.process import one_thread
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
 
-_NUMBERS = 1_000_000  # of a field of the designs that are analysed together: 8 MB
+_NUMBERS = 1_000_000  # entries of a field of the designs that are analyzed at once: 8 MB
 
 #: J of the module header: growth of (N, T, M_y, M_z) along the beam for unit V_y, V_z.
 _GROWTH = torch.zeros(4, 2, dtype=torch.float64)
@@ -66,9 +66,9 @@ def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*
     stress = g.stress(D, strain)
     S4 = balanced_inverse(g.resultant(stress)[..., CLASSICAL, :])
     U, pure, pure_stress = u0 @ S4, strain @ _columns(S4), stress @ _columns(S4)
-    carried = g.carried(U @ _GROWTH)
-    u1 = solve(problem, E, g.face_force(pure_stress @ _GROWTH) - g.warp_force(g.stress(D, carried)))
-    bent = carried + g.warp_strain(u1)
+    rate_strain = g.warping_rate_strain(U @ _GROWTH)
+    u1 = solve(problem, E, g.face_force(pure_stress @ _GROWTH) - g.warp_force(g.stress(D, rate_strain)))
+    bent = rate_strain + g.warp_strain(u1)
     bent_stress = g.stress(D, bent)
     rest = _columns(g.resultant(bent_stress)[..., CLASSICAL, :])
     shear, shear_stress = bent - pure @ rest, bent_stress - pure_stress @ rest
@@ -78,7 +78,7 @@ def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*
 def compliance(
     problem: WarpingProblem, x: Float[Tensor, "*lanes e"], D: Float[Tensor, "*lanes layers 6 6"]
 ) -> Float[Tensor, "*lanes 6 6"]:
-    """S of a section of dimensions x; differentiable once in x and D, whose derivatives of equal designs are found once."""
+    """Return S of a section of dimensions x; differentiable once in x and D. Equal designs are computed once."""
     lanes = torch.broadcast_shapes(x.shape[:-1], D.shape[:-3])
     one_axis = (x.expand(*lanes, -1).reshape(lanes.numel(), -1), D.expand(*lanes, -1, 6, 6).reshape(-1, *D.shape[-3:]))
     return _Compliance.apply(problem, *one_axis).reshape(*lanes, 6, 6)
@@ -89,7 +89,7 @@ class _Compliance(torch.autograd.Function):
 
     @staticmethod
     def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
-        return _each(_energy, problem, x, D)
+        return _for_distinct_designs(_energy, problem, x, D)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
@@ -100,7 +100,7 @@ class _Compliance(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _flattened(_Compliance, info, in_dims, problem, x, D)
+        return _apply_flattened(_Compliance, info, in_dims, problem, x, D)
 
     @staticmethod
     def jvp(ctx: Any, _: Any, dx: Tensor | None, dD: Tensor | None) -> Tensor:
@@ -133,11 +133,11 @@ class _ByDimensions(FirstDerivative):
 
     @staticmethod
     def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
-        return _each(_by_dimensions, problem, x, D)
+        return _for_distinct_designs(_by_dimensions, problem, x, D)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _flattened(_ByDimensions, info, in_dims, problem, x, D)
+        return _apply_flattened(_ByDimensions, info, in_dims, problem, x, D)
 
 
 class _ByStiffness(FirstDerivative):
@@ -147,27 +147,27 @@ class _ByStiffness(FirstDerivative):
 
     @staticmethod
     def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
-        return _each(_by_stiffness, problem, x, D)
+        return _for_distinct_designs(_by_stiffness, problem, x, D)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _flattened(_ByStiffness, info, in_dims, problem, x, D)
+        return _apply_flattened(_ByStiffness, info, in_dims, problem, x, D)
 
 
 @one_thread()
-def _each(
+def _for_distinct_designs(
     f: Callable[[WarpingProblem, Tensor, Tensor], Tensor], problem: WarpingProblem, x: Tensor, D: Tensor
 ) -> Tensor:
-    """f of each design that is another, a few at a time: the fields of all at once would not fit into the cache."""
+    """Return f of all designs: equal designs are computed once, in groups whose fields fit into the cache."""
     designs, which = torch.unique(torch.cat([x, D.flatten(1)], 1), dim=0, return_inverse=True)
-    parts = designs.split(max(1, _NUMBERS // problem.geometry.numbers))
+    parts = designs.split(max(1, _NUMBERS // problem.geometry.field_size))
     return torch.cat([f(problem, y[:, : x.shape[1]], y[:, x.shape[1] :].unflatten(1, D.shape[1:])) for y in parts])[
         which
     ]
 
 
 def _energy(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6"]:
-    g = problem.geometry.of(x)
+    g = problem.geometry.with_dimensions(x)
     fields = unit_fields(problem, g, D)
     return g.energy(fields.strain, fields.stress)
 
@@ -178,21 +178,21 @@ def _by_dimensions(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tenso
 
 
 def _by_stiffness(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 layers 6 6"]:
-    g = problem.geometry.of(x)
+    g = problem.geometry.with_dimensions(x)
     U, strain, stress = unit_fields(problem, g, D)
     E = g.element_stiffness(D)
     eps_c, eps_v, sig_c, sig_v = strain[..., CLASSICAL], strain[..., SHEAR], stress[..., CLASSICAL], stress[..., SHEAR]
     eps_T, sig_T = eps_c @ _GROWTH, sig_c @ _GROWTH
     K4, s = balanced_inverse(g.energy(eps_c, sig_c)), g.energy(eps_c, sig_v)
-    carried = g.carried(U)  # P H U
-    adjoint = solve(problem, E, torch.cat([g.face_force(sig_T), g.warp_force(g.stress(D, carried))], dim=-1))
+    rate_strain = g.warping_rate_strain(U)  # P H U
+    adjoint = solve(problem, E, torch.cat([g.face_force(sig_T), g.warp_force(g.stress(D, rate_strain))], dim=-1))
     y, z = adjoint[..., :2], adjoint[..., 2:]
-    zeta = carried - g.warp_strain(z) - eps_c @ _columns(K4 @ g.energy(carried, sig_c).mT)
+    zeta = rate_strain - g.warp_strain(z) - eps_c @ _columns(K4 @ g.energy(rate_strain, sig_c).mT)
     alpha = g.warp_strain(y) + eps_c @ _columns(K4 @ s)
-    swept = g.carried(y + U @ (K4 @ s))  # P H h
+    swept = g.warping_rate_strain(y + U @ (K4 @ s))  # P H h
     rest = sig_v - g.stress(D, alpha)
     n = solve(problem, E, g.warp_force(g.stress(D, swept)) + g.face_force(rest))
-    Y = g.energy(swept, sig_c) + g.energy(rest, carried)
+    Y = g.energy(swept, sig_c) + g.energy(rest, rate_strain)
     eta = swept - g.warp_strain(n) - eps_c @ _columns(K4 @ Y.mT)
     layers = D.shape[-3]
     cc = -_pairs(g, eps_c, eps_c, layers)
@@ -212,13 +212,13 @@ def _pairs(g: SectionGeometry, left: Tensor, right: Tensor, layers: int) -> Floa
     p, q = left.shape[-1], right.shape[-1]
     weighted = g.weight[..., None, None] * left
     result = left.new_zeros(len(left), p, q, layers, 6, 6)
-    for k, own in enumerate(g.members(layers)):
+    for k, own in enumerate(g.elements_of_layers(layers)):
         a, b = (x[:, own].flatten(1, 2).flatten(2) for x in (weighted, right))  # [lane, points, 6 columns]
         result[:, :, :, k] = (a.mT @ b).unflatten(-1, (6, q)).unflatten(-3, (6, p)).permute(0, 2, 4, 1, 3)
     return result
 
 
-def _flattened(
+def _apply_flattened(
     function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, *tensors: Tensor
 ) -> tuple[Tensor, int]:
     full = [batch_first(y, dim, info.batch_size) for y, dim in zip(tensors, in_dims[1:], strict=True)]

@@ -18,7 +18,7 @@ Differentiable, forward and reverse, in angles and numbers of the plies (saint_v
 Assumed: prismatic beam, linear elasticity, forces applied at the ends (distributed forces act on the beam only).
 Source: V. Giavotto, M. Borri, P. Mantegazza et al., Anisotropic beam theory and applications, Computers & Structures
 16 (1983) 403-413, doi:10.1016/0045-7949(83)90179-7; J. P. Blasques, User's Manual for BECAS, Risoe-R-1785 (2012).
-Checked in tests/sections/test_section_*.py, tests/validation/test_sections_*.py.
+Checked in tests/fem/sections/test_section_*.py, tests/validation/test_sections_*.py.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.materials import Ply
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.mesh import SectionMesh
-from torchmbd.fem.sections.orthotropic import Orthotropic, strain_rotation, turned
+from torchmbd.fem.sections.orthotropic import Orthotropic, in_wall_axes, strain_rotation
 from torchmbd.fem.sections.saint_venant import UnitFields, compliance, unit_fields
 from torchmbd.fem.sections.warping import WarpingProblem
 from torchmbd.math.checked_numbers import differentiable_reals, parameter
@@ -111,17 +111,17 @@ class Section(nn.Module):
 
     @property
     def geometry(self) -> SectionGeometry:
-        """Of the present design."""
-        return self.problem.geometry.of(self._dimensions)
+        """Mesh of the present design."""
+        return self.problem.geometry.with_dimensions(self._dimensions)
 
     @property
     def nodes(self) -> Float[Tensor, "*lanes n 2"]:
-        """Of the mesh in the present design [m]."""
-        return self.problem.geometry.places(self._dimensions)
+        """Nodes of the mesh in the present design [m]."""
+        return self.problem.geometry.node_positions(self._dimensions)
 
     @property
     def _dimensions(self) -> Float[Tensor, "*lanes e"]:
-        """Those of the mesh that are parameters [m]."""
+        """Dimensions of the mesh that are parameters [m]."""
         given = [(getattr(self, name), x.dim()) for name, (x, _) in self.mesh.dimensions.items()]
         flat = [x.reshape(*x.shape[: x.dim() - own], -1) for x, own in given]
         lanes = torch.broadcast_shapes(*(x.shape[:-1] for x in flat))
@@ -133,8 +133,8 @@ class Section(nn.Module):
 
     @property
     def _wall_stiffness(self) -> Float[Tensor, "*lanes layers 6 6"]:
-        """Of the layers, in wall axes (x, s, n) [Pa]."""
-        return turned(self._numbers[..., :36].unflatten(-1, (6, 6)), self.angles)
+        """Stiffness of the layers in wall axes (x, s, n) [Pa]."""
+        return in_wall_axes(self._numbers[..., :36].unflatten(-1, (6, 6)), self.angles)
 
     def forward(self) -> Float[Tensor, "*lanes 6 6"]:
         """Return `stiffness()`: the form in which torch.func.functional_call asks for the section."""
@@ -201,7 +201,7 @@ class Section(nn.Module):
         return unit_fields(self.problem, self.geometry, self._wall_stiffness)
 
     def _to_plies(self) -> Float[Tensor, "*lanes layers 6 6"]:
-        """Turns stresses of the wall into those of the plies: T^-T, where T^-1 turns by the opposite angle."""
+        """Return the map from stresses in wall axes to ply axes: T^-T, where T^-1 rotates by the opposite angle."""
         return strain_rotation(-self.angles).mT
 
 

@@ -1,4 +1,4 @@
-"""What the dimensions, plies and meshes of sections may be (generators.py).
+"""Checks of the dimensions, plies and numbers of elements of sections (generators.py).
 
 Checked in tests/fem/sections/test_section_generators.py.
 """
@@ -28,7 +28,7 @@ def angles_of_walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angle
 
 
 def count_of_layers(angles: Any) -> int:
-    """How many plies there are; InputError for what is no list of angles."""
+    """Return the number of plies; InputError where angles are no list."""
     if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
         raise InputError(f"angles is {angles!r}; allowed: one angle per ply, such as mbd.deg([45, -45]) [rad]")
     return len(angles)

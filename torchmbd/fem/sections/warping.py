@@ -1,8 +1,8 @@
 """The warping problem E u = f, E = integral of B' D B, solved by a sparse factorization, and its derivatives.
 
-The kernel of E are the section's translations and its rotation about x. Forces of warping are in equilibrium to
+The kernel of E consists of the section's translations and its rotation about x. Forces of warping are in equilibrium to
 rounding, because every element represents a rigid motion exactly; so these four motions are held at two nodes without
-a reaction, and neither stress nor energy knows where. Derivatives, for the derivative dE of the elements' stiffness:
+reactions, and stress and energy do not depend on the choice of nodes. Derivatives, for a change dE of the elements' stiffness:
 
     E du = df - dE u                forward
     f~ = E^-1 u~,  E~ = - f~ u'     reverse (of the nodes of each element)
@@ -29,7 +29,7 @@ from torchmbd.math.vmap import batch_first
 
 
 class WarpingProblem:
-    """E of one mesh: where its numbers go, made once; and the factors of the designs at hand."""
+    """E of one mesh: the positions of its entries, found once; and the factors of the last designs."""
 
     def __init__(self, geometry: SectionGeometry, yz: Float[Tensor, "n 2"]) -> None:
         self.geometry = geometry
@@ -42,7 +42,7 @@ class WarpingProblem:
         csc = bsr_array((order, unique % n, indptr), shape=(3 * n, 3 * n)).tocsc()
         self._order, self._indices, self._indptr = csc.data.astype(np.int64), csc.indices, csc.indptr
         held = np.zeros(3 * n, dtype=bool)
-        held[_held(yz)] = True
+        held[_held_freedoms(yz)] = True
         cols = np.repeat(np.arange(3 * n), np.diff(csc.indptr))
         self._diagonal = np.flatnonzero((csc.indices == cols) & held[cols])
         self._removed = np.flatnonzero(held[csc.indices] | held[cols])
@@ -53,7 +53,7 @@ class WarpingProblem:
         return self.__dict__ | {"_factors": None}  # factors do not travel between processes
 
     def matrix(self, element: Float[Tensor, "m 3k 3k"]) -> csc_array:
-        """E of one design, its held freedoms replaced by the identity."""
+        """Return E of one design, with the identity in the rows and columns of held freedoms."""
         k = element.shape[-1] // 3
         blocks = element.reshape(-1, k, 3, k, 3).transpose(2, 3).reshape(-1, 3, 3)
         data = element.new_zeros(self.blocks, 3, 3).index_add_(0, self.position, blocks).numpy().ravel()[self._order]
@@ -62,7 +62,7 @@ class WarpingProblem:
         return csc_array((data, self._indices, self._indptr), shape=(len(self._indptr) - 1,) * 2)
 
     def factors(self, E: Float[Tensor, "lane m 3k 3k"]) -> list[SuperLU]:
-        """One factorization for each lane; kept until another E comes."""
+        """Return the factorization of each lane; kept for the next call with the same E."""
         if self._factors is None or not torch.equal(self._factors[0], E):
             self._factors = (E.clone(), [self._factorize(lane) for lane in E])
         return self._factors[1]
@@ -127,7 +127,7 @@ class _Solve(torch.autograd.Function):
 
 
 class _Substitute(FirstDerivative):
-    """E^-1 f with E as a number: what derivatives of u need; its own derivatives are refused."""
+    """E^-1 f with constant E, for the derivatives of u; its own derivatives in E are refused."""
 
     of = "section stiffness"
 
@@ -152,8 +152,8 @@ def _batched(function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, 
     return result.unflatten(0, (size, -1)), 0
 
 
-def _held(yz: Tensor) -> list[int]:
-    """Freedoms that hold the section: a central node, and the node farthest from it against rotation about x."""
+def _held_freedoms(yz: Tensor) -> list[int]:
+    """Return the freedoms to hold: all of a central node, and one of the node farthest from it, against rotation about x."""
     first = int(((yz - yz.mean(0)) ** 2).sum(1).argmin())
     arm = yz - yz[first]
     second = int((arm**2).sum(1).argmax())

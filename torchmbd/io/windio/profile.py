@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchmbd.errors import InputError
-from torchmbd.fem.sections.blocks import Patch, joined
 from torchmbd.fem.sections.mesh import SectionMesh
+from torchmbd.fem.sections.patches import Patch, patch_mesh
 
 SHARE = 0.45  # of the inner width
 _STEP = 2e-3  # of the contour: columns in which a stack changes
@@ -113,7 +113,7 @@ def profile_section(
     ]
     for web, pair in zip(webs, feet, strict=True):
         patches += _web_patches(web, pair, s, inner, order)
-    return joined(patches, order)
+    return patch_mesh(patches, order)
 
 
 def _thick(faces: Array, j: int) -> Array:

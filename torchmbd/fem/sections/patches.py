@@ -29,31 +29,33 @@ class Patch:
     layer: int
 
 
-def shaped(
+def parametric_mesh(
     build: Callable[..., Sequence[Patch]], given: Mapping[str, Any], order: int, plane_angle: float | None = None
 ) -> SectionMesh:
-    """The mesh of the patches build(**given), whose points are linear in the dimensions that are given [m].
+    """Return the mesh of the patches build(**given), whose points are linear in the given dimensions [m].
 
-    Those that are Parameters are design variables of the mesh, with the nodes of unit dimensions. plane_angle: of all elements
+    Dimensions that are Parameters are design variables of the mesh. plane_angle: of all elements
     """
     sizes = {name: x.detach().numpy() if isinstance(x, Tensor) else np.asarray(x, float) for name, x in given.items()}
-    mesh, chosen = _joined(build(**sizes), order, plane_angle)
+    mesh, kept = _mesh_of_patches(build(**sizes), order, plane_angle)
     for name, x in given.items():
         if isinstance(x, nn.Parameter):
             nothing = {other: 0.0 * size for other, size in sizes.items()}
             units = np.eye(x.numel()).reshape(-1, *x.shape)
-            found = [_points(build(**nothing | {name: unit}))[chosen] for unit in units]
+            found = [_points(build(**nothing | {name: unit}))[kept] for unit in units]
             mesh.dimensions[name] = x, torch.from_numpy(np.stack(found))
     return mesh
 
 
-def joined(patches: Sequence[Patch], order: int) -> SectionMesh:
+def patch_mesh(patches: Sequence[Patch], order: int) -> SectionMesh:
     """The mesh of patches."""
-    return _joined(patches, order, None)[0]
+    return _mesh_of_patches(patches, order, None)[0]
 
 
-def _joined(patches: Sequence[Patch], order: int, plane_angle: float | None) -> tuple[SectionMesh, NDArray[np.int64]]:
-    """Merge the points that patches share and number what is left; and which of all points these are."""
+def _mesh_of_patches(
+    patches: Sequence[Patch], order: int, plane_angle: float | None
+) -> tuple[SectionMesh, NDArray[np.int64]]:
+    """Return the mesh of patches, whose common points are merged, and the indices of its nodes among all points."""
     elements, layer, start = [], [], 0
     for patch in patches:
         rows, columns = patch.points.shape[:2]
@@ -63,8 +65,8 @@ def _joined(patches: Sequence[Patch], order: int, plane_angle: float | None) -> 
         layer.append(np.full(i.size, patch.layer))
         start += rows * columns
     nodes = _points(patches)
-    chosen, connectivity = _merged(nodes, np.concatenate(elements))
-    return SectionMesh(nodes[chosen], connectivity, np.concatenate(layer), plane_angle), chosen
+    kept, connectivity = _merged(nodes, np.concatenate(elements))
+    return SectionMesh(nodes[kept], connectivity, np.concatenate(layer), plane_angle), kept
 
 
 def _points(patches: Sequence[Patch]) -> NDArray[np.float64]:
@@ -72,12 +74,12 @@ def _points(patches: Sequence[Patch]) -> NDArray[np.float64]:
 
 
 def line(start: float, end: float, cells: int, order: int) -> NDArray[np.float64]:
-    """Equally spaced places of the nodes of so many elements."""
+    """Return equally spaced node positions of `cells` elements."""
     return np.linspace(start, end, cells * order + 1)
 
 
 def graded(start: float, end: float, cells: int, order: int) -> NDArray[np.float64]:
-    """Places of the nodes of so many elements that become short towards both ends: warping bends most near corners."""
+    """Return node positions of `cells` elements that become short towards both ends: warping bends most near corners."""
     ends = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, cells + 1))
     share = ends if order == 1 else np.insert(ends, np.arange(1, cells + 1), (ends[1:] + ends[:-1]) / 2)
     return start + (end - start) * share
@@ -95,7 +97,7 @@ def between(low: NDArray[np.float64], high: NDArray[np.float64], cells: int, ord
 
 
 def _merged(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which node stands for each place (they agree to a millionth of the smallest element), and the elements of these."""
+    """Merge nodes that agree to a millionth of the smallest element: return the nodes kept, and the elements by these."""
     corners = nodes[elements]
     size = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min()
     _, first, inverse = np.unique(np.round(nodes / (1e-6 * size)), axis=0, return_index=True, return_inverse=True)
