@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+import torchmbd as mbd
 from tests.fem.sections.section_cases import ANBA, general_section
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection, line_transform
@@ -75,3 +76,23 @@ def test_bad_numbers_are_named():
         line_transform(torch.full((1, 2), math.nan), zero)
     with pytest.raises(InputError, match="twist is \\[90"):
         line_transform(torch.zeros(1, 2), zero + 90.0)
+
+
+def test_designs_of_matrices():
+    """The symmetric part counts; one that is not definite is named."""
+    K = torch.diag(torch.tensor([2e5, 1e5, 1e5, 20.0, 30.0, 40.0], dtype=torch.float64))
+    section = mbd.GivenSection(K, torch.eye(6, dtype=torch.float64) * torch.tensor([1.0, 1, 1, 2, 1, 1]))
+    column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(1.0, 4), section, modes=2, reference="start")
+    system = mbd.System([column], [mbd.Fixed(mbd.Ground().at(), column.at("start"))])
+    upper = K.clone()
+    upper[3, 4] = 10.0
+    both = 0.5 * (upper + upper.T)
+    bent, lower, symmetric = (
+        mbd.equilibrium(system, designs={"column.section.matrix": x[None]}).frequencies for x in (upper, upper.T, both)
+    )
+    assert_close(bent, symmetric)
+    assert_close(lower, symmetric)
+    wrong = torch.stack([K, K.clone()])
+    wrong[1, 4, 4] = -1.0
+    with pytest.raises(InputError, match="stiffness of a section is not positive definite in lane 1"):
+        mbd.simulate(system, 0.1, steps=2, designs={"column.section.matrix": wrong})

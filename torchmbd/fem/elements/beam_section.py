@@ -42,9 +42,9 @@ class BeamSection(Protocol):
 
 
 class GivenSection(nn.Module):
-    """A section of known matrices. `.matrix` is a parameter; it requires no gradient by default.
+    """A section of known matrices. `.matrix` is a parameter, the stiffness; it requires no gradient by default.
 
-    stiffness   6 x 6, symmetric and positive definite
+    stiffness   6 x 6, symmetric and positive definite; of a design the symmetric part
     mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
 
     >>> area, I = 1e-4, 8.3e-10  # a square rod of 10 mm [m2], [m4]
@@ -85,7 +85,7 @@ class GivenSection(nn.Module):
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix of the section."""
-        return self.matrix
+        return 0.5 * (self.matrix + self.matrix.mT)
 
     def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Mass matrix of the section, per length."""
@@ -145,6 +145,17 @@ class IsotropicSection(Numbers):
     def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Mass matrix of the section, per length."""
         return self().mass()
+
+
+def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
+    """Stiffness of a section in the present design; InputError where it is not positive definite."""
+    S = section.stiffness()
+    good = torch.linalg.cholesky_ex(plain_numbers(S))[1] == 0
+    if not all_true(good):
+        lane = int(good.flatten().logical_not().nonzero()[0])
+        where = f" in lane {lane}" * (good.numel() > 1)
+        raise InputError(f"stiffness of a section is not positive definite{where}: it does no work in some motion")
+    return S
 
 
 def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:

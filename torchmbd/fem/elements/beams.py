@@ -16,7 +16,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam import BeamMatrices, Line
 from torchmbd.fem.elements.beam_geometric import stressed_beams
 from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
-from torchmbd.fem.elements.beam_section import BeamSection, line_transform
+from torchmbd.fem.elements.beam_section import BeamSection, definite_stiffness, line_transform
 from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints
 from torchmbd.fem.elements.plates import MASSES
@@ -118,7 +118,7 @@ class Beams:
         return torch.cartesian_prod(self.matrices.members, torch.arange(2))
 
     def _stiffness(self) -> Float[Tensor, "*lanes m g 6 6"]:
-        return self._to_line @ self.section.stiffness()[..., None, None, :, :] @ self._to_line.mT
+        return self._to_line @ definite_stiffness(self.section)[..., None, None, :, :] @ self._to_line.mT
 
 
 def _placed(
