@@ -46,6 +46,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
+from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import report_singular_positions
@@ -157,13 +158,15 @@ def simulate(
         motion.stats["gradients"] = mode if names or by_duration or initial.watched else "none"
         with torch.no_grad():
             if phases is None:
-                report_singular_positions(_plain(motion))
+                report_singular_positions(plain(motion))
             motion.stats.pop("valid_times", None)
-            warn_of_spin(_plain(motion, motion.integration.validity[0, 0]))
+            values = plain(motion, motion.integration.validity[0, 0])
+            warn_of_spin(values)
+            warn_of_displacements(values)
         return motion
 
 
-def _plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
+def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
     """The motion on plain tensors, also under torch.func; it shares status and statistics.
 
     valid_times: as of IntegratedSignals

@@ -21,7 +21,7 @@ from torchmbd.errors import InputError, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
-from torchmbd.integrate.simulate import entry_labels, lanes_of_batch, trajectory_of, variable_names
+from torchmbd.integrate.simulate import entry_labels, lanes_of_batch, plain, trajectory_of, variable_names
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pair import Pair, value
@@ -31,6 +31,7 @@ from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
+from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK
 from torchmbd.results.spin import warn_of_spin
@@ -241,6 +242,8 @@ def equilibrium(
         )
         motion.stats["gradients"] = "reverse" if names else "none"
         motion.stats["backend"] = "eager"
+        with torch.no_grad():
+            warn_of_displacements(plain(motion))
         if rotation is not None:
             warn_of_spin(motion)
     own: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
