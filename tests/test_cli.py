@@ -176,6 +176,11 @@ def test_what_the_system_refuses_is_a_message(folder, capsys, monkeypatch):
 
 
 @pytest.mark.thorough
+def test_the_next_command_can_be_copied(folder, capsys):
+    assert cli.main(["new", "my arm.yaml", "--model", "rod_model.py:build"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "next: torchmbd check 'my arm.yaml'"
+
+
 def test_new_check_and_schema(folder, capsys):
     assert cli.main(["new", "mine.yaml", "--model", "rod_model.py:build"]) == 0
     assert cli.main(["check", "mine.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=2"]) == 0

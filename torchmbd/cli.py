@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -112,7 +113,7 @@ def new(file: Path, /, *, model: str | None = None) -> int:
 
     for written in write_experiment(file, model):
         print(f"wrote {written}")
-    print(f"next: torchmbd check {file}")
+    print(f"next: {shlex.join(['torchmbd', 'check', str(file)])}")
     return 0
 
 
@@ -148,8 +149,10 @@ def compare(a: str, b: str, /, *, uri: Uri = None) -> int:
 
     Parameters
     ----------
-    a, b
-        Run ids, their beginnings, or names of studies.
+    a
+        Run id, its beginning, or the name of a study (its latest run).
+    b
+        The other one.
     """
     from torchmbd.study.compare import print_comparison
 

@@ -188,6 +188,15 @@ def test_its_motion_is_that_of_a_scenario_and_not_of_the_model_as_it_is_built():
         asked.simulate(X[None], scenario="hevy")
 
 
+@pytest.mark.parametrize("constraints", ["each", "worst"])
+def test_where_the_objective_is_the_same_the_largest_is_the_scenario_nearest_to_a_limit(constraints):
+    cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}, "middle": {"tool.mass": 0.3}}
+    limits = [mbd.Frequency("arm") >= 1.0, mbd.Max(TIP) <= 1e-3]
+    asked = problem(cases, minimize=mbd.Mass("arm"), subject_to=limits, constraints=constraints)
+    assert asked.largest(X) == "heavy"
+    assert problem(cases, minimize=mbd.Mass("arm"), subject_to=[]).largest(X) == "light"
+
+
 @pytest.mark.parametrize("kind", ["at_most", "at_least"])
 def test_the_initial_design_keeps_the_worst_of_its_own_limits(kind):
     cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}}

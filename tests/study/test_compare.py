@@ -9,6 +9,7 @@ import shutil
 import pytest
 from rich.console import Console
 
+from torchmbd.errors import InputError
 from torchmbd.study.compare import differences, print_best, print_comparison
 from torchmbd.study.journal import flat
 from torchmbd.study.listing import print_links_of
@@ -31,6 +32,12 @@ def test_only_what_differs_is_compared(finished):
     text = shown(print_comparison, *finished.runs, finished.uri)
     (row,) = [line.split() for line in text.splitlines() if "best_objective" in line]
     assert row[1:] == [f"{entry.metrics['best_objective']:.6g}" for entry in (first, second)]
+
+
+def test_a_run_is_not_compared_with_itself(finished):
+    run = finished.runs[0]
+    with pytest.raises(InputError, match=rf"are the same run, {run[:8]}; allowed: two runs"):
+        shown(print_comparison, run, run[:8], finished.uri)
 
 
 def test_the_best_come_first(finished):

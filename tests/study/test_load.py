@@ -82,6 +82,7 @@ def test_scenarios_of_a_file_are_those_of_python(write):
     assert loaded.evaluate(loaded.start[None], False)[0].status == "ok"
     for wrong, words in (
         ({"combine": {"objective": "mean"}}, "without scenarios"),
+        ({"scenarios": [{"set": {"rod.laminate.thickness": -1e-3}}]}, "= -0.001: allowed: positive numbers"),
         ({"scenarios": [{"set": {"rod.laminate.thicknes": 1.0}}]}, "rod.laminate.thickness"),
         ({"scenarios": cases, "combine": {"objective": "all"}}, "worst, mean"),
         ({"scenarios": [copy.deepcopy(cases[0]), cases[0]]}, "each name once"),

@@ -164,6 +164,8 @@ def test_parallel_coordinates():
     figure = mbd.viz.parallel_coordinates(X, y, ["a [deg]", "b"], [True, True, False], (-90.0, [np.inf, -np.inf][0]))
     best = next(line for line in figure.axes[0].lines if line.get_label() == "best")
     assert_allclose(best.get_ydata(), [(30 + 90) / 135, 1.0, (1.0 - 0.5) / 1.5])
+    for axis in figure.axes[0].collections:  # an axis does not cross its numbers
+        assert_allclose(axis.get_paths()[0].vertices[:, 1], [0.0, 1.0])
     long = "integral of squared x velocity of tool, plus squared y velocity of tool [m2/s]"
     axes = mbd.viz.parallel_coordinates(X, y, ["a [deg]", "b"], objective=long).axes[0]
     assert axes.get_xticklabels()[-1].get_text() == "objective\n[m2/s]"

@@ -192,13 +192,38 @@ class Scenarios(Problem):
         return len(self.scenarios) if self._constraint_rule == "each" else 1
 
     def largest(self, x: np.ndarray) -> str:
-        """Name of the scenario in which the objective of a design [n] is largest; a motion that fails counts least."""
-        objectives: dict[str, float] = {}
-        for group, motion in zip(self.groups, self.motions_by_system(x), strict=True):
-            values = self.reference.measures[0].value(motion).detach().reshape(motion.lanes, -1).amax(1).tolist()
-            for name, value, status in zip(group.settings, values, motion.status, strict=True):
-                objectives[name] = value if status == OK else -np.inf
-        return max(objectives, key=lambda name: objectives[name])
+        """Name of the scenario in which the objective of a design [n] is largest; a motion that fails counts least.
+
+        Where the objective is the same in several, as a mass is, it is the one of these that is nearest to a limit or
+        farthest beyond it.
+        """
+        motions = self.motions_by_system(x)
+        objective, *_ = parts = self._values_by_scenario(motions)
+        excesses = self._excesses(parts[1:])
+        statuses = self._in_scenario_order([np.array([motion.status]) for motion in motions])[0]
+        objectives = np.where(statuses == OK, objective.max(1), -np.inf)
+        candidates = np.flatnonzero(np.isclose(objectives, objectives.max(), rtol=1e-9, atol=0.0))
+        return list(self.scenarios)[candidates[np.argmax(excesses[candidates])]]
+
+    def _values_by_scenario(self, motions: Sequence[Trajectory]) -> list[np.ndarray]:
+        """Values of objective and constraints [scenarios, rows] of one design."""
+        values = (
+            [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
+            for measure in self.reference.measures
+        )
+        return [self._in_scenario_order(parts)[0] for parts in values]
+
+    def _excesses(self, constraints: Sequence[np.ndarray]) -> np.ndarray:
+        """The largest (g - limit) / scale in every scenario [scenarios], of values g [scenarios, rows] of each constraint."""
+        excesses, first = np.full(len(self.scenarios), -np.inf), 0
+        limits = len(self.scenarios) if self._constraint_rule == "each" else 1
+        for constraint, g in zip(self.constraints, constraints, strict=True):
+            rows = slice(first, first := first + g.shape[1] * limits)
+            limit, scale = (x[rows].reshape(-1, g.shape[1]) for x in (self.reference.limits, self.reference.scale))
+            excess = (g - limit) / scale
+            excess = abs(excess) if constraint.kind == "equal" else excess
+            excesses = np.fmax(excesses, excess.max(1))
+        return excesses
 
     def simulate(self, X: np.ndarray, gradients: bool = False, scenario: str | None = None) -> Trajectory:
         """Motions of designs [lanes, n] in one scenario; None: in the one where the objective of the last is largest."""

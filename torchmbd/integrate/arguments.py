@@ -139,11 +139,16 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
         numbers_of = untransformed(x).reshape(-1, *own[name].shape)
         lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())
         check_parameter(f"design of lane {lane}:", name, numbers_of[lane])
-        owner, _, own_name = name.rpartition(".")
-        if own_name in getattr(system.get_submodule(owner), "positive", ()):
+        if is_positive(system, name):
             _check_lanes(name, x, x > 0.0, "positive numbers")
         result[name] = x
     return result
+
+
+def is_positive(system: System, parameter: str) -> bool:
+    """Whether only positive numbers are allowed for a parameter, as for a mass."""
+    owner, _, name = parameter.rpartition(".")
+    return name in getattr(system.get_submodule(owner), "positive", ())
 
 
 def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:

@@ -89,7 +89,9 @@ def check_parameter(what: str, name: str, values: Tensor) -> None:
 
 def warn_unusual(name: str, value: float, unit: str, usual: tuple[float, float]) -> None:
     """Warn with argument, value and usual range if a number is outside of this range."""
-    if not usual[0] <= value <= usual[1]:
+    if value < 0.0 < usual[0]:
+        warn(f"{name} is {value:.6g} {unit}; allowed: positive; usual: {usual[0]:g} to {usual[1]:g} {unit}".rstrip())
+    elif not usual[0] <= value <= usual[1]:
         warn(
             f"units of {name}? It is {value:.6g} {unit}; allowed: m, kg, s, N, Pa; usual: {usual[0]:g} to {usual[1]:g} "
             f"{unit}".rstrip()

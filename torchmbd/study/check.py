@@ -19,7 +19,7 @@ from torchmbd.design.response import Measure
 from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
 from torchmbd.design.space import CONSTANT
 from torchmbd.errors import InputError, nearest
-from torchmbd.integrate.arguments import start_of
+from torchmbd.integrate.arguments import is_positive, start_of
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.math import units
@@ -326,7 +326,7 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
         path, own = ("scenarios", k, "set", name), dict((systems[k] or system).named_parameters())
         if name not in own:
             hint = (
-                ". A plain number of the model becomes a parameter by mbd.variable(...); options: {...} of a scenario "
+                "; a plain number of the model becomes a parameter by mbd.variable(...), options: {...} of a scenario "
             )
             hint += "are other arguments of the model's function"
             faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}{hint}"))
@@ -337,6 +337,8 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
             faults.append(Fault(path, f"= {given}: has {len(np.atleast_1d(given))} values; allowed: {size}"))
         elif text := _unit_of_setting(name, said):
             faults.append(Fault(path, text))
+        elif is_positive(systems[k] or system, name) and not (x > 0.0).all():
+            faults.append(Fault(path, f"= {given}: allowed: positive numbers"))
         else:
             try:
                 check_parameter("scenario sets", name, torch.from_numpy(x))

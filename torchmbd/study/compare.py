@@ -82,6 +82,10 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     """Print in what the files of two studies differ, and how they ended."""
     store = store_uri(uri)
     first, second = find(store, a), find(store, b)
+    if first.run_id == second.run_id:
+        raise InputError(
+            f"a = {a!r} and b = {b!r} are the same run, {first.run_id[:8]}; allowed: two runs; torchmbd list has their ids"
+        )
     table = _table("what differs, and how they ended")
     for title in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):
         table.add_column(escape(title), overflow="fold")

@@ -35,7 +35,7 @@ from torchmbd.tracking.store import store_uri
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2rem; } .quiet { color: #666; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9em; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9em; display: block; overflow-x: auto; }
 th, td { text-align: right; padding: 0.15rem 0.7rem; } th { border-bottom: 1px solid #888; }
 td:first-child, th:first-child { text-align: left; } td { white-space: nowrap; } tr.best { font-weight: 600; }
 img { max-width: 100%; } iframe { width: 100%; height: 34rem; border: 1px solid #ddd; }

@@ -30,7 +30,7 @@ def print_configs(folder: Path, console: Console) -> None:
         console.print(f"No experiment files in {escape(str(folder))}.", soft_wrap=True)
         return
     table = Table(title="experiment files", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("file", overflow="fold")
+    table.add_column("file", no_wrap=True)  # a name in one piece can be copied
     table.add_column("question")
     for file, question in found.items():
         table.add_row(escape(str(file)), escape(question))

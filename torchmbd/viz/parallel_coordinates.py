@@ -73,7 +73,7 @@ def parallel_coordinates(
         )
     _best(axes, places, share, worse, good)
     for k in places:
-        axes.axvline(k, color="#444444", lw=0.8, zorder=0)
+        axes.vlines(k, 0.0, 1.0, color="#444444", lw=0.8, zorder=0)  # between its numbers, not through them
         for edge, text, va in ((-0.03, low[k], "top"), (1.03, high[k], "bottom")):
             axes.text(k, edge, f"{text:.4g}", ha="center", va=va, fontsize=7)
     if len(_lines(objective)) > _ROOM:  # a long objective has its own line below
