@@ -129,3 +129,21 @@ def test_available_memory_is_that_of_this_machine():
     total = psutil.virtual_memory().total
     assert memory.installed() <= 1.01 * total
     assert 0.2 * psutil.virtual_memory().available <= memory.available() <= memory.installed()
+
+
+@pytest.mark.parametrize(
+    ("group", "file", "folder"),
+    [
+        ("0::/system.slice/slurmstepd.scope/job_7/step_0", "memory.max", "system.slice/slurmstepd.scope/job_7"),
+        ("4:cpuset,memory:/slurm/job_7/step_0", "memory.limit_in_bytes", "memory/slurm/job_7"),
+    ],
+)
+def test_the_limit_of_a_job_is_that_of_its_control_group(tmp_path, monkeypatch, group, file, folder):
+    """SLURM limits a job by a group of its own, below the root; its steps have no limit of their own."""
+    (tmp_path / folder / "step_0").mkdir(parents=True)
+    (tmp_path / folder / file).write_text("123456\n")
+    (tmp_path / folder / "step_0" / file).write_text("max\n")
+    (tmp_path / "groups").write_text(f"3:cpuacct:/elsewhere\n{group}\n")
+    monkeypatch.setattr(memory, "_CONTROL_GROUPS", tmp_path)
+    monkeypatch.setattr(memory, "_OF_PROCESS", tmp_path / "groups")
+    assert memory.installed() == 123456.0

@@ -191,14 +191,14 @@ class Adjoint:
         if of_leaves is None or len(lanes) < of_leaves.lanes or names != leaf_names:
             of_leaves = differentiable(dynamics.select_lanes(lanes) if len(lanes) < dynamics.lanes else dynamics, names)
         leaves = {name: of_leaves.data[name] for name in names}
-        _, reduced, start = prepare(of_leaves)
+        _, condensed, start = prepare(of_leaves)
         interval = history.checkpoints.interval if history.checkpoints else 1
         steps = interval * (len(history.q) - 1)
         h = self.duration / steps
         times = h * torch.arange(steps + 1, dtype=torch.float64)
         weights, corrections = self.integrator.weights(h), self.integrator.counts(dynamics)[1]
         every = interval * substeps
-        return Grid(lanes, history.lanes(columns), leaves, reduced, start, weights, times, every, corrections)
+        return Grid(lanes, history.lanes(columns), leaves, condensed, start, weights, times, every, corrections)
 
 
 class AdjointSolver:

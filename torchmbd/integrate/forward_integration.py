@@ -122,32 +122,32 @@ class ForwardIntegration:
         """As of `Integration`."""
         if not self.variables:
             raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
-        by = dict(self._by_name(directions))
-        found = [by.get(name) for name in self.variables]  # in their order, that of the tangents
-        count = next((x.shape[-2] for x in found if x is not None), 1)
+        by_name = dict(zip(self.names, directions, strict=True))
+        count = next((x.shape[-2] for x in directions if x is not None), 1)
         flat = []
-        for name, d in zip(self.variables, found, strict=True):
-            size = self._size(name)
-            flat.append(self._no_tangents(size, count) if d is None else d.reshape(size, count, d.shape[-1]))
+        for name in self.variables:  # in their order, that of the tangents
+            d, size = by_name.get(name), self._size(name)
+            no_direction = torch.zeros(size, count, 1, dtype=torch.float64)
+            flat.append(no_direction if d is None else d.reshape(size, count, d.shape[-1]))
         lanes = max(x.shape[-1] for x in flat)
-        step = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
-        moved = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), step) for dx in self._tangents)
-        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in moved]
+        db = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
+        products = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), db) for dx in self._tangents)
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in products]
 
     def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         parts = [
-            torch.einsum("krl,kbl->brl", bar.flatten(0, -3), dx.flatten(0, -3).expand(-1, -1, bar.shape[-1]))
-            for bar, dx in zip(outputs, self._tangents, strict=True)
-            if bar is not None
+            torch.einsum("krl,kbl->brl", y.flatten(0, -3), dx.flatten(0, -3).expand(-1, -1, y.shape[-1]))
+            for y, dx in zip(outputs, self._tangents, strict=True)
+            if y is not None
         ]
         lanes = len(self.status)
         total = torch.stack([x.expand(*x.shape[:-1], lanes) for x in parts]).sum(0)
         total = torch.where(self.validity[1] > 0.0, total, 0.0)
-        ends = iter(total.split([self._size(name) for name in self.variables]))
-        by = {name: next(ends) for name in self.variables}
+        split = total.split([self._size(name) for name in self.variables])
+        by_name = dict(zip(self.variables, split, strict=True))
         own = dict(self.system.named_parameters())
-        return [by[n].reshape(*own[n].shape, *total.shape[1:]) if n in by else None for n in self.names]
+        return [by_name[n].reshape(*own[n].shape, *total.shape[1:]) if n in by_name else None for n in self.names]
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """As of ReverseIntegration."""
@@ -163,14 +163,8 @@ class ForwardIntegration:
         """The switches with their numbers as differentiable outputs."""
         return switches_with(self.switches, numbers)
 
-    def _by_name(self, x: Tensors) -> list[tuple[str, Tensor | None]]:
-        return list(zip(self.names, x, strict=True))
-
     def _size(self, name: str) -> int:
         return dict(self.system.named_parameters())[name].numel()
 
     def _constant(self, x: Tensor) -> Pair:
         return Pair.of(x, x.new_zeros(*x.shape[:-2], len(self.labels), x.shape[-1]))
-
-    def _no_tangents(self, size: int, count: int) -> Tensor:
-        return torch.zeros(size, count, 1, dtype=torch.float64)

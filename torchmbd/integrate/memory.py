@@ -26,7 +26,7 @@ _COPIES = 3  # of the motion: what is recorded, rows of the whole system, work a
 _STEP = 3000.0  # bytes of Python objects for a step of a segment, of however many lanes
 _NODE, _FILL, _MODE, _SLOPE, _MODE_SLOPE = 8600.0, 560.0, 600.0, 1000.0, 400.0  # a, b, c, d, e [bytes]
 _SHARE = 0.25  # of the machine's memory for one batch
-_GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+_CONTROL_GROUPS, _OF_PROCESS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def lane_bytes(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> float:
@@ -55,11 +55,27 @@ def motion_bytes(system: System, lanes: int, steps: int, tangents: int = 0, adjo
 def installed() -> float:
     """Bytes of the machine, or of the container or job that this process runs in; inf where that is unknown."""
     try:
-        found = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+        machine = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not POSIX
-        found = math.inf
-    limits = [Path(file).read_text().strip() for file in _GROUPS if os.access(file, os.R_OK)]
-    return min([found, *(float(limit) for limit in limits if limit.isdigit())])
+        machine = math.inf
+    return min([machine, *_control_group_limits()])
+
+
+def _control_group_limits() -> list[float]:
+    """Limits [bytes] of the control groups that this process is in, of versions 1 and 2, as of containers and SLURM jobs."""
+    groups = _OF_PROCESS.read_text().splitlines() if os.access(_OF_PROCESS, os.R_OK) else []
+    files: dict[Path, None] = {}
+    for group in ["0::/", "0:memory:/", *groups]:  # number:controllers:path; a container may see the root only
+        _, controllers, path = group.split(":", 2)
+        version_1 = "memory" in controllers.split(",")
+        if controllers and not version_1:
+            continue
+        root = _CONTROL_GROUPS / "memory" if version_1 else _CONTROL_GROUPS
+        own = root / path.lstrip("/")
+        folders = [folder for folder in (own, *own.parents) if folder.is_relative_to(root)]
+        files |= dict.fromkeys(x / ("memory.limit_in_bytes" if version_1 else "memory.max") for x in folders)
+    limits = [file.read_text().strip() for file in files if os.access(file, os.R_OK)]
+    return [float(limit) for limit in limits if limit.isdigit()]
 
 
 def available() -> float:

@@ -5,11 +5,11 @@
     inputs_bar = F'^T outputs_bar        backward   the discrete adjoint; under vmap all rows in one pass
 
 Every tensor has the axes [component..., k, lanes]: k = 1 for values, the number of tangents or of cotangents (rows) for
-derivatives. Lanes are designs that do not see each other, so `vmap` over designs becomes more lanes. A lane axis of one
-holds for all lanes.
+derivatives. Lanes are designs that do not depend on each other, so `vmap` over designs becomes more lanes. A lane axis of
+one holds for all lanes.
 
-An `Integration` is what is integrated: it knows the equations, the method and, once it has run, status and statistics.
-Second derivatives are refused by name: the derivatives of tangents and adjoint are not computed.
+An `Integration` has the equations, the method and, once it has run, status and statistics.
+Second derivatives are refused: tangents and adjoint have none.
 Checked in tests/integrate/test_motion.py.
 """
 
@@ -29,7 +29,7 @@ Tensors = Sequence[Tensor | None]
 
 
 class Integration(Protocol):
-    """What `Motion` integrates, on plain tensors [component..., k, lanes]."""
+    """A function of `Motion` with its derivatives, on plain tensors [component..., k, lanes]."""
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """Outputs of the inputs; keeps what the derivatives need."""
@@ -49,8 +49,10 @@ class Motion(torch.autograd.Function):
 
     @staticmethod
     def forward(integration: Integration, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        found = integration.values([x.detach() for x in inputs])
-        return tuple(x.detach() for x in found)  # what torch hangs its graph on is not what the integration keeps
+        outputs = integration.values([x.detach() for x in inputs])
+        return tuple(
+            x.detach() for x in outputs
+        )  # torch attaches its graph to these, not to what the integration keeps
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, ...]) -> None:
@@ -66,8 +68,8 @@ class Motion(torch.autograd.Function):
         _refuse_batched(cotangents)
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(inputs))
-        found = iter(_Backward.apply(ctx.integration, wanted, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
-        return None, *(next(found) if one else None for one in wanted)
+        by_inputs = iter(_Backward.apply(ctx.integration, wanted, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
+        return None, *(next(by_inputs) if is_wanted else None for is_wanted in wanted)
 
     @staticmethod
     def jvp(ctx: Any, _: None, *directions: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -133,12 +135,12 @@ class _Backward(_Derivative):
     def forward(integration: Integration, wanted: tuple[bool, ...], *tensors: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         inputs, outputs = tensors[: len(wanted)], tensors[len(wanted) :]
         rows = next(x.shape[-2] for x in outputs if x is not None)
-        found = []
-        for x, bar, one in zip(inputs, integration.cotangents(outputs, wanted), wanted, strict=True):
-            if one and x is not None:
-                bar = x.new_zeros(*x.shape[:-2], rows, x.shape[-1]) if bar is None else bar
-                found.append(bar.sum(-1, keepdim=True) if x.shape[-1] == 1 < bar.shape[-1] else bar)
-        return tuple(found)
+        result = []
+        for x, cotangent, is_wanted in zip(inputs, integration.cotangents(outputs, wanted), wanted, strict=True):
+            if is_wanted and x is not None:
+                y = x.new_zeros(*x.shape[:-2], rows, x.shape[-1]) if cotangent is None else cotangent
+                result.append(y.sum(-1, keepdim=True) if x.shape[-1] == 1 < y.shape[-1] else y)
+        return tuple(result)
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, integration: Integration, wanted: tuple[bool, ...], *tensors: Tensor | None):
@@ -151,9 +153,11 @@ class _Backward(_Derivative):
         folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
         found = [_unfold(x, batch) for x in _Backward.apply(integration, wanted, *folded)]  # pyright: ignore[reportOptionalIterable]
         single = [
-            x is not None and _extent(x, d) == 1 for x, d, one in zip(tensors[:n], dims[:n], wanted, strict=True) if one
+            x is not None and _extent(x, d) == 1
+            for x, d, is_wanted in zip(tensors[:n], dims[:n], wanted, strict=True)
+            if is_wanted
         ]
-        found = [x.sum(-1, keepdim=True) if one else x for x, one in zip(found, single, strict=True)]
+        found = [x.sum(-1, keepdim=True) if is_single else x for x, is_single in zip(found, single, strict=True)]
         return tuple(found), (0,) * len(found)
 
 

@@ -124,17 +124,17 @@ class OneStep(Integrator):
         that alternates from step to step in the second half ("alternation").
         """
         h, every = duration / steps, self.checkpoint
-        whole, reduced, x = prepare(dynamics).detached()
+        whole, condensed, x = prepare(dynamics).detached()
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
-        stepper = self.stepper(reduced, h)
+        stepper = self.stepper(condensed, h)
         record = Record(x, len(times))
         record.put(0, x)
-        estimates = _StepEstimates(self, whole, reduced, x, duration, steps)
+        estimates = _StepEstimates(self, whole, condensed, x, duration, steps)
         accelerations = []  # algorithmic ones at the first states of segments, where these are not all recorded
-        announce(steps, reduced.lanes)
+        announce(steps, condensed.lanes)
         for segment in segments(steps, every):
             ends = h * torch.arange(segment.start + 1, segment.stop + 1, dtype=torch.float64)
-            schedule = reduced.topology.schedule(ends, reduced.data)
+            schedule = condensed.topology.schedule(ends, condensed.data)
             if every == 1:
                 x = stepper.run(x, schedule, record, segment.start, segment.start + 1)
                 states = record.history().at(slice(segment.start, segment.stop + 1))
@@ -183,28 +183,28 @@ class _StepEstimates:
     """Estimates of the errors of equal steps, from their states as they come; see `OneStep.integrate`."""
 
     def __init__(
-        self, integrator: OneStep, whole: Dynamics, reduced: Dynamics, start: State, duration: float, steps: int
+        self, integrator: OneStep, whole: Dynamics, condensed: Dynamics, start: State, duration: float, steps: int
     ):
-        self.whole, self.reduced, self.steps, self.h = whole, reduced, steps, duration / steps
+        self.whole, self.condensed, self.steps, self.h = whole, condensed, steps, duration / steps
         self.iterations = IterationErrors(value(start.q)[:, 0], duration, self.h)
-        self.errors = StepErrors(reduced, abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0), self.h)
+        self.errors = StepErrors(condensed, abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0), self.h)
         self.contacts = ContactWatch(whole)
         self.turns: list[Tensor] = []
         self.alternations: list[Tensor] = []
 
     def expansion(self, times: Tensor) -> Expansion | None:
         """Leads from states at these times to those of the whole system; None: they are its own."""
-        if self.reduced.topology is self.whole.topology:
+        if self.condensed.topology is self.whole.topology:
             return None
-        return Expansion.of(self.reduced.initial.condensation, self.whole.data, times)
+        return Expansion.of(self.condensed.initial.condensation, self.whole.data, times)
 
     def update(self, states: History, errors: Tensor, segment: range) -> None:
         """Go on with the states of a segment, the first of which was the last before, and the errors of its iterations."""
         self.iterations.update(states, errors)
         self.errors.update(states)
-        self.turns.append(turns(self.reduced, states, self.h)[min(segment.start, 1) :])
-        if self.reduced.topology.beams is not None:
-            self.alternations.append(alternations(self.reduced, states))
+        self.turns.append(turns(self.condensed, states, self.h)[min(segment.start, 1) :])
+        if self.condensed.topology.beams is not None:
+            self.alternations.append(alternations(self.condensed, states))
         if not self.contacts.idle:
             times = self.h * torch.arange(segment.start, segment.stop + 1, dtype=torch.float64)
             full = replace(states, expansion=self.expansion(times))

@@ -1,4 +1,4 @@
-"""The start of a motion by steps: consistent initial values, of the whole system and of what a condensation leaves of it.
+"""The initial state of a motion by steps, of the whole system and of the condensed one.
 
 Checked in tests/multibody/system/test_condensation.py.
 """
@@ -20,48 +20,48 @@ from torchmbd.results.state import State
 
 
 class Prepared(NamedTuple):
-    """A system, what a condensation leaves of it, and the initial state of that."""
+    """A system, the condensed system, and the initial state of that; `condensed` is `whole` where nothing is condensed."""
 
     whole: Dynamics
-    left: Dynamics
+    condensed: Dynamics
     start: State
 
     def detached(self) -> Prepared:
         """The same without a graph of torch."""
         whole = _detached(self.whole)
-        left = whole if self.left is self.whole else _detached(self.left)
-        return Prepared(whole, left, self.start.map(lambda x: linear(Tensor.detach, x)))
+        condensed = whole if self.condensed is self.whole else _detached(self.condensed)
+        return Prepared(whole, condensed, self.start.map(lambda x: linear(Tensor.detach, x)))
 
 
 def prepare(dynamics: Dynamics) -> Prepared:
-    """The start of a motion, made once for a `Dynamics`; the first caller says whether it has a graph of torch."""
+    """Initial state and condensed system, made once for a `Dynamics`; grad mode of the first call decides on a graph."""
     if dynamics.prepared is None:
         dynamics.prepared = _prepared(dynamics)
     return dynamics.prepared
 
 
 def differentiable(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
-    """The dynamics of leaves [component..., 1, lanes] under these names, and the start as a function of them."""
+    """The dynamics as a function of leaves [component..., 1, lanes] of these names, the initial state included."""
     leaves = {name: leaf(in_all_lanes(dynamics.data[name], dynamics.lanes)) for name in names}
-    found = replace(dynamics, data={**dynamics.data, **leaves})
+    of_leaves = replace(dynamics, data={**dynamics.data, **leaves})
     with torch.enable_grad():
-        prepare(found)
-    return found
+        prepare(of_leaves)
+    return of_leaves
 
 
 def _prepared(dynamics: Dynamics) -> Prepared:
-    x, left = initial(dynamics), dynamics.condensed()
-    if left is dynamics:
+    x, condensed = initial(dynamics), dynamics.condensed()
+    if condensed is dynamics:
         return Prepared(dynamics, dynamics, x)
-    x = left.initial.condensation.retained_state(x)
-    return Prepared(dynamics, left, x._replace(lam=left.zero_left_out(x.lam)))
+    x = condensed.initial.condensation.retained_state(x)
+    return Prepared(dynamics, condensed, x._replace(lam=condensed.zero_left_out(x.lam)))
 
 
 def _detached(dynamics: Dynamics) -> Dynamics:
-    found = replace(dynamics, data={name: linear(Tensor.detach, x) for name, x in dynamics.data.items()})
+    plain = replace(dynamics, data={name: linear(Tensor.detach, x) for name, x in dynamics.data.items()})
     if "rank" in vars(dynamics):
-        vars(found)["rank"] = dynamics.rank
-    return found
+        vars(plain)["rank"] = dynamics.rank
+    return plain
 
 
 def initial(dynamics: Dynamics) -> State:
