@@ -23,7 +23,7 @@ from torchmbd.math.codegen.module import Module
 from torchmbd.math.codegen.pieces import Pieces
 from torchmbd.math.codegen.program import Program, Write
 from torchmbd.math.codegen.segment_sum import SymbolicSegmentSum
-from torchmbd.math.codegen.size import Size, Untraceable, at, place
+from torchmbd.math.codegen.size import Size, Untraceable, constant_index, loop_index
 from torchmbd.math.pair import cat, contract, cross, matmul, matvec
 from torchmbd.multibody.system.index_maps import SegmentSum
 
@@ -80,12 +80,12 @@ def traced(f: Callable[..., Any]) -> tuple[Program, list[Write]]:
     program = Program([M])
     x = f(Tables(True), **inputs(program))
     program.buffer("out", 0, "output")
-    parts = x.solid() if isinstance(x, Pieces) else x
+    parts = x.as_array() if isinstance(x, Pieces) else x
     writes = []
     for k in np.ndindex(*parts.numbers.shape):
-        index = place(0)
+        index = constant_index(0)
         for i, n, v in zip(k, parts.shape, parts.loops, strict=True):
-            index = index.times(n).plus(at(v) if v is not None else i)
+            index = index.times(n).plus(loop_index(v) if v is not None else i)
         writes.append(Write("out", program.loops(parts.variables, index), index, int(parts.numbers[k]), False))
     return program, writes
 

@@ -22,7 +22,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ 
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("TORCHMBD_COMPILE", "1")
-    monkeypatch.setattr(build_cache, "_said", set())
+    monkeypatch.setattr(build_cache, "_warned", set())
     return require_cache_folder()
 
 
@@ -49,7 +49,7 @@ LOAD = (
 @needs_compiler
 def test_a_library_that_was_cut_ends_no_process(folder: Path) -> None:
     """Loaded, it is a SIGBUS: at the first look at a page that the file does not have."""
-    whole = build_cache.keep(compiled(folder), folder / f"step-{'0' * 32}.so")
+    whole = build_cache.seal_and_store(compiled(folder), folder / f"step-{'0' * 32}.so")
     data = whole.read_bytes()
     files = [folder / f"step-{k:032d}.so" for k in range(1, 7)]
     for share, file in zip((0.0, 0.1, 0.3, 0.6, 0.9, 1.0), files, strict=True):
@@ -64,7 +64,7 @@ def test_a_library_that_was_cut_ends_no_process(folder: Path) -> None:
 
 @needs_compiler
 def test_what_was_kept_is_loaded(folder: Path) -> None:
-    file = build_cache.keep(compiled(folder), folder / f"step-{'0' * 32}.so")
+    file = build_cache.seal_and_store(compiled(folder), folder / f"step-{'0' * 32}.so")
     assert list(folder.iterdir()) == [file]
     code = compiler.load(file)
     assert code is not None
@@ -84,25 +84,25 @@ def test_a_library_from_elsewhere_is_not_loaded(folder: Path) -> None:
 def test_what_others_can_write_is_refused_once(folder: Path, target: str, mode: int) -> None:
     made = folder / "made"
     made.write_bytes(b"code")
-    file = build_cache.keep(made, folder / f"step-{'0' * 32}.so")
-    assert build_cache.read(file) == b"code"
+    file = build_cache.seal_and_store(made, folder / f"step-{'0' * 32}.so")
+    assert build_cache.read_sealed(file) == b"code"
     (folder if target == "folder" else file).chmod(mode)
     with pytest.warns(UserWarning, match="can be written by others; allowed: by you alone"):
-        assert build_cache.read(file) is None
+        assert build_cache.read_sealed(file) is None
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert build_cache.read(file) is None
+        assert build_cache.read_sealed(file) is None
     assert file.exists()
 
 
 def test_what_another_user_owns_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = folder / "made"
     made.write_bytes(b"code")
-    file = build_cache.keep(made, folder / f"step-{'0' * 32}.so")
+    file = build_cache.seal_and_store(made, folder / f"step-{'0' * 32}.so")
     own = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: own + 1)
     with pytest.warns(UserWarning, match="belongs to another user; allowed: your own"):
-        assert build_cache.read(file) is None
+        assert build_cache.read_sealed(file) is None
 
 
 def test_nothing_is_built_where_others_can_write(folder: Path) -> None:
@@ -133,7 +133,7 @@ def test_the_disk_has_a_file_before_it_has_its_name(folder: Path, monkeypatch: p
         fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", watched)
-    build_cache.keep(made, to)
+    build_cache.seal_and_store(made, to)
     assert done == [(str(made), False), (str(folder), True)]
 
 

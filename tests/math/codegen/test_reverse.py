@@ -18,7 +18,7 @@ from torchmbd.math.codegen.program import Program, Write
 from torchmbd.math.codegen.reverse import Pullback
 from torchmbd.math.codegen.rules import RULES
 from torchmbd.math.codegen.scalars import BINARY, TERNARY, UNARY, Untraceable
-from torchmbd.math.codegen.size import place
+from torchmbd.math.codegen.size import constant_index
 
 TABLES = {"body": BODY, "group": [SIZES["N"] if g < 0 else g for g in GROUP]}
 
@@ -51,7 +51,7 @@ def checked(f: Callable[[Any], Any], x: Tensor, wanted: Callable[[Tensor], Tenso
     program = Program()
     out = f(Array.input(program, "x", tuple(x.shape)))
     program.buffer("out", 0, "output")
-    writes = [Write("out", (), place(i), n, False) for i, n in enumerate(out.numbers.ravel().tolist())]
+    writes = [Write("out", (), constant_index(i), n, False) for i, n in enumerate(out.numbers.ravel().tolist())]
     y = torch.randn(len(writes), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     found = torch.from_numpy(pulled(program, writes, {"x": x}, y)["x_bar"])
     jacobian: Any = torch.func.jacrev(f) if wanted is None else wanted

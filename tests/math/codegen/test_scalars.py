@@ -79,3 +79,9 @@ def test_an_operator_that_is_not_known_is_named() -> None:
     tape = Tape()
     with pytest.raises(Untraceable, match="argmax"):
         tape.trace(lambda x: x.argmax(0), tape.inputs("x", 3))
+
+
+def test_a_division_by_a_constant_zero_is_left_to_the_machine() -> None:
+    tape = Tape()
+    (nodes,) = tape.trace(lambda x: x / torch.zeros_like(x), tape.inputs("x", 2))
+    assert [tape.op[i] for i in nodes] == ["div", "div"]

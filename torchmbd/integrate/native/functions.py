@@ -34,7 +34,7 @@ from torchmbd.math.codegen.module import Module
 from torchmbd.math.codegen.pieces import Pieces
 from torchmbd.math.codegen.program import Program, Write, product
 from torchmbd.math.codegen.reverse import Pullback
-from torchmbd.math.codegen.size import AnySize, Index, Lookup, Size, at, place
+from torchmbd.math.codegen.size import AnySize, Index, Lookup, Size, constant_index, loop_index
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, separate_tangents, value
 from torchmbd.multibody.system import equations
@@ -236,9 +236,9 @@ def _written(program: Program, buffer: str, x: Any, start: AnySize) -> list[Writ
     writes = []
     loops = x.variables
     for k in np.ndindex(*x.numbers.shape):
-        index = place(0)
+        index = constant_index(0)
         for i, n, v in zip(k, x.shape, x.loops, strict=True):
-            index = index.times(n).plus(at(v) if v is not None else i)
+            index = index.times(n).plus(loop_index(v) if v is not None else i)
         over = tuple(sorted(loops, key=program.rank))
         writes.append(Write(buffer, over, index.plus(start), int(x.numbers[k]), False))
     return writes
@@ -272,7 +272,7 @@ class _Step(_Traced):
         found = [blocks[name] for name, _ in self.blocks.shapes()]
         if slopes is not None:
             found += [slopes[0][name] for name, _ in self.blocks.action_shapes()] + [slopes[1]]
-        return self.output("entries", [x.solid() for x in found if 0 not in x.shape])
+        return self.output("entries", [x.as_array() for x in found if 0 not in x.shape])
 
 
 class _Saddle:
@@ -361,7 +361,7 @@ def _rates(kind: Kind) -> str:
             "signals": s.output("signals", signals(s.values, value(q), value(v))),
             "residual": s.output("R", [residual(z * 0.0, s.values, value(q), value(v))]),
             "kinematics": s.output("next", [equations.coordinate_rates(T, value(q), value(v))]),  # pyright: ignore
-            "matrix": s.output("entries", [x.solid() for x in matrix if 0 not in x.shape]),
+            "matrix": s.output("entries", [x.as_array() for x in matrix if 0 not in x.shape]),
         }
         s.module.moving = {
             "signal_tangents": s.output("signals", [x.tangent for x in signals(s.data, q, v)]),

@@ -246,4 +246,4 @@ def build(name: str, kind: str, text: str, system: str) -> Path:
         )
         if done.returncode:
             raise MbdError(f"{compiler()} failed on the {kind} of {system}: {done.stderr[-2000:]}")
-        return build_cache.keep(made, _path(name, kind))
+        return build_cache.seal_and_store(made, _path(name, kind))

@@ -1,10 +1,10 @@
-"""Native code with loops out of torch functions: sizes and index tables are known when it runs, not when it is compiled.
+"""C++ code with loops from torch functions: sizes and index tables are known when the code runs, not when it is compiled.
 
 size.py      sizes and indices: polynomials of sizes that are known at run time
-program.py   operations on numbers that depend on loop variables, and what is stored in buffers
-array.py     tensors whose axes may be loops: what torch functions are traced with
+program.py   operations on numbers that depend on loop variables, and writes to buffers
+array.py     tensors whose axes may be loops, with which torch functions are traced
 reverse.py   derivatives of a program in reverse mode
-schedule.py  which loops a function is made of, and what they share
+schedule.py  the loops of a function, and their order
 emit.py      C++
 """
 

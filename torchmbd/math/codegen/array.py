@@ -1,12 +1,11 @@
-"""Tensors whose axes may be loops: what functions of torch are traced with, to be written out as a program.
+"""Tensors whose axes may be loops, with which functions of torch are traced to a program.
 
-    Array    an axis is a number of components, which are written out one by one, or a loop of a size known at run time
+    Array    an axis is a number of components, which are separate numbers, or a loop of a size known at run time
     Pieces   several arrays flattened and joined along one axis, such as the coordinates of all bodies (pieces.py)
     Table    integers that are known at run time, for `index_select` and `SymbolicSegmentSum` (segment_sum.py)
 
-Operators of torch are in operators.py. One that is not known there, or a shape that does not fit for every size, is an
-`Untraceable`: nothing is guessed.
-Over 300 lines: the kinds of traced tensors are defined by each other.
+Operators of torch are in operators.py. Another operator, or shapes that do not fit for every size, raise `Untraceable`.
+Over 300 lines: the classes of traced tensors use each other.
 Checked in tests/math/codegen/test_array.py: against torch.
 """
 
@@ -20,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.codegen.program import Program
-from torchmbd.math.codegen.size import AnySize, Index, Lookup, Size, Untraceable, Variable, at, place
+from torchmbd.math.codegen.size import AnySize, Index, Lookup, Size, Untraceable, Variable, constant_index, loop_index
 from torchmbd.math.pair import Pair
 
 Loops = tuple[Variable | None, ...]
@@ -35,7 +34,7 @@ class Table(NamedTuple):
     start: AnySize = 0
 
     def __getitem__(self, rows: slice) -> Table:
-        start, stop = bounds(rows, self.size)
+        start, stop = slice_bounds(rows, self.size)
         return Table(self.name, stop - start, self.start + start)
 
     def lookup(self, index: Index) -> Index:
@@ -44,7 +43,7 @@ class Table(NamedTuple):
 
 
 class Traced:
-    """What operators of torch are given instead of tensors."""
+    """An argument of torch operators in place of a tensor."""
 
     requires_grad = False
     dtype = torch.float64
@@ -114,7 +113,8 @@ class Traced:
     def shape(self) -> tuple[AnySize, ...]:
         raise NotImplementedError
 
-    def solid(self) -> Array:
+    def as_array(self) -> Array:
+        """The tensor as one Array."""
         raise NotImplementedError
 
 
@@ -132,21 +132,21 @@ class Array(Traced):
     def input(
         cls, program: Program, name: str, shape: Sequence[AnySize], start: AnySize = 0, kind: str = "lanes"
     ) -> Any:
-        """What stands in a buffer from `start` on in row-major order; a buffer that is not there is made."""
+        """The contents of a buffer from `start` on in row-major order; adds the buffer if there is none of this name."""
         if name not in program.buffers:
             program.buffer(name, 0, kind)
-        return cls.placed(program, shape, lambda index: program.load(name, index.plus(start)))
+        return cls.from_indices(program, shape, lambda index: program.load(name, index.plus(start)))
 
     @classmethod
-    def placed(cls, program: Program, shape: Sequence[AnySize], number: Callable[[Index], int]) -> Array:
-        """The array of the numbers at row-major places."""
+    def from_indices(cls, program: Program, shape: Sequence[AnySize], number: Callable[[Index], int]) -> Array:
+        """The array of number(index) at row-major indices."""
         loops = new_variables(shape)
-        extents = components(shape, loops)
+        extents = component_shape(shape, loops)
         numbers = np.empty(extents, dtype=np.int64)
         for k in np.ndindex(*extents):
-            index = place(0)
+            index = constant_index(0)
             for i, n, v in zip(k, shape, loops, strict=True):
-                index = index.times(n).plus(at(v) if v is not None else i)
+                index = index.times(n).plus(loop_index(v) if v is not None else i)
             numbers[k] = number(index)
         return cls(program, numbers, loops)
 
@@ -156,70 +156,72 @@ class Array(Traced):
 
     @property
     def variables(self) -> list[Variable]:
-        """Of its loops."""
+        """Variables of the loops."""
         return [v for v in self.loops if v is not None]
 
-    def solid(self) -> Array:
+    def as_array(self) -> Array:
         return self
 
-    def mapped(self, f: Callable[[list[int]], list[int]]) -> Array:
-        """The array of other numbers."""
+    def map_numbers(self, f: Callable[[list[int]], list[int]]) -> Array:
+        """The array of f(numbers)."""
         flat = self.numbers.ravel().tolist()
         return Array(self.program, np.array(f(flat), dtype=np.int64).reshape(self.numbers.shape), self.loops)
 
-    def renamed(self, loops: Sequence[Variable | None]) -> Array:
-        """The same over other variables."""
+    def with_loops(self, loops: Sequence[Variable | None]) -> Array:
+        """The array with other loop variables."""
         mapping = {
-            v: at(w) for v, w in zip(self.loops, loops, strict=True) if v is not None and w is not None and v != w
+            v: loop_index(w)
+            for v, w in zip(self.loops, loops, strict=True)
+            if v is not None and w is not None and v != w
         }
-        found = self.mapped(lambda some: self.program.substitute_all(some, mapping)) if mapping else self
-        return Array(self.program, found.numbers, tuple(loops))
+        renamed = self.map_numbers(lambda numbers: self.program.substitute_all(numbers, mapping)) if mapping else self
+        return Array(self.program, renamed.numbers, tuple(loops))
 
     def stored(self) -> Array:
-        """The same, loaded from buffers."""
+        """The array as loads from buffers."""
 
-        def loaded(some: list[int]) -> list[int]:
-            known = self.program.stored(some)
-            return [known[x] for x in some]
+        def loaded(numbers: list[int]) -> list[int]:
+            loads = self.program.stored(numbers)
+            return [loads[x] for x in numbers]
 
-        return self.mapped(loaded)
+        return self.map_numbers(loaded)
 
     def __getitem__(self, key: Any) -> Array:
         key = key if isinstance(key, tuple) else (key,)
-        found, d = self, 0
+        result, d = self, 0
         rest = len(self.shape) - sum(k is not None and k is not Ellipsis for k in key)
         for k in key:
             if k is Ellipsis:
                 d += rest
             elif k is None:
-                found, d = unsqueezed(found, d), d + 1
+                result, d = insert_axis(result, d), d + 1
             elif isinstance(k, slice):
-                found, d = sliced(found, d, k), d + 1
+                result, d = slice_axis(result, d, k), d + 1
             else:
-                found = selected(found, d, k)
-        return found
+                result = select_component(result, d, k)
+        return result
 
 
 def new_variables(shape: Sequence[AnySize]) -> Loops:
-    """A variable for each size that is not a number."""
+    """A loop variable for each axis whose size is not a number, else None."""
     used: dict[Size, int] = {}
-    found: list[Variable | None] = []
+    variables: list[Variable | None] = []
     for n in shape:
         if isinstance(n, Size):
             used[n] = used.get(n, -1) + 1
-            found.append(Variable(n, used[n]))
+            variables.append(Variable(n, used[n]))
         else:
-            found.append(None)
-    return tuple(found)
+            variables.append(None)
+    return tuple(variables)
 
 
-def components(shape: Sequence[AnySize], loops: Sequence[Variable | None]) -> list[int]:
-    """Lengths of axes in `Array.numbers`."""
+def component_shape(shape: Sequence[AnySize], loops: Sequence[Variable | None]) -> list[int]:
+    """Lengths of axes in `Array.numbers`: 1 for loops."""
     return [n if v is None and isinstance(n, int) else 1 for n, v in zip(shape, loops, strict=True)]
 
 
-def bounds(rows: slice, size: AnySize) -> tuple[AnySize, AnySize]:
-    """Begin and end of a slice."""
+def slice_bounds(rows: slice, size: AnySize) -> tuple[AnySize, AnySize]:
+    """Start and end of a slice of an axis."""
     if rows.step not in (None, 1):
         raise Untraceable("a slice with a step cannot be written out")
     ends = []
@@ -236,14 +238,14 @@ def bounds(rows: slice, size: AnySize) -> tuple[AnySize, AnySize]:
 def array(program: Program, x: Any) -> Array:
     """A tensor or a number as an array."""
     if isinstance(x, Traced):
-        return x.solid()
+        return x.as_array()
     t = torch.as_tensor(x, dtype=torch.float64)
     numbers = np.array([program.constant(v) for v in t.flatten().tolist()], dtype=np.int64)
     return Array(program, numbers.reshape(tuple(t.shape)))
 
 
-def aligned(arrays: Sequence[Array]) -> tuple[list[np.ndarray], Loops]:
-    """Numbers of arrays that broadcast, over the same variables."""
+def broadcast_loops(arrays: Sequence[Array]) -> tuple[list[np.ndarray], Loops]:
+    """Numbers of arrays that broadcast, over common loop variables, and these."""
     ndim = max(x.numbers.ndim for x in arrays)
     wide = [
         Array(
@@ -255,23 +257,24 @@ def aligned(arrays: Sequence[Array]) -> tuple[list[np.ndarray], Loops]:
     ]
     loops: list[Variable | None] = []
     for d in range(ndim):
-        own = [x.loops[d] for x in wide if x.loops[d] is not None]
+        variables = [x.loops[d] for x in wide if x.loops[d] is not None]
         extents = {x.numbers.shape[d] for x in wide}
-        if own and (len({v.size for v in own}) > 1 or extents != {1}):  # pyright: ignore[reportOptionalMemberAccess]
+        if variables and (len({v.size for v in variables}) > 1 or extents != {1}):  # pyright: ignore[reportOptionalMemberAccess]
             raise Untraceable(f"shapes {[x.shape for x in wide]} do not fit for every size")
-        free = [v for v in own if v not in loops]
-        if own and not free:
-            size, number = own[0].size, 0  # pyright: ignore[reportOptionalMemberAccess]
+        free = [v for v in variables if v not in loops]
+        if variables and not free:
+            size, number = variables[0].size, 0  # pyright: ignore[reportOptionalMemberAccess]
             taken = {w for x in wide for w in x.loops[d + 1 :]}
             while Variable(size, number) in loops or Variable(size, number) in taken:
                 number += 1
             free = [Variable(size, number)]
-        loops.append(free[0] if own else None)
-    same = [x.renamed([w if v is not None else None for v, w in zip(x.loops, loops, strict=True)]) for x in wide]
+        loops.append(free[0] if variables else None)
+    same = [x.with_loops([w if v is not None else None for v, w in zip(x.loops, loops, strict=True)]) for x in wide]
     return [x.numbers for x in same], tuple(loops)
 
 
-def sliced(x: Array, d: int, rows: slice) -> Array:
+def slice_axis(x: Array, d: int, rows: slice) -> Array:
+    """A slice of axis d."""
     v = x.loops[d]
     if v is None:
         start, stop = rows.start, rows.stop
@@ -279,15 +282,15 @@ def sliced(x: Array, d: int, rows: slice) -> Array:
             raise Untraceable(f"components of {x.shape} cannot be cut at {rows}")
         numbers = x.numbers[(slice(None),) * d + (rows,)]
         return Array(x.program, numbers, x.loops)
-    start, stop = bounds(rows, v.size)
+    start, stop = slice_bounds(rows, v.size)
     length = stop - start
     if start == 0 and length == v.size:
         return x
-    return replaced(x, d, (length,), lambda index: index[0].plus(start))
+    return replace_loop(x, d, (length,), lambda index: index[0].plus(start))
 
 
-def replaced(x: Array, d: int, sizes: Sequence[AnySize], where: Callable[[list[Index]], Index]) -> Array:
-    """The array with a loop replaced by axes of some sizes: its place as a function of places along these."""
+def replace_loop(x: Array, d: int, sizes: Sequence[AnySize], where: Callable[[list[Index]], Index]) -> Array:
+    """The array with the loop of axis d replaced by axes of some sizes; `where` gives its index from those of the new axes."""
     v = x.loops[d]
     assert v is not None
     others = {w for i, w in enumerate(x.loops) if i != d and w is not None}
@@ -297,11 +300,11 @@ def replaced(x: Array, d: int, sizes: Sequence[AnySize], where: Callable[[list[I
         while isinstance(n, Size) and (Variable(n, number) in others or Variable(n, number) in new):
             number += 1
         new.append(Variable(n, number) if isinstance(n, Size) else None)
-    extents = components(sizes, new)
+    extents = component_shape(sizes, new)
     blocks = []
     for k in np.ndindex(*extents):
-        index = where([at(w) if w is not None else place(i) for i, w in zip(k, new, strict=True)])
-        blocks.append(x.mapped(lambda some, index=index: x.program.substitute_all(some, {v: index})).numbers)
+        index = where([loop_index(w) if w is not None else constant_index(i) for i, w in zip(k, new, strict=True)])
+        blocks.append(x.map_numbers(lambda numbers, index=index: x.program.substitute_all(numbers, {v: index})).numbers)
     shape = x.numbers.shape
     if not blocks:
         numbers = np.empty((*shape[:d], *extents, *shape[d + 1 :]), dtype=np.int64)  # pyright: ignore
@@ -310,20 +313,20 @@ def replaced(x: Array, d: int, sizes: Sequence[AnySize], where: Callable[[list[I
     return Array(x.program, numbers, (*x.loops[:d], *new, *x.loops[d + 1 :]))
 
 
-def selected(x: Array, d: int, i: int) -> Array:
-    """One of an axis."""
+def select_component(x: Array, d: int, i: int) -> Array:
+    """Component i of axis d."""
     if x.loops[d] is not None:
-        x = replaced(x, d, (1,), lambda index: index[0].plus(i))
+        x = replace_loop(x, d, (1,), lambda index: index[0].plus(i))
         i = 0
     return Array(x.program, np.asarray(x.numbers.take(i, d)), x.loops[:d] + x.loops[d + 1 :])
 
 
-def unsqueezed(x: Array, dim: int) -> Array:
+def insert_axis(x: Array, dim: int) -> Array:
     """The array with one more axis of one component."""
     return Array(x.program, np.expand_dims(x.numbers, dim), (*x.loops[:dim], None, *x.loops[dim:]))
 
 
 def zeros(program: Program, shape: Sequence[AnySize], number: float = 0.0) -> Array:
     loops = new_variables(shape)
-    extents = components(shape, loops)
+    extents = component_shape(shape, loops)
     return Array(program, np.full(extents, program.constant(number)), loops)  # pyright: ignore

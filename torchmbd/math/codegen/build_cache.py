@@ -1,10 +1,10 @@
-"""The folder of compiled code: what may be loaded from it, and how code gets there.
+"""The folder of compiled code: which files may be loaded from it, and how files are written to it.
 
-    code.so = what the compiler wrote + SEAL + SHA-256 of it
+    code.so = output of the compiler + SEAL + SHA-256 of the output
 
-To load a library that was cut short ends the process by SIGBUS, and to load another's runs his code. So nothing is loaded
-whose seal is wrong, or that another user can write. A file gets its name when it is on the disk as a whole.
-The seal finds accidents, not forgery: against that stand the owner and the mode of the folder and of the file.
+Loading a truncated library ends the process by SIGBUS, and loading a library of another user runs his code. So no file is
+loaded whose seal is wrong, or that another user can write. A file gets its name when it is completely on the disk.
+The seal detects accidents, not forgery; the owner and the mode of folder and file protect against that.
 Checked in tests/math/codegen/test_build_cache.py.
 """
 
@@ -22,32 +22,32 @@ from torchmbd.process import cache_folder
 
 SEAL = b"torchmbd"
 READY = (".so",)
-WORK = "build-"  # what the folders of a build that is under way begin with
+WORK = "build-"  # prefix of folders of builds in progress
 _OWN = re.compile(r"[a-z][a-z0-9_-]*-[0-9a-f]{32}\.so")
 _OWN_FOLDER = re.compile(WORK + r"[a-z0-9_]{8}")
-_PARTS = {"code.cpp", "code.so"}  # of such a folder
-_said: set[str] = set()  # why something is not loaded
+_PARTS = {"code.cpp", "code.so"}  # files of such a folder
+_warned: set[str] = set()  # reasons that a warning has given
 
 
 def refusal(path: Path) -> str | None:
-    """Say why nothing is loaded from a folder, or a file, that is there; None where it is the user's own."""
+    """The reason why an existing folder or file is not used; None if only the user can write it, or it does not exist."""
     try:
-        found = path.stat()
+        status = path.stat()
     except FileNotFoundError:
         return None
-    if found.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         return f"{path} belongs to another user; allowed: your own"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return f"{path} can be written by others; allowed: by you alone (chmod go-w)"
     return None
 
 
-def read(path: Path) -> bytes | None:
-    """Return the code of a file; None if it is not there, not the user's (which is said), or broken and so removed."""
+def read_sealed(path: Path) -> bytes | None:
+    """The code of a file; None if it does not exist, if others can write it (with a warning), or if it is broken (removed)."""
     if why := refusal(path.parent) or refusal(path):
-        if why not in _said:
+        if why not in _warned:
             warn(f"compiled code is not used: {why}")
-        _said.add(why)
+        _warned.add(why)
         return None
     try:
         data = path.read_bytes()
@@ -56,25 +56,25 @@ def read(path: Path) -> bytes | None:
     code, seal = data[: -len(SEAL) - 32], data[-len(SEAL) - 32 :]
     if seal == SEAL + hashlib.sha256(code).digest():
         return code
-    remove(path, "is not what was built")
+    remove_broken(path, "is not what was built")
     return None
 
 
-def remove(path: Path, why: str) -> None:
-    """Remove what cannot be loaded, and say so: it is built again."""
+def remove_broken(path: Path, why: str) -> None:
+    """Remove a library that cannot be loaded, with a warning; it will be built again."""
     warn(f"compiled library {path} cannot be loaded and is removed: it {why}")
     path.unlink(missing_ok=True)
 
 
-def keep(made: Path, to: Path) -> Path:
-    """Seal what a compiler has made, and give it its name when the disk has it."""
-    with made.open("r+b") as file:
+def seal_and_store(compiled: Path, to: Path) -> Path:
+    """Add the seal to a compiled library, write it to the disk, then give it its name `to`."""
+    with compiled.open("r+b") as file:
         seal = SEAL + hashlib.sha256(file.read()).digest()
         file.write(seal)
         file.flush()
         os.fchmod(file.fileno(), 0o600)
         os.fsync(file.fileno())
-    made.replace(to)
+    compiled.replace(to)
     folder = os.open(to.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -84,7 +84,7 @@ def keep(made: Path, to: Path) -> Path:
 
 
 def entries() -> list[tuple[Path, int, bool]]:
-    """What torchmbd has put into the folder: path, bytes, and whether it is a library."""
+    """Files and folders of torchmbd in the folder: path, bytes, and whether it is a library."""
     folder = cache_folder()
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -96,6 +96,6 @@ def entries() -> list[tuple[Path, int, bool]]:
 
 
 def clear() -> None:
-    """Remove what `entries` lists, and nothing else."""
+    """Remove the files and folders that `entries` lists."""
     for path, _, _ in entries():
         shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)

@@ -1,10 +1,10 @@
-"""C++ on this machine: the compiler, the folder of shared libraries, and libraries of a fixed text.
+"""The C++ compiler of this machine, its options, and the library of a source file of the package.
 
-A library is valid for one key: its source and all that it is made of, the versions of torch and Python, the compiler and
-the processor. So a stale one is never found. What may be loaded says build_cache.py; without a C++ compiler torch serves,
-said once.
+The name of a library has a digest of its sources, the versions of torch and Python, the compiler and the processor, so an
+outdated library is never loaded. build_cache.py decides which files may be loaded. Without a C++ compiler torch is used, with
+one warning.
 
-Cache: TORCHMBD_CACHE or ~/.cache/torchmbd, which the user alone may write. TORCHMBD_COMPILE=0 switches compilation off;
+Cache: TORCHMBD_CACHE or ~/.cache/torchmbd, which only the user may write. TORCHMBD_COMPILE=0 switches compilation off;
 CXX names the compiler, TORCHMBD_CXXFLAGS has more options for the code of mechanisms, as "-O0" or "-g".
 Checked in tests/math/codegen/test_compiler.py.
 """
@@ -46,19 +46,19 @@ def options() -> list[str]:
 
 
 def compilation_wanted() -> bool:
-    """Whether compilation is not switched off."""
+    """Whether TORCHMBD_COMPILE does not switch compilation off."""
     return os.environ.get("TORCHMBD_COMPILE") != "0"
 
 
 def unavailable() -> str | None:
-    """Why nothing can be compiled or loaded here; None: it can."""
+    """The reason why code cannot be compiled or loaded here; None if it can."""
     if shutil.which(compiler()) is None:
         return f"there is no C++ compiler ({compiler()!r}, which CXX names); eager steps are about ten times slower in batches"
     return build_cache.refusal(cache_folder())
 
 
 def toolchain_digest(sources: Iterable[str]) -> str:
-    """Source files of the package (or folders of them), versions, compiler and processor, as a digest."""
+    """A digest of source files of the package (or folders of them), versions, compiler and processor."""
     return _toolchain_digest(tuple(sources), compiler(), tuple(options()))
 
 
@@ -83,18 +83,18 @@ def _processor() -> str:
 
 
 def load(path: Path) -> ctypes.CDLL | None:
-    """A library; None if it is not there, or removed because it cannot be loaded."""
-    if build_cache.read(path) is None:
+    """The library of a file; None if it does not exist, or cannot be loaded and was removed."""
+    if build_cache.read_sealed(path) is None:
         return None
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
-        build_cache.remove(path, f"fails: {error}")
+        build_cache.remove_broken(path, f"fails: {error}")
         return None
 
 
 class Native:
-    """The library of one file of the package, `source` relative to it; built when first asked for, once for a machine."""
+    """The library of a source file, named relative to the package; built at the first call, once for each machine."""
 
     def __init__(self, source: str) -> None:
         self.source = source
@@ -102,36 +102,36 @@ class Native:
         self._failed = False
 
     def __call__(self) -> ctypes.CDLL | None:
-        """The library; None where it is not wanted, or cannot be made, which is said once."""
+        """The library; None if compilation is switched off, or fails, with one warning."""
         if not compilation_wanted() or self._failed:
             return None
-        if self._loaded is None:  # asked for in every product: no look at the disk
-            self._loaded = self._made()
+        if self._loaded is None:  # called for every product, so the disk is not read again
+            self._loaded = self._load_or_build()
         return self._loaded
 
     def path(self) -> Path:
         """Where the library is, or would be."""
         return cache_folder() / f"{Path(self.source).stem}-{toolchain_digest([self.source])[:32]}{SUFFIX}"
 
-    def _made(self) -> ctypes.CDLL | None:
+    def _load_or_build(self) -> ctypes.CDLL | None:
         if (why := unavailable()) is not None:
             return self._fail(why)
-        found = load(self.path())
-        if found is None:
+        library = load(self.path())
+        if library is None:
             try:
                 self._build()
             except (OSError, subprocess.CalledProcessError) as error:
                 return self._fail(str(error))
-            found = load(self.path())
-        return found
+            library = load(self.path())
+        return library
 
     def _build(self) -> None:
-        """It appears complete or not at all."""
+        """Compile the source; the library gets its name when it is complete."""
         with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
-            made = Path(work) / "code.so"
-            command = [compiler(), "-O3", *OPTIONS, "-o", str(made), str(PACKAGE / self.source)]
+            output = Path(work) / "code.so"
+            command = [compiler(), "-O3", *OPTIONS, "-o", str(output), str(PACKAGE / self.source)]
             subprocess.run(command, check=True, capture_output=True)
-            build_cache.keep(made, self.path())
+            build_cache.seal_and_store(output, self.path())
 
     def _fail(self, why: str) -> None:
         self._failed = True

@@ -2,9 +2,9 @@
 
     static void name(const In& in)
 
-`in` holds pointers to inputs and outputs, sizes `n`, tables, scratch memory `w` and the places `o` of buffers in it.
-A sum over an inner axis is kept in a local variable; what does not depend on a loop variable is made before the loop.
-Over 300 lines: the C++ of all operations and of the loops around them is read together.
+`in` has pointers to inputs and outputs, sizes `n`, tables, scratch memory `w` and the offsets `o` of buffers in it.
+A sum over an inner axis is a local variable; numbers that do not depend on a loop variable are computed before the loop.
+Over 300 lines: the C++ of all operations and of the loops around them depends on each other.
 Checked in tests/math/codegen/.
 """
 
@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 from collections import ChainMap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from torchmbd.math.codegen.program import Buffer, Program, Write, product
 from torchmbd.math.codegen.schedule import Nest, Schedule, depends
-from torchmbd.math.codegen.size import AnySize, Index, Variable, variables
+from torchmbd.math.codegen.size import AnySize, Index, Variable, loop_variables
 
-# Numbers that are the same for all lanes (laws, the time, the step) stay doubles until they meet others.
+# Numbers that are equal for all lanes (laws, the time, the step) are doubles until they are combined with numbers of lanes.
 PRELUDE = """#include <cmath>
 #include <cstring>
 typedef double V __attribute__((vector_size(8 * LANES)));
@@ -60,7 +60,7 @@ def size_text(size: AnySize) -> str:
 
 @dataclass
 class _Scope:
-    """The body of a loop: its lines, and the names of numbers that it has made."""
+    """The body of a loop: its lines, and the C++ names of the numbers that it computes."""
 
     variable: Variable | None
     lines: list[str] = field(default_factory=list)
@@ -68,14 +68,14 @@ class _Scope:
 
 
 class Emitter:
-    """Functions of one program. `scratch`: place of each scratch buffer in `o`, and its size."""
+    """The functions of one program. `scratch`: index in `o` and size of each scratch buffer."""
 
     def __init__(self, program: Program):
         self.program = program
         self.scratch: dict[str, tuple[int, AnySize]] = {}
 
     def function(self, name: str, schedule: Schedule, kept: set[str] = frozenset()) -> str:  # pyright: ignore
-        """A function that makes the writes of a schedule. kept: buffers that others load."""
+        """C++ of a function with the writes of a schedule. kept: buffers that other functions load."""
         private = schedule.private() - kept
         for buffer in sorted(schedule.made):
             self._allocate(self.program.buffers[buffer], buffer in private, schedule)
@@ -89,7 +89,7 @@ class Emitter:
         return "".join(parts) + f"static void {name}(const In& in) {{\n  const N& n = in.n;\n  (void)n;\n{body}\n}}\n"
 
     def layout(self) -> str:
-        """A function that finds the places of scratch buffers; returns how many numbers they hold."""
+        """C++ of a function that computes the offsets of scratch buffers and returns the number of their entries."""
         lines = [f"  o[{k}] = total; total += {size_text(size)};" for k, size in self.scratch.values()]
         count = len(self.scratch) + 1
         return (
@@ -110,28 +110,28 @@ class Emitter:
         self.scratch[buffer.name] = (number, known if private and known is not None else size)
 
     def _cleared(self, schedule: Schedule, private: set[str]) -> list[str]:
-        """Buffers that are added to begin with zeros."""
+        """Lines that clear the buffers to which numbers are added."""
         lines = []
         for name in sorted(schedule.made - private):
             buffer = self.program.buffers[name]
-            if buffer.kind == "scratch" and not covered(self.program, buffer):
+            if buffer.kind == "scratch" and not is_fully_written(self.program, buffer):
                 where = f"in.w + in.o[{self.scratch[name][0]}]"
                 lines.append(f"  std::memset((void*)({where}), 0, sizeof(V) * {size_text(buffer.size)});")
         return lines
 
 
-def covered(program: Program, buffer: Buffer) -> bool:
-    """Whether every place of a buffer is written to, and none is added to."""
+def is_fully_written(program: Program, buffer: Buffer) -> bool:
+    """Whether every entry of a buffer is written, and to none numbers are added by several writes."""
     places: AnySize = 0
     for write in buffer.writes:
-        places = places + product(v.size for v in variables(write.index))
-        if write.adds and not alone(program, write):
+        places = places + product(v.size for v in loop_variables(write.index))
+        if write.adds and not is_single_write(program, write):
             return False
     return places == buffer.size
 
 
-def alone(program: Program, write: Write) -> bool:
-    """Whether a sum has all its terms in one write, which runs through them within one turn of the outermost loops."""
+def is_single_write(program: Program, write: Write) -> bool:
+    """Whether a sum has all its terms in one write, within one iteration of the outermost loop."""
     if program.buffers[write.buffer].kind == "output":
         return not write.adds
     same = [w for w in program.buffers[write.buffer].writes if w.index == write.index]
@@ -143,7 +143,7 @@ def alone(program: Program, write: Write) -> bool:
 
 
 def _overlap(program: Program, write: Write) -> bool:
-    """Whether other writes to the buffer may meet: other than at constant distances."""
+    """Whether other writes to the buffer may write to the same entry: unless their indices differ by constants."""
     writes = program.buffers[write.buffer].writes
     return any(w.index.terms != write.index.terms or not isinstance(w.index.offset, int) for w in writes)
 
@@ -202,11 +202,11 @@ class _NestText:
             self._writes(stage, 0 if self.nest.variable is None else 1)
 
     def _clear_private(self) -> None:
-        """What this turn alone needs and adds to begins with zeros."""
+        """Clear the private buffers to which numbers are added in this iteration."""
         made = sorted({w.buffer for stage in self.nest.stages for w in stage} & self.private)
         for name in made:
             writes = self.program.buffers[name].writes
-            if self.nest.variable is not None and not covered(self.program, self.program.buffers[name]):
+            if self.nest.variable is not None and not is_fully_written(self.program, self.program.buffers[name]):
                 self.buffers.add(name)
                 size = size_text(_stride(writes[0].index, self.nest.variable))
                 self.scopes[-1].lines.append(f"  std::memset((void*){name}, 0, sizeof(V) * {size});")
@@ -223,14 +223,14 @@ class _NestText:
             self._inner(variable, some, depth)
 
     def _inner(self, variable: Variable, writes: list[Write], depth: int) -> None:
-        """A loop over an inner variable; what it sums goes to local variables before it and is stored after it."""
-        mine, rest = [], []
+        """A loop over an inner variable; its sums are local variables, which are stored after the loop."""
+        sums, rest = [], []
         for write in writes:
             summed = write.variables[depth:]
-            local = write.adds and not any(depends(write.index, v) for v in summed)
-            (mine if local else rest).append(write)
+            is_sum = write.adds and not any(depends(write.index, v) for v in summed)
+            (sums if is_sum else rest).append(write)
         names: dict[tuple[str, Index], str] = {}
-        for write in mine:
+        for write in sums:
             key = write.buffer, write.index
             if key not in names:
                 names[key] = f"a{self._next()}"
@@ -239,10 +239,10 @@ class _NestText:
         def body() -> None:
             deeper: dict[Variable, list[Write]] = {}
             direct: dict[str, list[str]] = {}
-            for write in [*rest, *mine]:
+            for write in [*rest, *sums]:
                 if len(write.variables) > depth + 1:
                     deeper.setdefault(write.variables[depth + 1], []).append(write)
-                elif write in mine:
+                elif write in sums:
                     direct.setdefault(names[write.buffer, write.index], []).append(self._number(write.number))
                 else:
                     self._store(write)
@@ -254,16 +254,16 @@ class _NestText:
         self._loop(variable, body, before)
         lines = self.scopes[-1].lines
         for (buffer, index), name in names.items():
-            write = next(w for w in mine if w.buffer == buffer and w.index == index)
-            if buffer in self.private and alone(self.program, write):
+            write = next(w for w in sums if w.buffer == buffer and w.index == index)
+            if buffer in self.private and is_single_write(self.program, write):
                 self.sums[buffer, index] = name
-                if not any(v.size in self.program.inner for v in variables(index)):
+                if not any(v.size in self.program.inner for v in loop_variables(index)):
                     continue
-            op = "=" if alone(self.program, write) else "+="
+            op = "=" if is_single_write(self.program, write) else "+="
             lines.append(f"  {self._place(buffer, index)} {op} {name};")
 
     def _within(self, variable: Variable, writes: list[Write], depth: int, names: dict[tuple[str, Index], str]) -> None:
-        """An inner loop of an inner loop: sums that both run through go to the local variables of the outer one."""
+        """A loop within an inner loop: sums over both loops use the local variables of the outer one."""
         through = [w for w in writes if (w.buffer, w.index) in names and w.adds]
         others = [w for w in writes if w not in through]
 
@@ -280,7 +280,7 @@ class _NestText:
 
     def _store(self, write: Write) -> None:
         x = self._number(write.number)
-        op = "+=" if write.adds and not alone(self.program, write) else "="
+        op = "+=" if write.adds and not is_single_write(self.program, write) else "="
         self.scopes[-1].lines.append(f"  {self._place(write.buffer, write.index)} {op} spread({x});")
 
     def _next(self) -> int:
@@ -292,16 +292,16 @@ class _NestText:
         return f"i{chain.index(v) if v in chain else len(chain)}"
 
     def _number(self, number: int) -> str:
-        """The name of a number, made where it is not yet."""
+        """The C++ name of a number; lines that compute it are added if it has none."""
         for node in self.schedule.reach(number, ChainMap(*(s.names for s in self.scopes))):
-            self._make(node)
-        return self._known(number)
+            self._compute(node)
+        return self._name_of(number)
 
-    def _known(self, node: int) -> str:
+    def _name_of(self, node: int) -> str:
         node = self.schedule.aliases.get(node, node)
         return next(s.names[node] for s in self.scopes if node in s.names)
 
-    def _make(self, node: int) -> None:
+    def _compute(self, node: int) -> None:
         program = self.program
         op, args = program.op[node], program.args[node]
         if op == "constant":
@@ -312,12 +312,12 @@ class _NestText:
         scope = self.scopes[depth]
         if op == "load":
             summed = self.sums.get((args[0], args[1]))
-            if summed is not None and not any(v.size in program.inner for v in variables(args[1])):
+            if summed is not None and not any(v.size in program.inner for v in loop_variables(args[1])):
                 scope.names[node] = summed
                 return
             text = self._place(*args)
         else:
-            given = [self._known(a) for a in args]
+            given = [self._name_of(a) for a in args]
             text = _expression(op, given)
         name = f"v{self._next()}"
         scope.names[node] = name
@@ -353,8 +353,3 @@ def _expression(op: str, args: Sequence[str]) -> str:
     if op in _INFIX:
         return f"{args[0]} {_INFIX[op]} {args[1]}"
     return f"f_{op}({', '.join(args)})"
-
-
-def sizes(names: Iterable[str]) -> str:
-    """The struct of run-time sizes."""
-    return f"struct N {{ long {', '.join(names)}; }};\n"

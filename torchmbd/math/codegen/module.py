@@ -1,7 +1,7 @@
-"""Functions of a program as one C++ text: those of values, and those of what moves while the values stay.
+"""Functions of a program as one C++ text: functions of values, and functions of inputs that change while the values stay.
 
-Functions of what moves (tangents of one variable, cotangents of one response) are called many times for the same values.
-What they need of these is made once, by `boundary`, and kept.
+Functions of changing inputs (tangents of one variable, cotangents of one response) are called many times for the same values.
+The numbers that they need of these values are computed once, by `boundary`, and stored.
 Checked in tests/math/codegen/.
 """
 
@@ -10,25 +10,24 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from torchmbd.math.codegen.emit import Emitter
-from torchmbd.math.codegen.program import Program, Write, product, row_major
+from torchmbd.math.codegen.program import Dependence, Program, Write, product, row_major
 from torchmbd.math.codegen.schedule import Schedule
 from torchmbd.math.codegen.size import Variable
 
-CHEAP = 2  # operations that are made again rather than kept
+CHEAP = 2  # numbers of at most so many operations are computed again instead of being stored
 
 
 class Module:
     """Functions by name; `moving`: inputs that change while values stay."""
 
     def __init__(self, program: Program, moving: Iterable[str]):
-        self.program, self.inputs = program, set(moving)
+        self.program, self._moves = program, Dependence(program, moving)
         self.values: dict[str, list[Write]] = {}
         self.moving: dict[str, list[Write]] = {}
-        self._moves: dict[int, bool] = {}
         self._cost: dict[int, int] = {}
 
     def text(self) -> str:
-        """C++ of all functions, of `layout` and, if anything moves, of `boundary`."""
+        """C++ of all functions, of `layout` and, if there are functions of changing inputs, of `boundary`."""
         emitter, required, kept = Emitter(self.program), set(), {}
         for writes in self.moving.values():
             self._needs(writes, required, kept)
@@ -42,20 +41,8 @@ class Module:
             texts.append(emitter.function(name, Schedule(self.program, writes, given, aliases)))
         return "\n".join([emitter.layout(), *texts])
 
-    def moves(self, node: int) -> bool:
-        """Whether a number depends on what moves."""
-        for x in self.program.reachable([node], self._moves):
-            if self.program.op[x] == "load":
-                name = self.program.args[x][0]
-                buffer = self.program.buffers[name]
-                scratch = buffer.kind == "scratch"
-                self._moves[x] = name in self.inputs or (scratch and any(self.moves(w.number) for w in buffer.writes))
-            else:
-                self._moves[x] = any(self._moves[a] for a in self.program.operands(x))
-        return self._moves[node]
-
     def _needs(self, writes: list[Write], required: set[str], kept: dict[int, None]) -> None:
-        """Buffers and numbers of the values that some writes need."""
+        """Collect the buffers and numbers of fixed values that some writes need."""
         buffers, seen = self.program.buffers, set()
         stack, done = [w.number for w in writes], set()
         while stack:
@@ -63,8 +50,8 @@ class Module:
             if node in seen:
                 continue
             seen.add(node)
-            if not self.moves(node):
-                self._still(node, required, kept)
+            if not self._moves(node):
+                self._fixed(node, required, kept)
             elif self.program.op[node] == "load":
                 name = self.program.args[node][0]
                 if buffers[name].kind == "scratch" and name not in done:
@@ -73,24 +60,24 @@ class Module:
             else:
                 stack += self.program.operands(node)
 
-    def _still(self, node: int, required: set[str], kept: dict[int, None]) -> None:
-        if self.cost(node) > CHEAP:
+    def _fixed(self, node: int, required: set[str], kept: dict[int, None]) -> None:
+        """Collect a number of fixed values, or the buffers that it is computed from if that is cheap."""
+        if self._cost_of(node) > CHEAP:
             kept[node] = None
             return
         for x in self.program.reachable([node]):
             if self.program.op[x] == "load" and self.program.buffers[self.program.args[x][0]].kind == "scratch":
                 required.add(self.program.args[x][0])
 
-    def cost(self, node: int) -> int:
-        """Operations that make a number out of what stands in buffers."""
-        found = self._cost.get(node)
-        if found is None:
+    def _cost_of(self, node: int) -> int:
+        """Number of operations that compute a number from the contents of buffers."""
+        if node not in self._cost:
             reach = self.program.reachable([node])
-            found = self._cost[node] = sum(self.program.op[x] not in ("load", "constant") for x in reach)
-        return found
+            self._cost[node] = sum(self.program.op[x] not in ("load", "constant") for x in reach)
+        return self._cost[node]
 
     def _kept(self, kept: dict[int, None]) -> tuple[dict[int, int], list[Write]]:
-        """Loads that stand for numbers, and the writes that keep them."""
+        """Loads in place of stored numbers, and the writes that store them."""
         groups: dict[tuple[Variable, ...], list[int]] = {}
         for x in kept:
             over = tuple(sorted(self.program.variables(x), key=self.program.rank))

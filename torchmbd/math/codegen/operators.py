@@ -11,13 +11,24 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.math.codegen.array import OPERATORS, Array, Traced, aligned, array, replaced, selected, unsqueezed, zeros
+from torchmbd.math.codegen.array import (
+    OPERATORS,
+    Array,
+    Traced,
+    array,
+    broadcast_loops,
+    insert_axis,
+    replace_loop,
+    select_component,
+    zeros,
+)
 from torchmbd.math.codegen.pieces import Pieces
 from torchmbd.math.codegen.program import Program, product
-from torchmbd.math.codegen.size import AnySize, Index, Size, Untraceable, place
+from torchmbd.math.codegen.size import AnySize, Index, Size, Untraceable, constant_index
 
 
 def program_of(*xs: Any) -> Program:
+    """The program of the first traced tensor among arguments and lists of arguments."""
     for x in xs:
         if isinstance(x, Traced):
             return x.program  # pyright: ignore[reportAttributeAccessIssue]
@@ -25,24 +36,24 @@ def program_of(*xs: Any) -> Program:
             for y in x:
                 if isinstance(y, Traced):
                     return y.program  # pyright: ignore[reportAttributeAccessIssue]
-    raise AssertionError("something is traced")
+    raise AssertionError("no argument is traced")
 
 
 def _each(op: str, *xs: Any) -> Any:
     """An elementwise operation."""
     pieces = [x for x in xs if isinstance(x, Pieces)]
-    if len(pieces) == 1 and all(x is pieces[0] or _flat_along(x, pieces[0]) for x in xs):
+    if len(pieces) == 1 and all(x is pieces[0] or _is_constant_along(x, pieces[0]) for x in xs):
         own = pieces[0]
-        return own.each(lambda part: _each(op, *(part if x is own else _spread_along(x, own, part) for x in xs)))
+        return own.each(lambda part: _each(op, *(part if x is own else _for_part(x, own, part) for x in xs)))
     program = program_of(*xs)
-    numbers, loops = aligned([array(program, x) for x in xs])
+    numbers, loops = broadcast_loops([array(program, x) for x in xs])
     wide = np.broadcast_arrays(*numbers)
     flat = [program.call(op, *ns) for ns in zip(*(x.ravel().tolist() for x in wide), strict=True)]
     return Array(program, np.array(flat, dtype=np.int64).reshape(wide[0].shape), loops)
 
 
-def _flat_along(x: Any, pieces: Pieces) -> bool:
-    """Whether x is the same for all places along the axis of the pieces."""
+def _is_constant_along(x: Any, pieces: Pieces) -> bool:
+    """Whether x is constant along the axis of the pieces."""
     if isinstance(x, (int, float)):
         return True
     if isinstance(x, Pieces):
@@ -51,7 +62,8 @@ def _flat_along(x: Any, pieces: Pieces) -> bool:
     return len(shape) < own or shape[-own] == 1
 
 
-def _spread_along(x: Any, pieces: Pieces, part: Array) -> Any:
+def _for_part(x: Any, pieces: Pieces, part: Array) -> Any:
+    """x with further axes of length 1, so that it broadcasts with a part of the pieces."""
     if isinstance(x, (int, float)):
         return x
     more = part.dim() - len(pieces.shape)
@@ -92,7 +104,7 @@ def _cat(parts: Sequence[Any], dim: int = 0) -> Any:
         if isinstance(x, Pieces) and x.axis == dim:
             some += x.parts
         else:
-            some.append((x.solid(), 1))
+            some.append((x.as_array(), 1))
     return Pieces(dim, some)
 
 
@@ -110,29 +122,29 @@ def _cat_components(program: Program, parts: list[Array], dim: int) -> Array:
         for x, n in zip(parts, count, strict=True)
         for i in range(n)
     ]
-    numbers, loops = aligned(singles)
+    numbers, loops = broadcast_loops(singles)
     wide = np.broadcast_arrays(*numbers)
     return Array(program, np.concatenate(wide, dim), loops)
 
 
 def _select(x: Any, d: int, i: int) -> Array:
-    return selected(x.solid(), d % len(x.shape), i)
+    return select_component(x.as_array(), d % len(x.shape), i)
 
 
 def _unsqueeze(x: Any, dim: int) -> Any:
     dim %= len(x.shape) + 1
     if isinstance(x, Array):
-        return unsqueezed(x, dim)
+        return insert_axis(x, dim)
     if dim > x.axis:
-        return Pieces(x.axis, [(unsqueezed(p, dim + k - 1), k) for p, k in x.parts])
-    return Pieces(x.axis + 1, [(unsqueezed(p, dim), k) for p, k in x.parts])
+        return Pieces(x.axis, [(insert_axis(p, dim + k - 1), k) for p, k in x.parts])
+    return Pieces(x.axis + 1, [(insert_axis(p, dim), k) for p, k in x.parts])
 
 
 def _flatten(x: Any, start: int = 0, end: int = -1) -> Any:
     end %= len(x.shape)
     if start == end:
         return x
-    x = x.solid()
+    x = x.as_array()
     loops = [v for v in x.loops[start : end + 1] if v is not None]
     extent = int(np.prod(x.numbers.shape[start : end + 1], dtype=int))
     if len(loops) > 1 or (loops and extent != 1):
@@ -159,35 +171,35 @@ def _unflatten(x: Any, dim: int, sizes: Sequence[AnySize]) -> Any:
                 return part
         elif dim > x.axis:
             return Pieces(x.axis, [(_unflatten(p, dim + n - 1, sizes), n) for p, n in x.parts])
-        x = x.solid()
+        x = x.as_array()
     if x.loops[dim] is None:
         shape = x.numbers.shape
         numbers = x.numbers.reshape(*shape[:dim], *sizes, *shape[dim + 1 :])
         return Array(x.program, numbers, (*x.loops[:dim], *(None,) * len(sizes), *x.loops[dim + 1 :]))
 
     def where(index: list[Index]) -> Index:
-        total = place(0)
+        total = constant_index(0)
         for n, i in zip(sizes, index, strict=True):
             total = total.times(n).plus(i)
         return total
 
-    return replaced(x, dim, sizes, where)
+    return replace_loop(x, dim, sizes, where)
 
 
 def _transpose(x: Any, i: int, j: int) -> Array:
-    x = x.solid()
+    x = x.as_array()
     loops = list(x.loops)
     loops[i], loops[j] = loops[j], loops[i]
     return Array(x.program, x.numbers.swapaxes(i, j), tuple(loops))
 
 
 def _permute(x: Any, *dims: Any) -> Array:
-    x, order = x.solid(), dims[0] if isinstance(dims[0], (tuple, list)) else dims
+    x, order = x.as_array(), dims[0] if isinstance(dims[0], (tuple, list)) else dims
     return Array(x.program, x.numbers.transpose(order), tuple(x.loops[d] for d in order))
 
 
 def _sum(x: Any, dim: Any = None) -> Array:
-    x = x.solid()
+    x = x.as_array()
     n = len(x.shape)
     dims = sorted({d % n for d in (range(n) if dim is None else [dim] if isinstance(dim, int) else dim)})
     over = [x.loops[d] for d in dims if x.loops[d] is not None]
@@ -208,7 +220,7 @@ def _sum(x: Any, dim: Any = None) -> Array:
 
 
 def _index_select(x: Any, dim: int, index: Any) -> Array:
-    x = x.solid()
+    x = x.as_array()
     v = x.loops[dim]
     if isinstance(index, Tensor):
         if v is not None:
@@ -216,19 +228,19 @@ def _index_select(x: Any, dim: int, index: Any) -> Array:
         return Array(x.program, x.numbers.take(index.numpy(), dim), x.loops)
     if v is None:
         raise Untraceable("components are gathered by a table that is known at run time")
-    return replaced(x.stored(), dim, (index.size,), lambda places: index.lookup(places[0]))
+    return replace_loop(x.stored(), dim, (index.size,), lambda places: index.lookup(places[0]))
 
 
 def _expand(x: Any, *shape: Any) -> Array:
-    x = x.solid()
-    wanted = list(shape[0] if len(shape) == 1 and isinstance(shape[0], (tuple, list)) else shape)
-    lead = len(wanted) - len(x.shape)
+    x = x.as_array()
+    sizes = list(shape[0] if len(shape) == 1 and isinstance(shape[0], (tuple, list)) else shape)
+    lead = len(sizes) - len(x.shape)
     for _ in range(lead):
         x = _unsqueeze(x, 0)
-    for d, n in enumerate(wanted):
+    for d, n in enumerate(sizes):
         if isinstance(n, int) and n == -1:
-            wanted[d] = x.shape[d]
-    return _each("add", x, zeros(x.program, wanted))
+            sizes[d] = x.shape[d]
+    return _each("add", x, zeros(x.program, sizes))
 
 
 def _new_zeros(x: Any, *shape: Any, **_: Any) -> Array:

@@ -1,4 +1,4 @@
-"""Arrays flattened and joined along one axis (array.py)."""
+"""Several arrays as one tensor, flattened and concatenated along one axis (array.py)."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.math.codegen.array import Array, Traced, bounds, components, new_variables
+from torchmbd.math.codegen.array import Array, Traced, component_shape, new_variables, slice_bounds
 from torchmbd.math.codegen.program import product, row_major
-from torchmbd.math.codegen.size import AnySize, Index, Size, Untraceable, Variable, at, place
+from torchmbd.math.codegen.size import AnySize, Index, Size, Untraceable, Variable, constant_index, loop_index
 
 
 class Pieces(Traced):
-    """Arrays joined along an axis: of part k the axes dim ... dim + merged[k] - 1 are flattened to one."""
+    """Arrays concatenated along an axis, after the axes dim ... dim + n - 1 of each part (x, n) are flattened to one."""
 
     def __init__(self, dim: int, parts: Sequence[tuple[Array, int]]):
         self.axis, self.parts = dim, list(parts)
         self.program = self.parts[0][0].program
-        self._solid: Array | None = None
+        self._array: Array | None = None
 
     def lengths(self) -> list[AnySize]:
-        """Of the parts along the axis."""
+        """Lengths of the parts along the axis."""
         return [product(x.shape[self.axis : self.axis + n]) for x, n in self.parts]
 
     @property
@@ -33,28 +33,28 @@ class Pieces(Traced):
         return (*x.shape[: self.axis], total, *x.shape[self.axis + n :])
 
     def each(self, f: Callable[[Array], Any]) -> Pieces:
-        """A function of each part that leaves its axes."""
+        """The tensor with f applied to each part; f keeps the axes."""
         return Pieces(self.axis, [(f(x), n) for x, n in self.parts])
 
-    def solid(self) -> Array:
-        """Through a buffer, as an array with one loop."""
-        if self._solid is None:
-            self._solid = _joined_in_memory(self)
-        return self._solid
+    def as_array(self) -> Array:
+        """One array, stored in a buffer, with one loop along the axis."""
+        if self._array is None:
+            self._array = _joined_in_memory(self)
+        return self._array
 
     def __getitem__(self, key: Any) -> Any:
         first = key[self.axis] if isinstance(key, tuple) and len(key) > self.axis else key
         before = key[: self.axis] if isinstance(key, tuple) else ()
-        alone = len(key) == self.axis + 1 if isinstance(key, tuple) else self.axis == 0
-        if alone and isinstance(first, slice) and all(k == slice(None) for k in before):
-            found = self._some(first)
-            if found is not None:
-                return found
-        return self.solid()[key]
+        is_last = len(key) == self.axis + 1 if isinstance(key, tuple) else self.axis == 0
+        if is_last and isinstance(first, slice) and all(k == slice(None) for k in before):
+            parts = self._whole_parts(first)
+            if parts is not None:
+                return parts
+        return self.as_array()[key]
 
-    def _some(self, rows: slice) -> Pieces | None:
-        """Whole parts; None if a boundary is within a part."""
-        start, stop = bounds(rows, self.shape[self.axis])
+    def _whole_parts(self, rows: slice) -> Pieces | None:
+        """A slice that consists of whole parts; None if an end is inside of a part."""
+        start, stop = slice_bounds(rows, self.shape[self.axis])
         ends: list[AnySize] = [0]
         for length in self.lengths():
             ends.append(ends[-1] + length)
@@ -67,25 +67,25 @@ class Pieces(Traced):
 def _joined_in_memory(pieces: Pieces) -> Array:
     program, dim = pieces.program, pieces.axis
     total = pieces.shape[dim]
-    # Variables of the other axes are made the same in all parts.
+    # All parts get the same variables along the other axes.
     first, merged = pieces.parts[0]
     others = first.shape[:dim] + first.shape[dim + merged :]
     loops = new_variables(others)
-    extents = components(others, loops)
+    extents = component_shape(others, loops)
     count = int(np.prod(extents, dtype=int))
     kept = sorted([v for v in loops if v is not None], key=program.rank)
     buffer = program.scratch(total * count * product(v.size for v in kept))
     start: AnySize = 0
     for x, n in pieces.parts:
         own = new_variables((*others[:dim], *x.shape[dim : dim + n], *others[dim:]))
-        x = x.renamed([v if w is not None else None for v, w in zip(own, x.loops, strict=True)])
+        x = x.with_loops([v if w is not None else None for v, w in zip(own, x.loops, strict=True)])
         outer = [v for d, v in enumerate(own) if v is not None and not dim <= d < dim + n]
         outer.sort(key=program.rank)
         inside = own[dim : dim + n]
         for k in np.ndindex(*x.numbers.shape):
-            along = place(0)
+            along = constant_index(0)
             for i, size, v in zip(k[dim : dim + n], x.shape[dim : dim + n], inside, strict=True):
-                along = along.times(size).plus(at(v) if v is not None else i)
+                along = along.times(size).plus(loop_index(v) if v is not None else i)
             component = int(np.ravel_multi_index(k[:dim] + k[dim + n :], extents)) if extents else 0
             index = _composed(along.plus(start), outer, total, count, component)
             program.write(buffer, [v for v in own if v is not None], index, int(x.numbers[k]))
@@ -99,10 +99,10 @@ def _joined_in_memory(pieces: Pieces) -> Array:
     numbers = np.empty([*extents[:dim], 1, *extents[dim:]], dtype=np.int64)
     for k in np.ndindex(*numbers.shape):
         component = int(np.ravel_multi_index(k[:dim] + k[dim + 1 :], extents)) if extents else 0
-        numbers[k] = program._node("load", buffer.name, _composed(at(v), kept, total, count, component))
+        numbers[k] = program._node("load", buffer.name, _composed(loop_index(v), kept, total, count, component))
     return Array(program, numbers, result_loops)
 
 
 def _composed(along: Index, outer: Sequence[Variable], total: AnySize, count: int, component: int) -> Index:
-    """Place in a buffer [outer..., along, component]."""
+    """Index in a buffer [outer..., along, component]."""
     return row_major(outer).times(total).plus(along).times(count).plus(component)

@@ -1,4 +1,4 @@
-"""What operations of a tape (math/codegen/scalars.py) hand on to their arguments in reverse mode.
+"""Derivatives of the operations of a tape (math/codegen/scalars.py) in reverse mode.
 
 Checked in tests/math/codegen/test_reverse.py.
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, section 3.2.
@@ -11,8 +11,13 @@ from itertools import takewhile
 
 from torchmbd.math.codegen.scalars import Tape
 
-Conditions = tuple[tuple[int, bool], ...]  # numbers, and whether they hold
-PLAIN = ("add", "sub", "neg", "where")  # make nothing but zero of zero
+Conditions = tuple[tuple[int, bool], ...]  # pairs (condition, required value) of the branches that use a number
+PLAIN = (
+    "add",
+    "sub",
+    "neg",
+    "where",
+)  # a cotangent of zero gives cotangents of zero, also where arguments are not finite
 Rule = Callable[[Tape, int, int, tuple], tuple]
 
 
@@ -40,7 +45,7 @@ def _tanh(t: Tape, bar: int, out: int, _: tuple) -> tuple:
 
 
 def _chosen(order: Callable[[int, int], tuple[int, int]]) -> Rule:
-    """Of the larger or the smaller of two; of equal ones each gets half, as torch has it."""
+    """The rule of max and min; equal arguments get half of the cotangent each, as in torch."""
 
     def rule(t: Tape, bar: int, _: int, args: tuple) -> tuple:
         more, less = order(*args)
@@ -68,7 +73,7 @@ def _where(t: Tape, bar: int, _: int, args: tuple) -> tuple:
     return t.zero, t.call("where", c, bar, t.zero), t.call("where", c, t.zero, bar)
 
 
-# What an operation whose result is worth `bar` hands on to each argument: f(tape, bar, result, arguments).
+# Cotangents of the arguments of an operation whose result has the cotangent `bar`: f(tape, bar, result, arguments).
 RULES: dict[str, Rule] = {
     "add": lambda t, bar, out, args: (bar, bar),
     "sub": lambda t, bar, out, args: (bar, t.call("neg", bar)),
@@ -91,13 +96,13 @@ RULES: dict[str, Rule] = {
 }
 
 
-def shared(a: Conditions, b: Conditions) -> Conditions:
-    """The conditions that both begin with."""
+def common_conditions(a: Conditions, b: Conditions) -> Conditions:
+    """The common first conditions of both."""
     return tuple(x for x, _ in takewhile(lambda both: both[0] == both[1], zip(a, b, strict=False)))
 
 
-def chosen_under(tape: Tape, conditions: Conditions, bar: int) -> int:
-    """Zero where not all conditions hold: what a branch that is not taken makes of zero may be nan."""
+def zero_unless(tape: Tape, conditions: Conditions, bar: int) -> int:
+    """`bar` where all conditions hold, else zero: in an unused branch, zero times a derivative may be nan."""
     for c, holds in conditions:
         bar = tape.call("where", c, bar, tape.zero) if holds else tape.call("where", c, tape.zero, bar)
     return bar

@@ -1,6 +1,7 @@
-"""Derivatives of straight-line code (scalars.py): new operations on the same tape, from the chain rule.
+"""Derivatives of scalar code (scalars.py) in forward mode: further operations on the same tape.
 
-Of a branch the derivative is that of the one taken. Checked in tests/multibody/forces/test_user_laws.py.
+The derivative of `where`, `max` and `min` is that of the selected argument.
+Checked in tests/multibody/forces/test_user_laws.py.
 """
 
 from __future__ import annotations

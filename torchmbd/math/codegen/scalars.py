@@ -1,11 +1,11 @@
-"""Straight-line code: a torch function, written out as scalar operations.
+"""Scalar code: a torch function as a list of scalar operations.
 
-    f: tensors -> tensors        traced to operators (make_fx), every operator written out element by element
-    Tape                         the scalar operations; a constant is folded, an operation that occurs twice is kept once
+    f: tensors -> tensors        traced to operators (make_fx), every operator then element by element
+    Tape                         the scalar operations; constants are folded, and equal operations are one
 
-Multiplications by zero and one, index tables, gathers, reshapes and concatenations leave nothing behind: a body without
-an eccentric mass, a constant direction or a tangent that is absent costs nothing. What remains is emitted as C++ (codegen/).
-Only operators of fixed shape without branches can be written out; an operator that is not known is an `Untraceable`.
+Multiplications by zero and one, index tables, gathers, reshapes and concatenations make no operations: a body without an
+eccentric mass, a constant direction or an absent tangent costs nothing. The other operations become C++ (codegen/).
+Only operators of fixed shape without branches can be translated; others raise `Untraceable`.
 Over 300 lines: a short method for each operator of torch.
 Checked in tests/math/codegen/test_scalars.py.
 """
@@ -41,7 +41,7 @@ _COMMUTATIVE = ("add", "mul", "max", "min")
 
 
 class Untraceable(MbdError):
-    """A function has an operator that cannot be written out."""
+    """A function has an operator that cannot be translated to scalar code."""
 
 
 class Tape:
@@ -85,7 +85,7 @@ class Tape:
             f: Any = UNARY.get(op) or BINARY.get(op) or TERNARY[op]
             try:
                 return self.constant(f(*(self.args[a][0] for a in args)))
-            except (ArithmeticError, ValueError):  # infinite or undefined: as the machine has it
+            except (ArithmeticError, ValueError):  # infinite or undefined: computed at run time
                 return self._node(op, *args)
         if op in _SIMPLER:
             found = _SIMPLER[op](self, *args)
@@ -127,7 +127,9 @@ class Tape:
     def div(self, a: int, b: int) -> int | None:
         if a == self.zero:
             return a
-        return self.call("mul", a, self.constant(1.0 / self.args[b][0])) if self.is_constant(b) else None
+        if not self.is_constant(b) or self.args[b][0] == 0.0:
+            return None
+        return self.call("mul", a, self.constant(1.0 / self.args[b][0]))
 
     def neg(self, a: int) -> int | None:
         if self._is_neg(a):
@@ -140,11 +142,11 @@ class Tape:
         return a if a == b else None
 
     def trace(self, f: Callable[..., Any], *arguments: np.ndarray) -> list[np.ndarray]:
-        """Write out a torch function of float64 tensors (numbers of this tape here); its results, as numbers of this tape."""
-        from torch.fx.experimental.proxy_tensor import make_fx  # imported late: it takes a second
+        """Results, as numbers of this tape, of a torch function of float64 tensors whose entries are numbers of this tape."""
+        from torch.fx.experimental.proxy_tensor import make_fx  # takes a second to import
 
-        make = torch.Generator().manual_seed(0)  # not the user's
-        example = [torch.rand(x.shape, dtype=torch.float64, generator=make) for x in arguments]
+        generator = torch.Generator().manual_seed(0)  # leaves the global one of the user unchanged
+        example = [torch.rand(x.shape, dtype=torch.float64, generator=generator) for x in arguments]
         with torch.no_grad():
             graph = make_fx(f)(*example)
         return _Run(self, graph).run(arguments)

@@ -1,9 +1,9 @@
-"""Which loops a function of a program is made of.
+"""The loops of a function of a program.
 
-    Nest    a loop over one axis, such as all bodies; what its stages do to one body is done before the next body comes
-    stage   writes that need nothing of each other; loops over inner axes, such as modes, run within a stage
+    Nest    a loop over one axis, such as all bodies; all its stages are computed for one body before the next body
+    stage   writes that do not depend on each other; loops over inner axes, such as modes, are within a stage
 
-What a later stage loads from the body of its own loop need not wait for other bodies (`Buffer.size` = axis * stride).
+A stage may load the results of earlier stages of the same nest if they belong to the same body (`Buffer.size` = axis * stride).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 
 from torchmbd.math.codegen.program import Program, Write
-from torchmbd.math.codegen.size import Index, Size, Variable, variables
+from torchmbd.math.codegen.size import Index, Size, Variable, loop_variables
 
 
 @dataclass
@@ -29,7 +29,11 @@ class Nest:
 
 
 class Schedule:
-    """Nests of a function that makes some writes; `given`: buffers that are there, `aliases`: numbers loaded from them."""
+    """The nests of a function that computes the writes `roots` and all writes that they need.
+
+    given    buffers that are complete when the function is called
+    aliases  number -> load from such a buffer in its place
+    """
 
     def __init__(
         self, program: Program, roots: Iterable[Write], given: set[str], aliases: dict[int, int] | None = None
@@ -39,36 +43,37 @@ class Schedule:
         self._loads: dict[int, frozenset[int]] = {}
         self.writes = self._needed(roots)
         self.made = {w.buffer for w in self.writes}
-        self._place()
+        self._arrange()
 
     def loads(self, number: int) -> list[int]:
-        """What is loaded to make a number, in order."""
+        """The loads that a number needs, in order."""
         for node in self.reach(number, self._loads):
-            own = (self._loads[a] for a in self.operands(node))
-            self._loads[node] = frozenset((node,)) if self.program.op[node] == "load" else frozenset().union(*own)
+            of_operands = (self._loads[a] for a in self.operands(node))
+            is_load = self.program.op[node] == "load"
+            self._loads[node] = frozenset((node,)) if is_load else frozenset().union(*of_operands)
         return sorted(self._loads[self.aliases.get(number, number)])
 
     def reach(self, number: int, without: Container[int] = ()) -> list[int]:
-        """Numbers that are made for a number, arguments first; an alias in place of what it stands for.
+        """All numbers that a number needs, arguments first, with aliases in place of numbers.
 
-        without  numbers that are there, with all that they are made of
+        without  numbers that are computed already, with all their arguments
         """
-        found: dict[int, None] = {}
+        needed: dict[int, None] = {}
         stack = [self.aliases.get(number, number)]
         while stack:
             node = stack[-1]
-            known = node in found or node in without
-            missing = [] if known else [a for a in self.operands(node) if a not in found and a not in without]
+            known = node in needed or node in without
+            missing = [] if known else [a for a in self.operands(node) if a not in needed and a not in without]
             if missing:
                 stack += missing
                 continue
             stack.pop()
             if not known:
-                found[node] = None
-        return list(found)
+                needed[node] = None
+        return list(needed)
 
     def operands(self, node: int) -> list[int]:
-        """Numbers, or their aliases, that a number is made of."""
+        """Arguments of a number, or their aliases."""
         return [self.aliases.get(a, a) for a in self.program.operands(node)]
 
     def _needed(self, roots: Iterable[Write]) -> list[Write]:
@@ -84,7 +89,7 @@ class Schedule:
                     stack += buffers[name].writes
         return sorted(dict.fromkeys(writes), key=lambda w: w.number)
 
-    def _place(self) -> None:
+    def _arrange(self) -> None:
         at: dict[str, list[tuple[int, int]]] = {}  # nest and stage of each write to a buffer
         for write in self._ordered():
             variable = write.variables[0] if write.variables else None
@@ -100,7 +105,7 @@ class Schedule:
             at.setdefault(write.buffer, []).append((k, stage))
 
     def _ordered(self) -> list[Write]:
-        """Writes after all to the buffers that they load."""
+        """The writes, each after all writes to the buffers that it loads."""
         left: dict[str, int] = {}
         for w in self.writes:
             left[w.buffer] = left.get(w.buffer, 0) + 1
@@ -121,13 +126,13 @@ class Schedule:
         return result
 
     def _is_local(self, name: str, variable: Variable | None, write: Write) -> bool:
-        """Whether a write loads from a buffer only what the same turn of its loop has written."""
+        """Whether a write loads from a buffer only numbers that the same iteration of its loop has written."""
         places = [w.index for w in self.program.buffers[name].writes]
         places += [self.program.args[x][1] for x in self.loads(write.number) if self.program.args[x][0] == name]
-        return variable is not None and all(self.is_own(name, variable, index) for index in places)
+        return variable is not None and all(self.is_of_iteration(name, variable, index) for index in places)
 
-    def is_own(self, name: str, variable: Variable, index: Index) -> bool:
-        """Whether a place belongs to the turn of a loop: buffers [variable, rest]."""
+    def is_of_iteration(self, name: str, variable: Variable, index: Index) -> bool:
+        """Whether an index of a buffer [variable, rest] belongs to the current iteration of a loop."""
         size = self.program.buffers[name].size
         strides = [s for s, atom in index.terms if atom == variable]
         others = [a for _, a in index.terms if a != variable]
@@ -139,24 +144,24 @@ class Schedule:
         return isinstance(offset, int) and offset >= 0 and not (isinstance(stride, int) and offset >= stride)
 
     def private(self) -> set[str]:
-        """Buffers that one turn of a loop needs no longer than itself: they hold what belongs to one turn."""
+        """Buffers whose contents are used only in the iteration of a loop that writes them."""
         where: dict[str, set[int]] = {}
-        bad = set()
+        shared = set()
         for k, nest in enumerate(self.nests):
             for write in (w for stage in nest.stages for w in stage):
                 where.setdefault(write.buffer, set()).add(k)
-                if nest.variable is None or not self.is_own(write.buffer, nest.variable, write.index):
-                    bad.add(write.buffer)
+                if nest.variable is None or not self.is_of_iteration(write.buffer, nest.variable, write.index):
+                    shared.add(write.buffer)
                 for x in self.loads(write.number):
                     name, index = self.program.args[x]
                     if name in self.made:
                         where.setdefault(name, set()).add(k)
-                        if nest.variable is None or not self.is_own(name, nest.variable, index):
-                            bad.add(name)
+                        if nest.variable is None or not self.is_of_iteration(name, nest.variable, index):
+                            shared.add(name)
         scratch = {name for name in self.made if self.program.buffers[name].kind == "scratch"}
-        return {name for name in scratch - bad if len(where[name]) == 1}
+        return {name for name in scratch - shared if len(where[name]) == 1}
 
 
 def depends(index: Index, variable: Variable) -> bool:
-    """Whether a place depends on a variable."""
-    return variable in variables(index)
+    """Whether an index depends on a variable."""
+    return variable in loop_variables(index)

@@ -1,4 +1,4 @@
-"""Sums of segments: as `SegmentSum` (multibody/system/index_maps.py), with a table that is known at run time."""
+"""Sums of segments as `SegmentSum` (multibody/system/index_maps.py), with a table that is known at run time."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.math.codegen.array import Array, Table, components, new_variables, zeros
+from torchmbd.math.codegen.array import Array, Table, component_shape, new_variables, zeros
 from torchmbd.math.codegen.pieces import Pieces
 from torchmbd.math.codegen.program import product, row_major
-from torchmbd.math.codegen.size import AnySize, Index, at
+from torchmbd.math.codegen.size import AnySize, Index, loop_index
 from torchmbd.math.pair import Pair, value
 
 
 class SymbolicSegmentSum:
-    """Sum the columns of arrays [k, n, ...], concatenated, into groups [k, groups, ...]: `table` has the group of each.
+    """Sums of the columns of concatenated arrays [k, n, ...] in groups [k, groups, ...]; `table` has the group of each column.
 
-    Group number `groups`, one more than there are, is left out. k may be flattened.
+    Columns of group number `groups` are left out. k may be flattened.
     """
 
     def __init__(self, table: Table, groups: AnySize):
@@ -31,16 +31,16 @@ class SymbolicSegmentSum:
         if isinstance(first, Pieces) and first.axis == 0 and len(parts) == len(first.parts) == 1:
             ((x, n),) = first.parts
             return Pieces(0, [(self._along([x], n), n)])
-        return self._along([x.solid() for x in parts], 1)
+        return self._along([x.as_array() for x in parts], 1)
 
     def _along(self, arrays: Sequence[Array], axis: int) -> Array:
-        """Of columns along an axis."""
+        """The sums of columns along an axis."""
         program, first = arrays[0].program, arrays[0]
         others = first.shape[:axis] + first.shape[axis + 1 :]
         if self.groups == 0:
             return zeros(program, (*others[:axis], 0, *others[axis:]))
         loops = new_variables(others)
-        extents = components(others, loops)
+        extents = component_shape(others, loops)
         count = int(np.prod(extents, dtype=int))
         kept = sorted([v for v in loops if v is not None], key=program.rank)
         each = count * product(v.size for v in kept)
@@ -55,8 +55,8 @@ class SymbolicSegmentSum:
             (v,) = new_variables((x.shape[axis],))
             assert v is not None
             assert v not in loops
-            x = x.renamed((*loops[:axis], v, *loops[axis:]))
-            group = self.table.lookup(at(v).plus(start))
+            x = x.with_loops((*loops[:axis], v, *loops[axis:]))
+            group = self.table.lookup(loop_index(v).plus(start))
             for k in np.ndindex(*x.numbers.shape):
                 index = where(group, k[:axis] + k[axis + 1 :])
                 program.write(buffer, [v, *kept], index, int(x.numbers[k]), adds=True)
@@ -65,6 +65,6 @@ class SymbolicSegmentSum:
         assert out is not None
         numbers = np.empty((*extents[:axis], 1, *extents[axis:]), dtype=np.int64)
         for k in np.ndindex(*numbers.shape):
-            index = where(at(out), k[:axis] + k[axis + 1 :])
+            index = where(loop_index(out), k[:axis] + k[axis + 1 :])
             numbers[k] = program._node("load", buffer.name, index) if buffer.writes else program.zero
         return Array(program, numbers, (*loops[:axis], out, *loops[axis:]))

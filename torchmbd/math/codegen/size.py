@@ -1,6 +1,6 @@
 """Sizes that are known at run time, and indices: polynomials of them.
 
-    Size    sum of coefficient * product of named sizes; what is no more than a number is an int
+    Size    sum of coefficient * product of named sizes; a plain number is an int
     Index   offset + sum of stride * (loop variable, or entry of a table)
 
 Checked in tests/math/codegen/test_array.py.
@@ -14,11 +14,14 @@ from typing import NamedTuple
 
 from torchmbd.math.codegen.scalars import Untraceable
 
-__all__ = ["AnySize", "Index", "Lookup", "Size", "Untraceable", "Variable", "at", "place", "substituted", "variables"]
+__all__ = [
+    "AnySize", "Index", "Lookup", "Size", "Untraceable", "Variable", "constant_index", "loop_index", "loop_variables",
+    "with_substitutions",
+]  # fmt: skip
 
 
 class Size:
-    """A polynomial of named sizes with integer coefficients; never a mere number."""
+    """A polynomial of named sizes with integer coefficients; a constant polynomial is an int instead."""
 
     __slots__ = ("_hash", "terms")
 
@@ -28,14 +31,14 @@ class Size:
 
     @staticmethod
     def of(terms: Mapping[tuple[str, ...], int]) -> Size | int:
-        """The polynomial of some terms, an int where nothing else is left."""
-        left = tuple(sorted((k, c) for k, c in terms.items() if c))
-        if not left:
+        """The polynomial of terms with nonzero coefficients; an int if it is constant."""
+        nonzero = tuple(sorted((k, c) for k, c in terms.items() if c))
+        if not nonzero:
             return 0
-        if len(left) == 1 and left[0][0] == ():
-            return left[0][1]
+        if len(nonzero) == 1 and nonzero[0][0] == ():
+            return nonzero[0][1]
         size = Size.__new__(Size)
-        size.terms, size._hash = left, hash(left)
+        size.terms, size._hash = nonzero, hash(nonzero)
         return size
 
     def __add__(self, other: Size | int) -> Size | int:
@@ -77,7 +80,7 @@ class Size:
         return self._hash
 
     def __lt__(self, other: Size | int) -> bool:
-        """Whether a general text must take it to be less: of sizes that differ, always."""
+        """Whether code for all sizes must assume that self may be less: true for any two sizes that differ."""
         return self != other
 
     def __repr__(self) -> str:
@@ -106,7 +109,7 @@ class Lookup(NamedTuple):
 
 
 class Index(NamedTuple):
-    """A place: offset + sum of stride * atom."""
+    """A position in a buffer: offset + sum of stride * atom."""
 
     offset: AnySize
     terms: tuple[tuple[AnySize, Variable | Lookup], ...] = ()
@@ -114,10 +117,10 @@ class Index(NamedTuple):
     def plus(self, other: Index | AnySize) -> Index:
         if not isinstance(other, Index):
             return Index(self.offset + other, self.terms)
-        found: dict[Variable | Lookup, AnySize] = {}
+        strides: dict[Variable | Lookup, AnySize] = {}
         for stride, atom in (*self.terms, *other.terms):
-            found[atom] = found.get(atom, 0) + stride
-        terms = sorted(((s, a) for a, s in found.items() if s != 0), key=_order)
+            strides[atom] = strides.get(atom, 0) + stride
+        terms = sorted(((s, a) for a, s in strides.items() if s != 0), key=_order)
         return Index(self.offset + other.offset, tuple(terms))
 
     def times(self, factor: AnySize) -> Index:
@@ -128,41 +131,41 @@ def _order(term: tuple[AnySize, Variable | Lookup]) -> str:
     return repr(term)
 
 
-def at(variable: Variable) -> Index:
-    """The place that a variable says."""
+def loop_index(variable: Variable) -> Index:
+    """The index that is a loop variable."""
     return Index(0, ((1, variable),))
 
 
-def place(offset: AnySize) -> Index:
-    """A constant place."""
+def constant_index(offset: AnySize) -> Index:
+    """A constant index."""
     return Index(offset)
 
 
 @lru_cache(maxsize=100_000)
-def variables(index: Index) -> frozenset[Variable]:
-    """Variables that a place depends on."""
-    found: set[Variable] = set()
+def loop_variables(index: Index) -> frozenset[Variable]:
+    """Loop variables that an index depends on."""
+    result: set[Variable] = set()
     for _, atom in index.terms:
-        found |= {atom} if isinstance(atom, Variable) else variables(atom.index)
-    return frozenset(found)
+        result |= {atom} if isinstance(atom, Variable) else loop_variables(atom.index)
+    return frozenset(result)
 
 
-def substituted(index: Index, mapping: Mapping[Variable, Index]) -> Index:
-    """The place with other places for some variables."""
-    if not variables(index) & mapping.keys():
+def with_substitutions(index: Index, mapping: Mapping[Variable, Index]) -> Index:
+    """The index with other indices in place of some variables."""
+    if not loop_variables(index) & mapping.keys():
         return index
     result = Index(index.offset)
     for stride, atom in index.terms:
         if isinstance(atom, Variable):
-            inner = mapping.get(atom, at(atom))
+            inner = mapping.get(atom, loop_index(atom))
         else:
-            inner = Index(0, ((1, Lookup(atom.table, substituted(atom.index, mapping))),))
+            inner = Index(0, ((1, Lookup(atom.table, with_substitutions(atom.index, mapping))),))
         result = result.plus(inner.times(stride))
     return result
 
 
 def evaluated(size: AnySize, values: Mapping[str, int]) -> int:
-    """What a size is."""
+    """The integer that a size is for some values of the named sizes."""
     if isinstance(size, int):
         return size
     total = 0
