@@ -5,9 +5,9 @@
     Nastran OP4         text, real, dense or sparse, small or big                .op4
     Nastran DMIG        bulk data, real, square or symmetric                     .dmig, .pch, .bdf, .dat
 
-Abaqus and DMIG say to which node and direction a row belongs; the others count 1, 2, 3, ... Where a file has only one
-of each two entries ij and ji, in whichever triangle, the other is its mirror image. A file of several matrices: "path:NAME",
-or else the one whose name starts as the argument's (M or K).
+Abaqus and DMIG name the node and direction of each row; the others count rows 1, 2, 3, ... Where a file has only one of each
+two entries ij and ji, in either triangle, the other is its mirror image. Of several matrices in a file "path:NAME" is read, or
+else the one whose name starts like the argument (M or K).
 Source: MSC Nastran Quick Reference Guide (DMIG) and DMAP manual (OUTPUT4); Abaqus Analysis Guide, Generating matrices.
 Checked in tests/io/test_matrix_file.py.
 """
@@ -27,7 +27,7 @@ import scipy.sparse
 from torchmbd.errors import InputError
 from torchmbd.io.nastran.cards import read_cards
 
-LARGEST = 3_000_000  # rows; a header that asks for more is refused before memory is taken
+LARGEST = 3_000_000  # rows; a header with more is refused before memory is allocated
 Rows = list[tuple[int, int]]
 
 
@@ -93,7 +93,7 @@ def _real(where: str, matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
 
 
 def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
-    """The whole of a matrix of which there may be only one of each two entries ij and ji."""
+    """Return the whole matrix where only one of each two entries ij and ji may be given."""
     coo, n = matrix.tocoo(), np.int64(matrix.shape[0])  # pyright: ignore[reportOptionalSubscript]
     beside = (coo.row != coo.col) & (coo.data != 0.0)
     i, j = coo.row[beside], coo.col[beside]
@@ -103,7 +103,7 @@ def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
 
 
 def _assembled(name: str, entries: list[tuple[tuple[int, int], tuple[int, int], float]]) -> FileMatrix:
-    """Entries between (label, direction) pairs; rows in the order of labels."""
+    """Return the matrix of entries between (label, direction) pairs, rows in the order of labels."""
     rows = sorted({pair for i, j, _ in entries for pair in (i, j)})
     for label, direction in rows:
         if not 1 <= direction <= 6:
@@ -167,7 +167,7 @@ def _op4(file: Path) -> Iterator[tuple[str, FileMatrix]]:
 
 
 def _number(where: str, text: str, kind: type) -> Any:
-    """A number of a line; Fortran writes 1D0."""
+    """Read a number of a line; Fortran writes 1D0."""
     try:
         return kind(text.upper().replace("D", "E"))
     except ValueError:

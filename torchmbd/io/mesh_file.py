@@ -1,7 +1,7 @@
 """Meshes from files of meshio's formats: gmsh (.msh), Abaqus (.inp), VTK (.vtk, .vtu), and thirty more.
 
-What is read: triangles and quadrilaterals; nodes that no element uses are left out (files keep the points of their
-geometry). Zones are the named groups of cells, node sets the named groups of nodes:
+Triangles and quadrilaterals are read, without nodes that no element uses (files have the points of their geometry, too). Zones
+are the named groups of cells, node sets the named groups of nodes:
 
     gmsh      physical surfaces; physical points and curves
     Abaqus    *ELSET; *NSET
@@ -48,22 +48,22 @@ def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
         raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
     scale = meters("scale", scale)
     try:
-        found = meshio.read(path)
+        source = meshio.read(path)
     except SystemExit as error:  # meshio's readers leave the interpreter on files of an unknown kind
         raise InputError(f"{Path(path).name}: meshio cannot read it") from error
     except (meshio.ReadError, KeyError, ValueError) as error:
         raise InputError(f"{Path(path).name}: meshio cannot read it: {error}") from error
-    return mesh_of(found, scale)
+    return mesh_of(source, scale)
 
 
 @constant_arguments
-def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
+def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
-    points = torch.from_numpy(np.asarray(found.points, dtype=np.float64)) * scale
+    points = torch.from_numpy(np.asarray(source.points, dtype=np.float64)) * scale
     points = torch.cat([points, points.new_zeros(len(points), 3 - points.shape[1])], dim=1)
     kinds = {kind: [torch.empty(0, width, dtype=torch.long)] for kind, width in _CELLS.items()}
     owner = {kind: [torch.empty(0, 2, dtype=torch.long)] for kind in _CELLS}  # (block, number in it) of each cell
-    for block, cells in enumerate(found.cells):
+    for block, cells in enumerate(source.cells):
         if cells.type in _CELLS:
             data = torch.from_numpy(np.asarray(cells.data, dtype=np.int64))
             kinds[cells.type].append(data)
@@ -75,32 +75,35 @@ def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
     used = torch.unique(torch.cat([own.flatten() for own in corners.values()]))
     if not len(used):
         raise InputError("the mesh has no triangles or quadrilaterals")
-    place = torch.full((len(points),), -1, dtype=torch.long)
-    place[used] = torch.arange(len(used))
-    mesh = Mesh(points[used], place[corners["triangle"]], _node_sets(found, place), quads=place[corners["quad"]])
+    new_index = torch.full((len(points),), -1, dtype=torch.long)
+    new_index[used] = torch.arange(len(used))
+    mesh = Mesh(
+        points[used], new_index[corners["triangle"]], _node_sets(source, new_index), quads=new_index[corners["quad"]]
+    )
     owners = torch.cat([torch.cat(own) for own in owner.values()])
-    return MeshFile(mesh, {name: _members(owners, cells) for name, cells in _zones(found).items()})
+    return MeshFile(mesh, {name: _members(owners, cells) for name, cells in _zones(source).items()})
 
 
-def _groups(found: Any) -> dict[str, list[np.ndarray]]:
-    """Named groups of cells: name -> for each block the numbers of its cells."""
+def _groups(source: Any) -> dict[str, list[np.ndarray]]:
+    """Return the named groups of cells: name -> for each block the numbers of its cells."""
     groups = {
         name: [np.asarray([] if cells is None else cells, dtype=np.int64) for cells in blocks]
-        for name, blocks in found.cell_sets.items()
-        if not name.startswith("gmsh:") and len(blocks) == len(found.cells)  # Abaqus' sets of sets come mutilated
+        for name, blocks in source.cell_sets.items()
+        if not name.startswith("gmsh:")
+        and len(blocks) == len(source.cells)  # meshio reads Abaqus' sets of sets incompletely
     }
-    for name, (tag, _) in found.field_data.items():
-        tags = found.cell_data.get("gmsh:physical")
+    for name, (tag, _) in source.field_data.items():
+        tags = source.cell_data.get("gmsh:physical")
         if tags is not None and name not in groups:
             groups[name] = [np.flatnonzero(own == tag) for own in tags]
     return groups
 
 
-def _zones(found: Any) -> dict[str, list[np.ndarray]]:
-    flat = [cells.type in _CELLS for cells in found.cells]
+def _zones(source: Any) -> dict[str, list[np.ndarray]]:
+    flat = [cells.type in _CELLS for cells in source.cells]
     return {
         name: blocks
-        for name, blocks in _groups(found).items()
+        for name, blocks in _groups(source).items()
         if any(is_flat and len(own) for is_flat, own in zip(flat, blocks, strict=True))
     }
 
@@ -112,15 +115,15 @@ def _members(owners: Tensor, blocks: list[np.ndarray]) -> Tensor:
     return torch.nonzero(inside)[:, 0]
 
 
-def _node_sets(found: Any, place: Tensor) -> dict[str, list[int]]:
-    sets = {name: np.asarray(points, dtype=np.int64) for name, points in found.point_sets.items()}
-    for name, blocks in _groups(found).items():
+def _node_sets(source: Any, new_index: Tensor) -> dict[str, list[int]]:
+    sets = {name: np.asarray(points, dtype=np.int64) for name, points in source.point_sets.items()}
+    for name, blocks in _groups(source).items():
         own = [
             np.asarray(cells.data)[members].ravel()
-            for cells, members in zip(found.cells, blocks, strict=True)
+            for cells, members in zip(source.cells, blocks, strict=True)
             if cells.type in _POINTS_AND_CURVES and len(members)
         ]
         if own:
             sets[name] = np.unique(np.concatenate(own))
-    mapped = {name: place[torch.from_numpy(points)].tolist() for name, points in sets.items()}
+    mapped = {name: new_index[torch.from_numpy(points)].tolist() for name, points in sets.items()}
     return {name: [k for k in nodes if k >= 0] for name, nodes in mapped.items() if any(k >= 0 for k in nodes)}

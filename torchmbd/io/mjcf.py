@@ -7,11 +7,11 @@
     motor, position, velocity, general on joints (gain fixed, bias none or affine)
     connect, weld, joint     spherical, fixed, a joint that mimics another
 
-Defaults, classes, units of angles and how inertia follows from geoms are as there; also the flags that disable contact,
-limits, friction, equality or gravity. Not read: what is seen or measured (assets, visuals, sites, sensors, cameras, keyframes)
-and options of the solver. One warning lists what would change the motion and is left out, such as armature, tendons and
-contact, and attributes that are not known here, such as misspelt ones. Refused by file, element and value: the rest, such as
-deformable or repeated bodies, and what robot_file.py refuses.
+Defaults, classes, units of angles and inertia of geoms are as in MuJoCo; also the flags that disable contact, limits,
+friction, equality or gravity. Not read: elements that are seen or measured (assets, visuals, sites, sensors, cameras,
+keyframes) and options of the solver. One warning lists elements that would change the motion and are left out, such as
+armature, tendons and contact, and unknown attributes, such as misspelt ones. All others are refused by file, element and
+value, such as deformable or repeated bodies.
 Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py, tests/multibody/system/test_robot_mjcf.py.
 Over 300 lines: one reader of one tree of elements; numbers, classes and shapes are in mjcf_values.py.
 """
@@ -28,24 +28,24 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.io.mjcf_values import ACTUATORS, SHAPES, Attributes, Values, solid, upright
+from torchmbd.io.mjcf_values import ACTUATORS, SHAPES, Attributes, Values, axes_along_z, shape_inertia
 from torchmbd.io.robot_file import (
+    IDENTITY,
     LARGEST,
-    STAND,
     Actuator,
     Closure,
     Link,
     Pose,
     Robot,
     RobotJoint,
-    combined,
-    once,
+    by_unique_name,
+    combined_mass,
     read_xml,
-    tree,
+    robot_tree,
 )
 
 DEEPEST = 100  # levels of elements
-TINY = 1e-12  # share of a body's mass and inertia that the links between its joints have
+TINY = 1e-12  # mass and inertia of the links between several joints of a body, as a share of those of the body
 THIN = ("plane", "hfield")  # shapes without mass
 BODY = ("body", "frame", "geom", "inertial", "joint", "freejoint", "site", "camera", "light")
 KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "floating"}
@@ -61,7 +61,7 @@ def read_mjcf(path: str | Path) -> Robot:
 
 
 def _include(file: Path, root: ET.Element) -> None:
-    """Put elements of other files, each once, in the place of <include>."""
+    """Replace each <include> by the elements of its file; a file may be included once."""
     folder, seen, size = file.parent.resolve(), {file.resolve()}, file.stat().st_size
     level, depth = [root], 0
     while level:
@@ -95,34 +95,34 @@ class _Reader(Values):
             raise InputError(f"{self.file}: <flex> is not read; allowed: rigid bodies")
         self.count, self.touching = itertools.count(1), False
         for world in self.root.findall("worldbody"):
-            self._children(world, "world", STAND, world.get("childclass", "main"))
+            self._children(world, "world", IDENTITY, world.get("childclass", "main"))
         if len(self.links) == 1:
             raise InputError(f"{self.file}: no <body>; allowed: bodies in <worldbody>")
         total, wanted = (
             sum(own.mass for own in self.links),
-            self.one(f"{self.file}, compiler", self.compiler, "settotalmass", "-1"),
+            self.number(f"{self.file}, compiler", self.compiler, "settotalmass", "-1"),
         )
         if wanted > 0.0 and total > 0.0:
             scale = wanted / total
             self.links = [replace(x, mass=scale * x.mass, inertia=scale * x.inertia) for x in self.links]
-        links = once(self.file, "body", self.links)
-        joints = once(self.file, "joint", self.joints)
+        links = by_unique_name(self.file, "body", self.links)
+        joints = by_unique_name(self.file, "joint", self.joints)
         gravity = self._option()
         closures = [own for element in self.root.findall("equality") for own in self._closures(element, joints, links)]
-        found = tree(self.file, self.root.get("model") or "mechanism", links, list(joints.values()))
+        found = robot_tree(self.file, self.root.get("model") or "mechanism", links, list(joints.values()))
         actuators = [own for part in self.root.findall("actuator") for own in self._actuators(part, joints)]
-        once(self.file, "actuator", actuators)
+        by_unique_name(self.file, "actuator", actuators)
         for element in (x for part in self.root.findall("tendon") for x in part):
-            self.leave("tendons", element.get("name", ""))
-        if self.left:
-            listed = (f"{kind} {sorted(set(names) - {''})[:8]}" for kind, names in self.left.items())
+            self.note_omitted("tendons", element.get("name", ""))
+        if self.omitted:
+            listed = (f"{kind} {sorted(set(names) - {''})[:8]}" for kind, names in self.omitted.items())
             warn(f"{self.file}: left out: {'; '.join(listed)}".replace(" []", ""))
         return replace(found, actuators=tuple(actuators), closures=tuple(closures), gravity=gravity)
 
     # The tree
 
     def _flat(self, parent: ET.Element, pose: Pose, inherited: str) -> Iterator[tuple[ET.Element, Pose, str]]:
-        """Elements of a body, also those in frames, with the pose of what is around them and their class."""
+        """Return the elements of a body, also those in frames, with the pose of the enclosing frame and their class."""
         for element in parent:
             if element.tag == "frame":
                 if held := {x.tag for x in element} & {"joint", "freejoint", "inertial"}:
@@ -142,10 +142,10 @@ class _Reader(Values):
     def _body(self, element: ET.Element, parent: str, around: Pose, inherited: str) -> None:
         name = element.get("name") or f"body_{next(self.count)}"
         where = f"{self.file}, body {name!r}"
-        if self.one(where, element.attrib, "gravcomp"):
-            self.leave("gravcomp of", name)
+        if self.number(where, element.attrib, "gravcomp"):
+            self.note_omitted("gravcomp of", name)
         origin = around @ self.pose(where, element.attrib)
-        inside = list(self._flat(element, STAND, inherited))
+        inside = list(self._flat(element, IDENTITY, inherited))
         mass, center, inertia = self._mass(where, inside)
         joints = [(x, own) for x, _, own in inside if x.tag in ("joint", "freejoint")]
         for k, (joint, own) in enumerate(joints):
@@ -157,36 +157,36 @@ class _Reader(Values):
                 raise InputError(f"{where}: a free joint among others or below a body; allowed: alone, in <worldbody>")
             self.joints.append(made)
             self.links.append(Link(child, share * mass, center, share * inertia))
-            parent, origin = child, STAND
+            parent, origin = child, IDENTITY
         if not joints:
             self.joints.append(RobotJoint(f"{name}_fixed", "fixed", parent, name, origin, np.zeros(3), None, 0.0, 0.0))
             self.links.append(Link(name, mass, center, inertia))
-        self._children(element, name, STAND, inherited)
+        self._children(element, name, IDENTITY, inherited)
 
     def _joint(self, element: ET.Element, inherited: str, parent: str, child: str, pose: Pose, name: str) -> RobotJoint:
-        given = self.given(element, inherited) if element.tag == "joint" else {"type": "free"} | element.attrib
+        given = self.attributes(element, inherited) if element.tag == "joint" else {"type": "free"} | element.attrib
         name = element.get("name") or name
         where, kind = f"{self.file}, joint {name!r}", given.get("type", "hinge")
         if kind not in KINDS:
             raise unknown(f"{where}: type", kind, KINDS)
         unit = self.angle if kind == "hinge" else 1.0
-        losses = [self.one(where, given, key) for key in ("damping", "frictionloss", "stiffness")]
+        losses = [self.number(where, given, key) for key in ("damping", "frictionloss", "stiffness")]
         if min(losses) < 0.0:
             raise InputError(f"{where}: damping, frictionloss, stiffness are {losses}; allowed: zero or positive")
         damping, friction, stiffness = losses if kind != "free" else (0.0, 0.0, 0.0)
         for key in ("armature", "springdamper", "actuatorfrcrange"):
             if any(self.numbers(where, given, key, "0")):
-                self.leave(f"{key} of joints", name)
-        limits = self.range(where, given, "range", "limited")
-        if self.off("limit", "constraint"):
+                self.note_omitted(f"{key} of joints", name)
+        limits = self.limits(where, given, "range", "limited")
+        if self.is_disabled("limit", "constraint"):
             limits = None
-        if self.off("frictionloss", "constraint"):
+        if self.is_disabled("frictionloss", "constraint"):
             friction = 0.0
         axis = self.direction(where, given, "axis", "0 0 1")
-        start, rest = (unit * self.one(where, given, key) for key in ("ref", "springref"))
+        start, rest = (unit * self.number(where, given, key) for key in ("ref", "springref"))
         if kind in ("ball", "free"):
             if kind == "ball" and any((damping, friction, stiffness, limits)):
-                self.leave("limits, damping and springs of ball joints", name)
+                self.note_omitted("limits, damping and springs of ball joints", name)
             limits, damping, friction, stiffness, start = None, 0.0, 0.0, 0.0, 0.0
         made = RobotJoint(
             name,
@@ -208,17 +208,17 @@ class _Reader(Values):
     # Mass
 
     def _mass(self, where: str, inside: list[tuple[ET.Element, Pose, str]]) -> tuple[float, np.ndarray, np.ndarray]:
-        """Mass, center and inertia about it, in the frame of the body."""
+        """Return mass, center and inertia about it, in the frame of the body."""
         source = self.compiler.get("inertiafromgeom", "auto")
         given = [x for x, _, _ in inside if x.tag == "inertial"]
-        geoms = [(self.given(x, own, "geom"), pose) for x, pose, own in inside if x.tag == "geom"]
-        self.touching |= any(self.one(where, x, key, "1") for x, _ in geoms for key in ("contype", "conaffinity"))
+        geoms = [(self.attributes(x, own, "geom"), pose) for x, pose, own in inside if x.tag == "geom"]
+        self.touching |= any(self.number(where, x, key, "1") for x, _ in geoms for key in ("contype", "conaffinity"))
         if source == "true" or (source == "auto" and not given):
-            return combined(part for x, pose in geoms if (part := self._geom(where, x, pose)) is not None)
+            return combined_mass(part for x, pose in geoms if (part := self._geom(where, x, pose)) is not None)
         if not given:
             return 0.0, np.zeros(3), np.zeros((3, 3))
         own = given[0].attrib
-        pose, mass = self.pose(f"{where}, inertial", own), self.one(f"{where}, inertial", own, "mass", "")
+        pose, mass = self.pose(f"{where}, inertial", own), self.number(f"{where}, inertial", own, "mass", "")
         if mass < 0.0:
             raise InputError(f"{where}, inertial: mass is {mass:g}; allowed: zero or positive")
         if "fullinertia" in own:
@@ -229,13 +229,13 @@ class _Reader(Values):
         return mass, pose.place, pose.axes @ J @ pose.axes.T
 
     def _geom(self, where: str, given: Attributes, around: Pose) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """The same of a geom; None where it has no mass."""
+        """Return mass, center and inertia of a geom; None where it has no mass."""
         where, kind = f"{where}, geom {given.get('name', '')!r}", given.get("type", "sphere")
         lowest, highest = self.numbers(f"{self.file}, compiler", self.compiler, "inertiagrouprange", "0 5", 2)
-        mass, density = self.one(where, given, "mass", "-1"), self.one(where, given, "density", "1000")
+        mass, density = self.number(where, given, "mass", "-1"), self.number(where, given, "density", "1000")
         if kind in THIN or 0.0 in (mass, density if mass < 0.0 else 1.0):
             return None
-        if not lowest <= self.one(where, given, "group") <= highest:
+        if not lowest <= self.number(where, given, "group") <= highest:
             return None
         if kind not in SHAPES or "mesh" in given or given.get("shellinertia", "false") != "false":
             raise InputError(
@@ -248,11 +248,11 @@ class _Reader(Values):
             half = 0.5 * float(np.linalg.norm(ends[1] - ends[0]))
             if not half > 1e-9:
                 raise InputError(f"{where}: fromto is {given['fromto']!r}; allowed: two points")
-            pose = Pose(ends.mean(0), upright((ends[0] - ends[1]) / (2.0 * half)))
+            pose = Pose(ends.mean(0), axes_along_z((ends[0] - ends[1]) / (2.0 * half)))
             size = [*size[:1] * (SHAPES[kind] - 1), half]
         if len(size) < SHAPES[kind] or min(size[: SHAPES[kind]]) <= 0.0:
             raise InputError(f"{where}: size is {size}; allowed: {SHAPES[kind]} positive numbers of a {kind}")
-        volume, inertia = solid(kind, size)
+        volume, inertia = shape_inertia(kind, size)
         mass = mass if mass >= 0.0 else density * volume
         pose = around @ pose
         return mass, pose.place, mass * pose.axes @ np.diag(inertia) @ pose.axes.T
@@ -260,19 +260,19 @@ class _Reader(Values):
     # What acts
 
     def _option(self) -> tuple[float, ...]:
-        """Gravity."""
+        """Return gravity; note options that are left out."""
         where = f"{self.file}, option"
-        if self.one(where, self.option, "density") or self.one(where, self.option, "viscosity"):
-            self.leave("forces of the fluid around", "")
-        if self.touching and not self.off("contact", "constraint"):
-            self.leave("contact between geoms", "")
+        if self.number(where, self.option, "density") or self.number(where, self.option, "viscosity"):
+            self.note_omitted("forces of the fluid around", "")
+        if self.touching and not self.is_disabled("contact", "constraint"):
+            self.note_omitted("contact between geoms", "")
         gravity = self.numbers(where, self.option, "gravity", "0 0 -9.81", 3)
-        return (0.0, 0.0, 0.0) if self.off("gravity") else tuple(gravity)
+        return (0.0, 0.0, 0.0) if self.is_disabled("gravity") else tuple(gravity)
 
     def _closures(self, part: ET.Element, joints: dict[str, Any], links: dict[str, Any]) -> Iterator[Closure]:
-        """Connections; a joint that follows another is marked in `joints`."""
-        for k, element in enumerate(() if self.off("equality", "constraint") else part):
-            given = self.given(element, "main", "equality")
+        """Return the connections; mark joints that follow others in `joints`."""
+        for k, element in enumerate(() if self.is_disabled("equality", "constraint") else part):
+            given = self.attributes(element, "main", "equality")
             name = given.get("name", f"{element.tag}_{k + 1}")
             where = f"{self.file}, <{element.tag}> {name!r}"
             if given.get("active", "true") != "true":
@@ -294,7 +294,7 @@ class _Reader(Values):
 
     def _actuators(self, part: ET.Element, joints: dict[str, Any]) -> Iterator[Actuator]:
         for k, element in enumerate(part):
-            given = self.given(element, "main", "actuator")
+            given = self.attributes(element, "main", "actuator")
             name, joint = given.get("name", f"{element.tag}_{k + 1}"), given.get("joint", given.get("jointinparent"))
             where = f"{self.file}, {element.tag} {name!r}"
             if joint is not None and joint not in joints:
@@ -304,7 +304,7 @@ class _Reader(Values):
             filtered = {"timeconst", "dampratio"} & given.keys() and element.tag == "position"
             moves = joint is not None and joints[joint].kind in ("revolute", "prismatic")
             if joint is None or not moves or element.tag not in ACTUATORS or not simple or filtered:
-                self.leave("actuators", name)
+                self.note_omitted("actuators", name)
                 continue
             gain, bias = 1.0, (0.0, 0.0, 0.0)
             if element.tag == "general":
@@ -312,13 +312,13 @@ class _Reader(Values):
                 own = [*self.numbers(where, given, "biasprm", "0"), 0.0, 0.0]
                 bias = (own[0], own[1], own[2]) if types[1] == "affine" else bias
             elif element.tag == "position":
-                gain, damping = self.one(where, given, "kp", "1"), self.one(where, given, "kv")
+                gain, damping = self.number(where, given, "kp", "1"), self.number(where, given, "kv")
                 bias = (0.0, -gain, -damping)
             elif element.tag == "velocity":
-                gain = self.one(where, given, "kv", "1")
+                gain = self.number(where, given, "kv", "1")
                 bias = (0.0, 0.0, -gain)
             gear = self.numbers(where, given, "gear", "1")[0]
-            limits = None if self.off("clampctrl") else self.range(where, given, "ctrlrange", "ctrllimited")
+            limits = None if self.is_disabled("clampctrl") else self.limits(where, given, "ctrlrange", "ctrllimited")
             yield Actuator(
-                name, joint, gear, gain, bias, limits, self.range(where, given, "forcerange", "forcelimited")
+                name, joint, gear, gain, bias, limits, self.limits(where, given, "forcerange", "forcelimited")
             )

@@ -1,4 +1,4 @@
-"""Values in MJCF files: attributes with those of their classes, numbers, angles, orientations, limits; inertia of shapes.
+"""Values in MJCF files: attributes with defaults of their classes, numbers, angles, orientations, limits; inertia of shapes.
 
 Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py.
 """
@@ -21,12 +21,12 @@ Attributes = dict[str, str]
 
 
 class Values:
-    """One file.
+    """The values of one file.
 
     compiler, option, flags   attributes of all elements of these names
     angle                     unit of angles [rad]
     classes                   class -> tag -> attributes
-    left                      what is left out -> names
+    omitted                   kind of elements or attributes that are left out -> names
     """
 
     def __init__(self, file: str, root: ET.Element) -> None:
@@ -39,30 +39,30 @@ class Values:
             if (given := self.compiler.get(key, allowed)) != allowed:
                 raise InputError(f"{file}, compiler: {key} is {given!r}; allowed: {allowed!r}")
         for key in ("passive", "spring", "damper", "actuation"):
-            if self.off(key):
+            if self.is_disabled(key):
                 raise InputError(f"{file}, option: flag {key} is 'disable'; allowed: 'enable'")
         self.angle = 1.0 if self.compiler.get("angle") == "radian" else math.pi / 180.0
         self.sequence = self.compiler.get("eulerseq", "xyz")
         if len(self.sequence) != 3 or set(self.sequence.lower()) - set("xyz"):
             raise InputError(f"{file}, compiler: eulerseq is {self.sequence!r}; allowed: three of xyz, XYZ")
         self.classes: dict[str, dict[str, Attributes]] = {"main": {}}
-        self.left: dict[str, list[str]] = {}
+        self.omitted: dict[str, list[str]] = {}
         for element in root:
             if element.tag not in SECTIONS:
                 raise unknown(f"{file}: element", element.tag, SECTIONS)
         for element in root.iter():
             for key in element.attrib.keys() - KNOWN.get(element.tag, element.attrib.keys()):
-                self.leave(f"{key} of <{element.tag}>", element.get("name", ""))
+                self.note_omitted(f"{key} of <{element.tag}>", element.get("name", ""))
         for element in root.findall("default"):
             self.add_defaults(element, None)
 
-    def off(self, *flags: str) -> bool:
-        """Whether an option disables one of these."""
+    def is_disabled(self, *flags: str) -> bool:
+        """Whether an option disables one of these flags."""
         return any(self.flags.get(flag) == "disable" for flag in flags)
 
-    def leave(self, kind: str, name: str) -> None:
-        """Note what is left out."""
-        self.left.setdefault(kind, []).append(name)
+    def note_omitted(self, kind: str, name: str) -> None:
+        """Note that an element or attribute of this kind is left out."""
+        self.omitted.setdefault(kind, []).append(name)
 
     def add_defaults(self, element: ET.Element, parent: str | None) -> None:
         name = "main" if parent is None else element.get("class", "")
@@ -76,8 +76,8 @@ class Values:
         for child in element.findall("default"):
             self.add_defaults(child, name)
 
-    def given(self, element: ET.Element, inherited: str, tag: str = "") -> Attributes:
-        """Attributes of an element, with those of its class."""
+    def attributes(self, element: ET.Element, inherited: str, tag: str = "") -> Attributes:
+        """Return the attributes of an element, with the defaults of its class."""
         name = element.get("class", inherited)
         if name not in self.classes:
             raise unknown(f"{self.file}, <{element.tag}>: class", name, self.classes)
@@ -86,7 +86,7 @@ class Values:
     def numbers(self, where: str, given: Attributes, key: str, default: str, count: int | None = None) -> list[float]:
         return numbers(f"{where}: {key}", given.get(key, default), count)
 
-    def one(self, where: str, given: Attributes, key: str, default: str = "0") -> float:
+    def number(self, where: str, given: Attributes, key: str, default: str = "0") -> float:
         return self.numbers(where, given, key, default, 1)[0]
 
     def direction(self, where: str, given: Attributes, key: str, default: str) -> np.ndarray:
@@ -112,7 +112,7 @@ class Values:
             x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
             return np.stack([x, np.cross(z, x), z], axis=1)
         if "zaxis" in given:
-            return upright(self.direction(where, given, "zaxis", ""))
+            return axes_along_z(self.direction(where, given, "zaxis", ""))
         if "euler" in given:
             axes = np.eye(3)
             for letter, angle in zip(self.sequence, self.numbers(where, given, "euler", "", 3), strict=True):
@@ -125,8 +125,8 @@ class Values:
             raise InputError(f"{where}: quat is {given['quat']!r}; allowed: one that is not zero")
         return rotation(np.array(v) / sine, 2.0 * math.atan2(sine, w)) if sine else np.eye(3)
 
-    def range(self, where: str, given: Attributes, key: str, limited: str) -> tuple[float, float] | None:
-        """Limits where there are any, in the unit of the file."""
+    def limits(self, where: str, given: Attributes, key: str, limited: str) -> tuple[float, float] | None:
+        """Return lower and upper limit in the unit of the file; None without limits."""
         lower, upper = self.numbers(where, given, key, "0 0", 2)
         switch = given.get(limited, "auto")
         automatic = self.compiler.get("autolimits", "true") == "true" and lower < upper
@@ -137,8 +137,8 @@ class Values:
         return lower, upper
 
 
-def upright(z: np.ndarray) -> np.ndarray:
-    """Axes whose z is a direction, by the least rotation."""
+def axes_along_z(z: np.ndarray) -> np.ndarray:
+    """Return axes whose z is the direction z, by the smallest rotation."""
     across = np.array([-z[1], z[0], 0.0])
     sine = float(np.linalg.norm(across))
     if sine < 1e-12:
@@ -146,8 +146,8 @@ def upright(z: np.ndarray) -> np.ndarray:
     return rotation(across / sine, math.atan2(sine, z[2]))
 
 
-def solid(kind: str, size: list[float]) -> tuple[float, list[float]]:
-    """Volume, and inertia over mass about the axes of a shape."""
+def shape_inertia(kind: str, size: list[float]) -> tuple[float, list[float]]:
+    """Return volume [m3] and inertia over mass [m2] about the axes of a shape."""
     r, h = size[0], 0.0 if kind == "sphere" else size[1]
     if kind in ("box", "ellipsoid"):
         x, y, z = (own * own for own in size[:3])

@@ -1,6 +1,6 @@
 """Words of MJCF files: elements below the root, and attributes that are read or do not change the motion of rigid bodies.
 
-Attributes of the solver, of contact (which is left out as a whole), of pictures and of groups do not. Source:
+The latter belong to the solver, to contact (which is left out as a whole), to pictures and to groups. Source:
 mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py.
 """
 
@@ -10,7 +10,7 @@ SECTIONS = (
     *("compiler", "option", "default", "worldbody", "equality", "actuator", "tendon", "contact", "deformable", "asset"),
     *("custom", "extension", "keyframe", "sensor", "size", "statistic", "visual"),
 )
-_PLACE = "pos quat axisangle xyaxes zaxis euler"
+_POSE = "pos quat axisangle xyaxes zaxis euler"
 _SOLVER = "solref solimp solreflimit solimplimit solreffriction solimpfriction"
 _ACTUATOR = (
     "name class group user joint jointinparent tendon site refsite cranksite slidersite body gear ctrlrange ctrllimited "
@@ -24,9 +24,9 @@ ATTRIBUTES = {
     "option": "apirate ccd_iterations ccd_tolerance cone density gravity impratio integrator iterations jacobian "
     "ls_iterations ls_tolerance magnetic mpr_iterations mpr_tolerance noslip_iterations noslip_tolerance o_friction o_margin "
     "o_solimp o_solref sdf_initpoints sdf_iterations sleep_tolerance solver timestep tolerance viscosity wind",
-    "body": f"name childclass {_PLACE} gravcomp mocap sleep user",
-    "frame": f"name childclass {_PLACE}",
-    "inertial": f"mass diaginertia fullinertia {_PLACE}",
+    "body": f"name childclass {_POSE} gravcomp mocap sleep user",
+    "frame": f"name childclass {_POSE}",
+    "inertial": f"mass diaginertia fullinertia {_POSE}",
     "freejoint": "name group align",
     # of bodies, of connections, of tendons
     "joint": f"name class type group pos axis springdamper limited actuatorfrclimited range actuatorfrcrange stiffness "
@@ -39,7 +39,7 @@ ATTRIBUTES = {
     "velocity": _ACTUATOR,
     "general": _ACTUATOR,
     # of bodies, of tendons
-    "geom": f"name class type size fromto mass density group contype conaffinity shellinertia mesh {_PLACE} adhesion "
+    "geom": f"name class type size fromto mass density group contype conaffinity shellinertia mesh {_POSE} adhesion "
     f"castshadow condim fitscale fluidcoef fluidshape friction gap hfield margin material priority rgba solmix surfacevel "
     f"user {_SOLVER} geom sidesite",
 }

@@ -1,10 +1,10 @@
-"""What robot files describe: a tree of links and joints; and what is common to reading them.
+"""Robots as read from files: trees of links and joints; and functions that both readers use.
 
     io/urdf.py    Unified Robot Description Format
     io/mjcf.py    MuJoCo's format
 
-Refused by file and element: files that are too large, document types (entities), numbers that are none, links that come
-twice or lack, loops. Checked in tests/io/test_urdf.py, test_mjcf.py.
+Refused by file and element: files that are too large, document types (entities), texts that are no numbers, missing or repeated
+links, loops. Checked in tests/io/test_urdf.py, test_mjcf.py.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Pose:
         return Pose(-self.axes.T @ self.place, self.axes.T)
 
 
-STAND = Pose(np.zeros(3), np.eye(3))
+IDENTITY = Pose(np.zeros(3), np.eye(3))
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ class RobotJoint:
     start: float = 0.0
 
     def displaced(self, q: float) -> Pose:
-        """What the coordinate adds to the origin."""
+        """Return the pose of the child link for the coordinate q, relative to its pose for q = 0."""
         if self.kind == "fixed":
-            return STAND
+            return IDENTITY
         if self.kind == "prismatic":
             return Pose(self.axis * q, np.eye(3))
         turned = rotation(self.axis, q)
@@ -132,14 +132,14 @@ class Robot:
 
 
 def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """About a direction."""
+    """Return the matrix of a rotation by an angle [rad] about a unit vector."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
 
 
-def combined(parts: Iterable[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, center and inertia about it, of masses with their centers and inertias about these, all in one frame."""
+def combined_mass(parts: Iterable[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass, center and inertia about it of several masses with centers and inertias about these, in one frame."""
     parts = list(parts)
     mass = sum(m for m, _, _ in parts)
     if not mass > 0.0:
@@ -153,7 +153,7 @@ def combined(parts: Iterable[tuple[float, np.ndarray, np.ndarray]]) -> tuple[flo
 
 
 def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
-    """A file and its root element; `what`: the name of the format."""
+    """Return a file and its root element; `what`: the name of the format with its article."""
     if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: {what} file that exists")
     if file.stat().st_size > LARGEST:
@@ -169,8 +169,8 @@ def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
         raise InputError(f"{file.name}: {error}; allowed: XML") from None
 
 
-def tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJoint], hint: str = "") -> Robot:
-    """Joints from the root outwards; each link but the root has one parent."""
+def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJoint], hint: str = "") -> Robot:
+    """Return a robot whose joints are sorted from the root outwards; InputError unless links form a tree."""
     parents: dict[str, str] = {}
     for joint in joints:
         for link in (joint.parent, joint.child):
@@ -197,8 +197,8 @@ def tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJoint],
     return Robot(name, links, ordered, roots[0])
 
 
-def once(file: str, kind: str, made: Iterable[Any]) -> dict[str, Any]:
-    """By name; InputError where a name comes twice."""
+def by_unique_name(file: str, kind: str, made: Iterable[Any]) -> dict[str, Any]:
+    """Return links or joints by name; InputError where a name is repeated."""
     found: dict[str, Any] = {}
     for x in made:
         if x.name in found:
@@ -208,7 +208,7 @@ def once(file: str, kind: str, made: Iterable[Any]) -> dict[str, Any]:
 
 
 def numbers(where: str, text: str, count: int | None = None) -> list[float]:
-    """Numbers of an attribute, so many of them."""
+    """Read the numbers of an attribute, `count` of them."""
     words = text.split()
     values = [float(word) for word in words if _NUMBER.fullmatch(word)]
     wanted = max(len(words), 1) if count is None else count

@@ -1,8 +1,8 @@
 """Robots in the Unified Robot Description Format: links with inertia, joints with origin, axis, limits, damping, friction.
 
 Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins. A <limit> without lower and
-upper is none. Refused by file and element: a link or joint that comes twice or lacks, loops, numbers that are none, a document
-type (entities).
+upper does not limit. Refused by file and element: missing or repeated links and joints, loops, texts that are no numbers, a
+document type (entities).
 Source: wiki.ros.org/urdf/XML. Checked in tests/io/test_urdf.py.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.io.robot_file import Link, Pose, Robot, RobotJoint, numbers, once, read_xml, tree
+from torchmbd.io.robot_file import Link, Pose, Robot, RobotJoint, by_unique_name, numbers, read_xml, robot_tree
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
@@ -27,9 +27,11 @@ def read_urdf(path: str | Path) -> Robot:
     for element in root.iter():
         if "xacro" in element.tag:
             raise InputError(f"{file.name} has <{element.tag}>; allowed: plain URDF (expand a xacro file first)")
-    links = once(file.name, "link", (_link(file.name, element) for element in root.findall("link")))
-    joints = once(file.name, "joint", (_joint(file.name, element) for element in root.findall("joint")))
-    return tree(file.name, root.get("name") or "robot", links, list(joints.values()), " (expand a xacro file first)")
+    links = by_unique_name(file.name, "link", (_link(file.name, element) for element in root.findall("link")))
+    joints = by_unique_name(file.name, "joint", (_joint(file.name, element) for element in root.findall("joint")))
+    return robot_tree(
+        file.name, root.get("name") or "robot", links, list(joints.values()), " (expand a xacro file first)"
+    )
 
 
 def _named(file: str, element: ET.Element) -> str:

@@ -1,7 +1,7 @@
-"""Where the bars of a Nastran model lie: ends, planes, offsets, pins.
+"""Lines of the bars of a Nastran model: ends, planes, offsets, pins.
 
-A bar with the same offset at both ends, across it, keeps its grids, and its section is moved. Other offsets and pins give it
-nodes of its own: one at the end of the offset, which follows the grid as one rigid body, and one that follows in the
+A bar with the same offset at both ends, across it, has its grids as nodes, and its section is moved. For other offsets and pins
+new nodes are made: one at the end of the offset, which follows the grid as one rigid body, and one that follows in the
 components that no pin releases, along the axes of the bar.
 OFFT says in which axes the vector of plane 1 (G: system CD of the first grid, B: basic) and the offsets (G: systems CD, O:
 those of the bar) are.
@@ -41,7 +41,7 @@ class BarLines:
 
 def bar_lines(data: BulkData, index: dict[int, int]) -> BarLines:
     """Place the bars; `index`: node of each grid. InputError names the card."""
-    made = BarLines()
+    lines = BarLines()
     for bar in data.bars:
         grids = [np.array(data.grids[grid]) for grid in bar.grids]
         vector, offsets = _vector(data, bar), _offsets(data, bar, grids)
@@ -57,23 +57,23 @@ def bar_lines(data: BulkData, index: dict[int, int]) -> BarLines:
         if not moved:
             for k, (offset, released) in enumerate(zip(offsets, pins, strict=True)):
                 if offset.any():
-                    nodes[k] = _own(made, len(index), bar, ends[k], nodes[k])
-                    made.links.append(RigidLink(nodes[k], made.followed[-1][1]))
+                    nodes[k] = _add_node(lines, len(index), bar, ends[k], nodes[k])
+                    lines.links.append(RigidLink(nodes[k], lines.followed[-1][1]))
                 if released:
-                    nodes[k] = _own(made, len(index), bar, ends[k], nodes[k])
-                    made.links += _pinned(*made.followed[-1], axes, released)
-        made.nodes.append((nodes[0], nodes[1]))
-        made.orientation.append(vector)
-        made.offset.append(offsets[0] if moved else np.zeros(3))
-    return made
+                    nodes[k] = _add_node(lines, len(index), bar, ends[k], nodes[k])
+                    lines.links += _pinned(*lines.followed[-1], axes, released)
+        lines.nodes.append((nodes[0], nodes[1]))
+        lines.orientation.append(vector)
+        lines.offset.append(offsets[0] if moved else np.zeros(3))
+    return lines
 
 
-def _own(made: BarLines, grids: int, bar: Bar, place: np.ndarray, followed: int) -> int:
-    """One more node."""
-    node = grids + len(made.places)
-    made.places.append(place)
-    made.names.append(f"end of {bar.card}")
-    made.followed.append((node, followed))
+def _add_node(lines: BarLines, grids: int, bar: Bar, place: np.ndarray, followed: int) -> int:
+    """Add a node at the end of a bar that follows the node `followed`; return its number."""
+    node = grids + len(lines.places)
+    lines.places.append(place)
+    lines.names.append(f"end of {bar.card}")
+    lines.followed.append((node, followed))
     return node
 
 
@@ -81,7 +81,7 @@ def _size(x: np.ndarray) -> float:
     return float(np.linalg.norm(x))
 
 
-def _words(bar: Bar) -> str:
+def _offset_flags(bar: Bar) -> str:
     word = bar.card.text(8).upper() or "GGG"
     if len(word) != 3 or word[0] not in "GB" or not set(word[1:]) <= set("GO"):
         raise InputError(f"{bar.card}: OFFT is {word!r}; allowed: G or B, then twice G or O, such as GGG")
@@ -97,7 +97,7 @@ def _vector(data: BulkData, bar: Bar) -> np.ndarray:
             raise InputError(f"{card}: GRID {grid} does not exist")
         return np.array(data.grids[grid]) - np.array(data.grids[bar.grids[0]])
     x = np.array([card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)])
-    return x if _words(bar)[0] == "B" else x @ data.displacement_axes(bar.grids[0])
+    return x if _offset_flags(bar)[0] == "B" else x @ data.displacement_axes(bar.grids[0])
 
 
 def _offsets(data: BulkData, bar: Bar, grids: list[np.ndarray]) -> list[np.ndarray]:
@@ -106,7 +106,7 @@ def _offsets(data: BulkData, bar: Bar, grids: list[np.ndarray]) -> list[np.ndarr
     for k, (start, end) in enumerate(((11, "A"), (14, "B"))):
         w = np.array([bar.card.real(start + i, f"W{i + 1}{end}", 0.0) for i in range(3)])
         if w.any():
-            local = _words(bar)[1 + k] == "O"
+            local = _offset_flags(bar)[1 + k] == "O"
             w = w @ (_axes(bar, grids, _vector(data, bar)) if local else data.displacement_axes(bar.grids[k]))
         found.append(w)
     return found
@@ -134,7 +134,7 @@ def _pins(bar: Bar, position: int) -> tuple[int, ...]:
 
 
 def _pinned(node: int, followed: int, axes: np.ndarray, released: tuple[int, ...]) -> list[Follower]:
-    """How a node follows another one at its place where components along `axes` are released."""
+    """Return the links by which a node follows another one at the same position, but for released components along `axes`."""
     links: list[Follower] = []
     for start in (0, 3):
         free = [axes[i - start] for i in released if start <= i < start + 3]

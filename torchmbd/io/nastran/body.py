@@ -1,4 +1,4 @@
-"""A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
+"""A Nastran model as mesh, parts, links and reference of a flexible body.
 
 Each PCOMP and PSHELL is a part of its own, "pcomp_7", and where elements have several ZOFFS one more for each further one,
 "pcomp_7_offset_1", with parameters of its own; each PBAR another, its bars where
@@ -30,14 +30,14 @@ from torchmbd.io.nastran.panels import shear_panels
 from torchmbd.io.nastran.rigids import followers
 from torchmbd.io.nastran.sections import section_of
 from torchmbd.io.nastran.shells import laminate_of
-from torchmbd.io.nastran.springs import linked_parts
+from torchmbd.io.nastran.springs import constant_parts
 
 __all__ = ["UNITS", "BulkBody", "read_bdf"]
 
 
 @dataclass(frozen=True, eq=False)
 class BulkBody:
-    """What a file says of a body; `reference` is None where nothing is held."""
+    """The body of a file; `reference` is None where nothing is held."""
 
     mesh: Mesh
     parts: dict[str, Part]
@@ -63,27 +63,27 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: 
         if not isinstance(density, (int, float)) or isinstance(density, bool) or not 0.0 < density < math.inf:
             raise InputError(f"density is {density!r}; allowed: a number > 0 [kg/m3], of materials without RHO")
         data.materials = with_density(data.materials, float(density), scale, data.weight_to_mass)
-    made = bulk_mesh(data, scale.length)
+    bulk = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}
-    for (number, offset), cells in made.zones.items():
+    for (number, offset), cells in bulk.zones.items():
         card = data.properties[number]
         laminate = laminate_of(data, card, scale, offset * scale.length)
         name = f"{card.name.lower()}_{number}"
         name = name if name not in parts else f"{name}_offset_{sum(key.startswith(name) for key in parts)}"
-        parts[name] = Plates(made.mesh, laminate, made.direction, cells, mass)
-    parts |= _beams(data, made, scale)
+        parts[name] = Plates(bulk.mesh, laminate, bulk.direction, cells, mass)
+    parts |= _beams(data, bulk, scale)
     if data.panels:
-        parts["cshear"] = shear_panels(data, made.mesh, made.index, scale)
-    parts |= linked_parts(data, made.mesh, made.index, scale)
+        parts["cshear"] = shear_panels(data, bulk.mesh, bulk.index, scale)
+    parts |= constant_parts(data, bulk.mesh, bulk.index, scale)
     if data.masses:
-        parts["conm2"] = _masses(data, made, scale)
+        parts["conm2"] = _masses(data, bulk, scale)
     _warn_ignored(data, path)
-    links = followers(data.rigids, data.constraints, made.index, data.displacement_axes, scale.length)
-    return BulkBody(made.mesh, parts, [*links, *made.bars.links], _held(data, made.index))
+    links = followers(data.rigids, data.constraints, bulk.index, data.displacement_axes, scale.length)
+    return BulkBody(bulk.mesh, parts, [*links, *bulk.bars.links], _held(data, bulk.index))
 
 
-def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
-    """Masses on arms at their grids."""
+def _masses(data: BulkData, bulk: BulkMesh, scale: Units) -> PointMasses:
+    """Return the CONM2 as masses on arms at their grids."""
     unit, arms = scale.mass * data.weight_to_mass, []
     for mass in data.masses:
         if any(mass.offset) and data.systems.curved(mass.system, mass.card):
@@ -92,21 +92,21 @@ def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
             )
         axes = data.systems.axes(mass.system, mass.card, np.array(data.grids[mass.grid]))
         arms.append((np.array(mass.offset) @ axes * scale.length).tolist())
-    nodes = [made.index[mass.grid] for mass in data.masses]
+    nodes = [bulk.index[mass.grid] for mass in data.masses]
     masses, inertias = [m.mass * unit for m in data.masses], [m.rotary * unit * scale.length**2 for m in data.masses]
-    return PointMasses(made.mesh, nodes, masses, inertias, arms if np.any(arms) else None)
+    return PointMasses(bulk.mesh, nodes, masses, inertias, arms if np.any(arms) else None)
 
 
-def _beams(data: BulkData, made: BulkMesh, scale: Units) -> dict[str, Part]:
-    """One part for each property: beams with their orientations."""
+def _beams(data: BulkData, bulk: BulkMesh, scale: Units) -> dict[str, Part]:
+    """Return the beams of each property as a part, with their orientations."""
     parts: dict[str, Part] = {}
-    pairs = torch.tensor(made.bars.nodes, dtype=torch.long)
-    vectors, offsets = (torch.from_numpy(np.array(own)) for own in (made.bars.orientation, made.bars.offset))
+    pairs = torch.tensor(bulk.bars.nodes, dtype=torch.long)
+    vectors, offsets = (torch.from_numpy(np.array(own)) for own in (bulk.bars.orientation, bulk.bars.offset))
     numbers = torch.tensor([bar.property for bar in data.bars], dtype=torch.long)
     for number in dict.fromkeys(numbers.tolist()):
         own = numbers == number
         card = data.properties[number]
-        line, offset = _Line(made.mesh.nodes, pairs[own]), offsets[own] * scale.length
+        line, offset = _Line(bulk.mesh.nodes, pairs[own]), offsets[own] * scale.length
         _, e_y, e_z = BeamMatrices(line, vectors[own]).axes.unbind(1)
         across = torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
         parts[f"{card.name.lower()}_{number}"] = Beams(line, section_of(data, card, scale), vectors[own], across)
@@ -114,7 +114,7 @@ def _beams(data: BulkData, made: BulkMesh, scale: Units) -> dict[str, Part]:
 
 
 def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
-    """Nodes whose six freedoms are held."""
+    """Return the nodes whose six freedoms are held; None without any. Warn of supports of single freedoms."""
     components: dict[int, set[str]] = {}
     for support in data.supports:
         for grid in support.grids:

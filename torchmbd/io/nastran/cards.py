@@ -68,7 +68,7 @@ class Card:
         return int(text)
 
     def integers(self, start: int, known: Collection[int]) -> list[int]:
-        """Read the list of integers from `start` on; `1 THRU 5` is a range, of which those that are known count."""
+        """Read the list of integers from `start` on; `1 THRU 5` is a range, of which only `known` numbers count."""
         result: list[int] = []
         words = [word for word in self.fields[start - 1 :] if word]
         k = 0

@@ -25,18 +25,18 @@ from torchmbd.io.nastran.cards import Card
 from torchmbd.io.nastran.elements import (
     LINKS,
     OF_SCALARS,
-    OWN_PROPERTIES,
+    OTHER_PROPERTIES,
     SCALAR_MASSES,
     SOLIDS,
     Link,
     ScalarPoints,
     Solid,
-    ends,
-    link,
-    panel,
-    solid,
+    end_points,
+    read_link,
+    read_panel,
+    read_solid,
 )
-from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, constraint, rigid
+from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, read_constraint, read_rigid
 from torchmbd.io.nastran.systems import KINDS, Systems
 
 SHELLS = {"CTRIA3": 3, "CQUAD4": 4, "CTRIAR": 3, "CQUADR": 4}  # all have drilling freedoms here
@@ -124,7 +124,7 @@ class BulkData:
     links: list[Link] = field(default_factory=list)
     grounded: list[Card] = field(default_factory=list)
     scalars: ScalarPoints = field(default_factory=lambda: ScalarPoints([]))
-    own_properties: dict[tuple[str, int], Card] = field(default_factory=dict)
+    other_properties: dict[tuple[str, int], Card] = field(default_factory=dict)
     properties: dict[int, Card] = field(default_factory=dict)
     materials: dict[int, Card] = field(default_factory=dict)
     masses: list[Mass] = field(default_factory=list)
@@ -140,19 +140,19 @@ class BulkData:
         """Sort cards and check that everything they name exists."""
         data = cls()
         common = next((card for card in cards if card.name == "GRDSET"), None)
-        placed = [_completed(card, common) for card in cards if card.name == "GRID"]
+        placed = [_with_defaults(card, common) for card in cards if card.name == "GRID"]
         data.scalars = ScalarPoints([card for card in cards if card.name in ("SPOINT", "EPOINT")])
         data.systems = Systems([card for card in cards if card.name in KINDS], placed)
         for card in placed:
             number = card.integer(1, "ID")
             if number in data.grids:
                 raise InputError(f"{card}: GRID {number} stands twice, first at {data.grid_cards[number].where}")
-            data.grids[number], data.grid_cards[number] = data.systems.place(card), card
+            data.grids[number], data.grid_cards[number] = data.systems.position(card), card
             if card.text(7):
                 data.supports.append(Support(card, 0, card.text(7), (number,)))
         for card in cards:
             if card.name not in ("GRID", "GRDSET") and card.name not in KINDS:
-                data._take(card)
+                data._sort_card(card)
         data._check()
         for name, numbers in (
             ("SPC", {own.set for own in data.supports} - {0}),
@@ -163,7 +163,7 @@ class BulkData:
                 warn(f"{name} sets {sorted(numbers)[:8]} hold together: the case control, which chooses, is not read")
         return data
 
-    def _take(self, card: Card) -> None:
+    def _sort_card(self, card: Card) -> None:
         name = card.name
         if name in SHELLS:
             self.shells.append(_shell(card, SHELLS[name]))
@@ -171,21 +171,21 @@ class BulkData:
             grids = card.integer(3, "GA"), card.integer(4, "GB")
             self.bars.append(Bar(card, card.integer(2, "PID", card.integer(1, "EID")), grids))
         elif name in SOLIDS:
-            self.solids.append(solid(card))
+            self.solids.append(read_solid(card))
         elif name == "CSHEAR":
-            self.panels.append(panel(card))
+            self.panels.append(read_panel(card))
         elif name in LINKS or name in SCALAR_MASSES:
-            self._link(card)
-        elif name in OWN_PROPERTIES:
-            for part in _halves(card):
+            self._sort_link(card)
+        elif name in OTHER_PROPERTIES:
+            for part in _split_pelas(card):
                 key = (name, part.integer(1, "PID"))
-                if key in self.own_properties:
-                    raise InputError(f"{part}: the number {key[1]} is taken by {self.own_properties[key]}")
-                self.own_properties[key] = part
+                if key in self.other_properties:
+                    raise InputError(f"{part}: the number {key[1]} is taken by {self.other_properties[key]}")
+                self.other_properties[key] = part
         elif name in RIGIDS:
-            self.rigids.append(rigid(card, self.grids))
+            self.rigids.append(read_rigid(card, self.grids))
         elif name == "MPC":
-            self.constraints.append(constraint(card))
+            self.constraints.append(read_constraint(card))
         elif name in PROPERTIES or MATERIALS.match(name):
             table = self.properties if name in PROPERTIES else self.materials
             number = card.integer(1, "number")
@@ -207,9 +207,9 @@ class BulkData:
         elif name not in _QUIET:
             self.ignored[f"{name} of scalar points" if name in OF_SCALARS else name] += 1
 
-    def _link(self, card: Card) -> None:
-        """Of an element between two points those of grids count; one at scalar points alone is left out."""
-        points = ends(card)
+    def _sort_link(self, card: Card) -> None:
+        """Sort an element between two points: kept between grids, left out between scalar points or at the ground."""
+        points = end_points(card)
         of_grids = [number for number in points if number and number not in self.scalars]
         if not of_grids and any(points):
             self.ignored[f"{card.name} of scalar points"] += 1
@@ -219,24 +219,24 @@ class BulkData:
         elif card.name in SCALAR_MASSES:
             raise InputError(f"{card}: a mass of single components at grids {of_grids}; allowed: CONM2")
         elif card.name not in ("CROD", "CONROD", "CTUBE") and len(of_grids) == 1:
-            self._exist(card, tuple(of_grids))
+            self._check_grids(card, tuple(of_grids))
             self.grounded.append(card)
         else:
-            self.links.append(link(card))
+            self.links.append(read_link(card))
 
     def _check(self) -> None:
         for element in (*self.shells, *self.bars):
             if element.property not in self.properties:
                 raise InputError(f"{element.card}: property {element.property} does not exist; a card is missing")
-            self._exist(element.card, element.grids)
+            self._check_grids(element.card, element.grids)
         for element in (*self.solids, *self.panels, *self.links):
-            self._exist(element.card, element.grids)
+            self._check_grids(element.card, element.grids)
         for tied in (*self.rigids, *self.constraints):
-            self._exist(tied.card, tied.grids)
+            self._check_grids(tied.card, tied.grids)
         for mass in self.masses:
-            self._exist(mass.card, (mass.grid,))
+            self._check_grids(mass.card, (mass.grid,))
         for support in self.supports:
-            self._exist(support.card, tuple(grid for grid in support.grids if grid not in self.scalars))
+            self._check_grids(support.card, tuple(grid for grid in support.grids if grid not in self.scalars))
             if not set(support.components) <= set("0123456"):
                 raise InputError(
                     f"{support.card}: it holds {support.components!r}; allowed: components 1 to 6, as in 123"
@@ -247,7 +247,7 @@ class BulkData:
             if (first := taken.setdefault((kind, own.card.integer(1, "EID")), own.card)) is not own.card:
                 raise InputError(f"{own.card}: its number stands twice, first in {first}")
 
-    def _exist(self, card: Card, grids: tuple[int, ...]) -> None:
+    def _check_grids(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:
             if grid in self.scalars:
                 raise InputError(f"{card}: {grid} is a scalar point; allowed: grids")
@@ -255,18 +255,18 @@ class BulkData:
                 raise InputError(f"{card}: GRID {grid} does not exist")
 
     def displacement_axes(self, grid: int) -> np.ndarray:
-        """Rows: axes of the system CD of a grid, where it is."""
+        """Return the axes of the system CD of a grid at its position, as rows."""
         card = self.grid_cards[grid]
         return self.systems.axes(card.integer(6, "CD", 0), card, np.array(self.grids[grid]))
 
-    def own(self, card: Card, name: str, number: int) -> Card:
-        """The property of a rod, spring, bushing or solid."""
-        if (name, number) not in self.own_properties:
+    def property_of(self, card: Card, name: str, number: int) -> Card:
+        """Return the property card of a rod, spring, bushing, solid or shear panel."""
+        if (name, number) not in self.other_properties:
             raise InputError(f"{card}: {name} {number} does not exist; a card is missing")
-        return self.own_properties[name, number]
+        return self.other_properties[name, number]
 
     def material(self, card: Card, number: int) -> Card:
-        """The material that a property names."""
+        """Return the material card that a property names."""
         if number not in self.materials:
             raise InputError(
                 f"{card}: material {number} does not exist; allowed: a MAT1, MAT2, MAT8 or MAT9 of the file"
@@ -274,8 +274,8 @@ class BulkData:
         return self.materials[number]
 
 
-def _completed(card: Card, common: Card | None) -> Card:
-    """A GRID with what a GRDSET says of its blank fields CP, CD and PS."""
+def _with_defaults(card: Card, common: Card | None) -> Card:
+    """Return a GRID whose blank fields CP, CD and PS are those of the GRDSET."""
     if common is None:
         return card
     fields = [*card.fields, *[""] * (7 - len(card.fields))]
@@ -284,8 +284,8 @@ def _completed(card: Card, common: Card | None) -> Card:
     return Card(card.name, tuple(fields), card.where)
 
 
-def _halves(card: Card) -> list[Card]:
-    """A PELAS may hold two springs."""
+def _split_pelas(card: Card) -> list[Card]:
+    """Return the two springs of a PELAS as cards; any other card as it is."""
     if card.name != "PELAS":
         return [card]
     parts = [Card(card.name, card.fields[k : k + 4], card.where) for k in (0, 4)]

@@ -25,11 +25,11 @@ LINKS = {
 }
 SCALAR_MASSES = {"CMASS1": (3, 5, ""), "CMASS2": (3, 5, "")}
 OF_SCALARS = ("CELAS3", "CELAS4", "CMASS3", "CMASS4")  # join scalar points and the ground alone
-OWN_PROPERTIES = ("PROD", "PTUBE", "PELAS", "PBUSH", "PSOLID", "PSHEAR")
+OTHER_PROPERTIES = ("PROD", "PTUBE", "PELAS", "PBUSH", "PSOLID", "PSHEAR")
 
 
 class ScalarPoints:
-    """Numbers of SPOINT and EPOINT: freedoms at no place, which no element of a body joins."""
+    """Numbers of SPOINT and EPOINT: freedoms without a position, which no element of a body joins."""
 
     def __init__(self, cards: list[Card]) -> None:
         ranges: list[tuple[int, int]] = []
@@ -71,7 +71,7 @@ class Link:
     grids: tuple[int, int]
 
 
-def solid(card: Card) -> Solid:
+def read_solid(card: Card) -> Solid:
     """Read a solid. InputError where some of the nodes on its sides are missing."""
     corners, nodes = SOLIDS[card.name]
     count = sum(1 for word in card.fields[2 : nodes + 2] if word not in ("", "0"))
@@ -84,7 +84,7 @@ def solid(card: Card) -> Solid:
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 
-def panel(card: Card) -> Solid:
+def read_panel(card: Card) -> Solid:
     """Read a CSHEAR."""
     grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(4))
     if len(set(grids)) < 4:
@@ -92,20 +92,20 @@ def panel(card: Card) -> Solid:
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 
-def ends(card: Card) -> tuple[int, int]:
-    """Numbers of the points that a rod, spring, bushing or scalar mass joins; 0: the ground."""
+def end_points(card: Card) -> tuple[int, int]:
+    """Return the numbers of the points that a rod, spring, bushing or scalar mass joins; 0: the ground."""
     first, second, _ = (LINKS | SCALAR_MASSES)[card.name]
     return card.integer(first, "G1", 0), card.integer(second, "G2", 0)
 
 
-def link(card: Card) -> Link:
+def read_link(card: Card) -> Link:
     """Read a rod, spring or bushing between two grids."""
-    kind, grids = LINKS[card.name][2], ends(card)
+    kind, grids = LINKS[card.name][2], end_points(card)
     return Link(card, card.integer(2, "PID", card.integer(1, "EID")) if kind else None, grids)
 
 
-def bar_that_is_rigid(card: Card) -> tuple[int, int]:
-    """Leader and follower of an RBAR."""
+def rbar_grids(card: Card) -> tuple[int, int]:
+    """Return leader and follower of an RBAR."""
     names = ("CNA", "CNB", "CMA", "CMB")
     own = {name: set(card.text(4 + k)) - {"0"} for k, name in enumerate(names)}
     whole = set("123456")

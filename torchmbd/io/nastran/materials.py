@@ -20,7 +20,7 @@ from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
 
 @dataclass(frozen=True)
 class Units:
-    """What a unit of the file is in SI."""
+    """Units of a file in SI."""
 
     length: float
     mass: float
@@ -65,7 +65,7 @@ def ply_of(card: Card, units: Units, weight_to_mass: float = 1.0) -> Ply:
 
 
 def with_density(cards: dict[int, Card], density: float, units: Units, weight_to_mass: float) -> dict[int, Card]:
-    """Materials, those without RHO with a density [kg/m3] in units of the file."""
+    """Return materials whose blank RHO is replaced by a density [kg/m3], in units of the file."""
     text = repr(density / units.density / weight_to_mass).upper()
     found = {}
     for number, card in cards.items():

@@ -27,7 +27,13 @@ from torchmbd.io.nastran.data import READ, BulkData, Shell
 
 
 class BulkMesh(NamedTuple):
-    """A mesh with what its elements are made of: cells by property and ZOFFS; `index` is the node of each GRID number."""
+    """The mesh of a model.
+
+    zones      cells by property and ZOFFS
+    direction  x axis of the laminate in each cell
+    index      node of each GRID number
+    bars       lines of bars, whose own nodes follow those of grids
+    """
 
     mesh: Mesh
     zones: dict[tuple[int, float], Int[Tensor, " part"]]

@@ -40,7 +40,7 @@ def shear_panels(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units
 
 def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
     """Stiffness [12, 12] and mass in units of the file."""
-    own = data.own(panel.card, "PSHEAR", panel.property)
+    own = data.property_of(panel.card, "PSHEAR", panel.property)
     material = data.material(own, own.integer(2, "MID"))
     E, G, _ = moduli_of(material)
     t = own.real(3, "T")

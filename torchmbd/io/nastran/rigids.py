@@ -4,7 +4,7 @@
     RBE3   the components REFC of a grid are the weighted mean motion of others
     MPC    A1 u1 + A2 u2 + ... = 0 of single components: the first one follows
 
-What leads may follow by another card; a circle is refused. Components are along the axes of the systems CD of their grids.
+A grid that leads may follow by another card; circles are refused. Components are along the axes of the system CD of their grid.
 Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_rigids.py.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import Average, Combination, Follower, RigidLink
 from torchmbd.io.nastran.cards import Card
-from torchmbd.io.nastran.elements import bar_that_is_rigid
+from torchmbd.io.nastran.elements import rbar_grids
 
 RIGIDS = ("RBE2", "RBE3", "RBAR", "RBAR1")
 ALL = "123456"
@@ -64,10 +64,10 @@ class Constraint:
         return tuple(dict.fromkeys(term.grid for term in self.terms))
 
 
-def rigid(card: Card, grids: Collection[int]) -> Rigid:
+def read_rigid(card: Card, grids: Collection[int]) -> Rigid:
     """Read an RBE2, RBE3, RBAR or RBAR1."""
     if card.name == "RBAR":
-        leader, follower = bar_that_is_rigid(card)
+        leader, follower = rbar_grids(card)
         made = Rigid(card, leader, (follower,))
     elif card.name == "RBAR1":
         chosen = _components(card, 4, "CB") if card.text(4) else ALL
@@ -79,7 +79,7 @@ def rigid(card: Card, grids: Collection[int]) -> Rigid:
     return made
 
 
-def constraint(card: Card) -> Constraint:
+def read_constraint(card: Card) -> Constraint:
     """Read an MPC: two terms to a line of eight fields, the first field of the other lines is blank."""
     terms: list[Term] = []
     for line in range(0, max(len(card.fields), 1), 8):
@@ -154,22 +154,22 @@ def followers(
     found: list[tuple[Card, Follower]] = []
     for own in rigids:
         if own.weights:
-            chosen = _basic(own.card, own.grid, own.components, axes)
+            chosen = _basic_freedoms(own.card, own.grid, own.components, axes)
             others = tuple(index[grid] for grid in own.others)
             found.append((own.card, Average(index[own.grid], others, own.weights, chosen)))
             continue
         for grid in own.others:
-            chosen = _basic(own.card, grid, own.components, axes)
+            chosen = _basic_freedoms(own.card, grid, own.components, axes)
             found.append((own.card, RigidLink(index[grid], index[own.grid], chosen)))
     found += [(own.card, _combination(own, index, axes, length)) for own in constraints]
-    _check(found, {node: grid for grid, node in index.items()})
+    _check_links(found, {node: grid for grid, node in index.items()})
     return [link for _, link in found]
 
 
 def _combination(own: Constraint, index: dict[int, int], axes: Axes, length: float) -> Combination:
     """u1 = -(A2 u2 + ...) / A1 in meters, along the basic axes."""
     first = own.terms[0]
-    (led,) = _basic(own.card, first.grid, str(first.component), axes)
+    (led,) = _basic_freedoms(own.card, first.grid, str(first.component), axes)
     unit = _direction(first.component, axes(first.grid))[led]  # 1 or -1
     size = unit * first.factor * _per_meter(first.component, length)
     terms: dict[tuple[int, int], float] = {}
@@ -186,15 +186,15 @@ def _per_meter(component: int, length: float) -> float:
 
 
 def _direction(component: int, axes: np.ndarray) -> np.ndarray:
-    """Component of a system along the six freedoms of the basic one."""
+    """Return a component along `axes` as a combination of the six freedoms of the basic system."""
     e = np.zeros(6)
     e[3 * ((component - 1) // 3) :][:3] = axes[(component - 1) % 3]
     e[np.abs(e) < 1e-12] = 0.0
     return e
 
 
-def _basic(card: Card, grid: int, components: str, axes: Axes) -> tuple[int, ...]:
-    """Freedoms 0 to 5 along the basic axes that components of a grid stand for."""
+def _basic_freedoms(card: Card, grid: int, components: str, axes: Axes) -> tuple[int, ...]:
+    """Return the freedoms 0 to 5 along the basic axes of components of a grid in its system CD."""
     own, chosen = axes(grid), []
     for triad in ("123", "456"):
         wanted = [int(word) for word in triad if word in components]
@@ -211,7 +211,7 @@ def _basic(card: Card, grid: int, components: str, axes: Axes) -> tuple[int, ...
     return tuple(sorted(chosen))
 
 
-def _check(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
+def _check_links(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
     led: dict[tuple[int, int], Card] = {}
     for card, link in found:
         for i in link.components:
@@ -233,7 +233,7 @@ def _check(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
 
 
 def _sources(link: Follower) -> set[tuple[int, int]]:
-    """Freedoms that lead."""
+    """Return the freedoms that lead, as (node, component)."""
     if isinstance(link, Combination):
         return {(node, i) for node, i, _ in link.terms}
     if isinstance(link, Average):

@@ -89,7 +89,7 @@ def _named_beam(card: Card) -> tuple[SectionNumbers, float]:
         word = card.text(start).upper()
         if word not in (*STATIONS, ""):
             raise InputError(f"{card}: SO is {word!r}; allowed: {', '.join(STATIONS)}, after each station")
-        place = _place(card, start + 1)
+        place = _station(card, start + 1)
         stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
     found = {x: (*_shape(card, kind, own[:-1])._replace(center=(0.0, 0.0))[:7], own[-1]) for x, own in stations.items()}
     centers = [_shape(card, kind, own[:-1]).center for own in stations.values()]
@@ -119,7 +119,7 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
     first = [card.real(3 + k, name, 0.0 if name in optional else None) for k, name in enumerate(names)]
     stations, start = {0.0: first}, 17
     while (word := card.text(start).upper()) in STATIONS:
-        place = _place(card, start + 1)
+        place = _station(card, start + 1)
         known = place == 1.0 or all(card.text(start + 2 + k) for k in range(3))
         if known:  # blank numbers between the ends are those of the line between them
             stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
@@ -133,7 +133,7 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
         if card.real(start + k, name, 0.0) != 0.0:
             warn(f"{card}: {name} is {card.text(start + k)}; left out")
     places = [card.real(start + 8 + k, f"field {start + 8 + k}", 0.0) for k in range(8)]
-    center = (_same(card, "N1", places[4], places[6]), _same(card, "N2", places[5], places[7]))
+    center = (_mean_of_ends(card, "N1", places[4], places[6]), _mean_of_ends(card, "N2", places[5], places[7]))
     if any(places[:4]) and extra:
         warn(f"{card}: its mass without stiffness lies at M1, M2; taken at the neutral axis")
     if card.text(start + 16):
@@ -143,14 +143,14 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
     return SectionNumbers(A, I1, I2, I12, J, K1, K2, center), extra
 
 
-def _same(card: Card, name: str, start: float, end: float) -> float:
+def _mean_of_ends(card: Card, name: str, start: float, end: float) -> float:
     if start != end and end != 0.0:
         warn(f"{card}: {name} is {start:g} and {end:g} at its ends; taken as their mean")
         return (start + end) / 2.0
     return start
 
 
-def _place(card: Card, position: int) -> float:
+def _station(card: Card, position: int) -> float:
     place = card.real(position, "X/XB", 1.0)
     if not 0.0 < place <= 1.0:
         raise InputError(f"{card}: X/XB is {place:g}; allowed: above 0, up to 1")
@@ -158,7 +158,7 @@ def _place(card: Card, position: int) -> float:
 
 
 def _mean(card: Card, stations: dict[float, list[float]]) -> list[float]:
-    """Numbers along the bar, linear between stations, as their mean; end B is like end A where it is not given."""
+    """Return the mean of numbers along the bar, linear between stations; end B is like end A where it is not given."""
     if 1.0 not in stations:
         stations[1.0] = stations[0.0]
     x = torch.tensor(sorted(stations), dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Closed forms of the sections that PBARL and PBEAML name by their measures.
+"""Closed forms of the sections of PBARL and PBEAML by their measures.
 
 Area and second moments are those of rectangles (y up, z to the right), about their common center. Torsion: the series of
 Saint-Venant for each rectangle of an open section, Bredt's formula for a box. Shear carries the area of the webs along y
@@ -52,7 +52,7 @@ Outline = tuple[list[Rectangle], tuple[float, float], float | None]
 
 
 def of_shape(kind: str, d: Sequence[float]) -> SectionNumbers:
-    """The section `kind` of the measures d. ValueError says which measures contradict each other."""
+    """Return the section `kind` of the measures d. The text of a ValueError says which measures are allowed."""
     if not all(x > 0.0 for x in (d[:1] if kind == "TUBE" else d)):
         raise ValueError("measures > 0")
     if kind in ("ROD", "TUBE", "TUBE2"):

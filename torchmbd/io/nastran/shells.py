@@ -55,19 +55,19 @@ def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     else:
         if not bending:
             warn(f"{card}: MID2 is blank, a membrane; {MEMBRANE:g} of the bending stiffness of a solid shell are kept")
-        Q = _plane(material, units, data)
-        Q_bent = solid * _plane(data.material(card, bending), units, data) if bending else MEMBRANE * Q
-        G = ratio * _across(data.material(card, shear or bending or middle), units, data)
+        Q = _plane_stiffness(material, units, data)
+        Q_bent = solid * _plane_stiffness(data.material(card, bending), units, data) if bending else MEMBRANE * Q
+        G = ratio * _shear_stiffness(data.material(card, shear or bending or middle), units, data)
         ply = _with_extra_mass(_equivalent(material, Q, units, data), card, 8, thickness, data, units)
         laminate = DividedLaminate(ply, thickness, Q, Q_bent, G, offset)
     laminate.angles.requires_grad_(False)
     return laminate
 
 
-def _plane(material: Card, units: Units, data: BulkData) -> Tensor:
+def _plane_stiffness(material: Card, units: Units, data: BulkData) -> Tensor:
     """Stiffness of plane stress [3, 3] [Pa]."""
     if material.name != "MAT2":
-        return _of_stiffness(material, units, data).plane_stiffness()
+        return _ply_without_density(material, units, data).plane_stiffness()
     g = [
         material.real(2 + k, f"G{name}", 0.0) * units.stress
         for k, name in enumerate(("11", "12", "13", "22", "23", "33"))
@@ -76,16 +76,16 @@ def _plane(material: Card, units: Units, data: BulkData) -> Tensor:
     return torch.tensor(rows, dtype=torch.float64)
 
 
-def _across(material: Card, units: Units, data: BulkData) -> Tensor:
+def _shear_stiffness(material: Card, units: Units, data: BulkData) -> Tensor:
     """Stiffness of transverse shear [2, 2] [Pa]; of a MAT2 its G11, G12, G22, or, where it is that of the plane, G33."""
     if material.name != "MAT2":
-        return _of_stiffness(material, units, data).shear_stiffness()
-    plane = _plane(material, units, data)
+        return _ply_without_density(material, units, data).shear_stiffness()
+    plane = _plane_stiffness(material, units, data)
     return plane[:2, :2] if float(plane[2, 2]) == 0.0 else plane[2, 2] * torch.eye(2, dtype=torch.float64)
 
 
-def _of_stiffness(material: Card, units: Units, data: BulkData) -> Ply:
-    """The ply of a material whose density does not count."""
+def _ply_without_density(material: Card, units: Units, data: BulkData) -> Ply:
+    """Return the ply of a material, with density 1 where it has none: only its stiffness is used."""
     place = 5 if material.name == "MAT1" else 8
     fields = [*material.fields, *[""] * (place - len(material.fields))]
     fields[place - 1] = fields[place - 1] if material.real(place, "RHO", 0.0) > 0.0 else "1."
@@ -93,7 +93,7 @@ def _of_stiffness(material: Card, units: Units, data: BulkData) -> Ply:
 
 
 def _equivalent(material: Card, Q: Tensor, units: Units, data: BulkData) -> Ply:
-    """An orthotropic ply like the material, of its density."""
+    """Return an orthotropic ply that approximates the material, of its density."""
     if material.name != "MAT2":
         return ply_of(material, units, data.weight_to_mass)
     if not float(torch.linalg.eigvalsh(Q)[0]) > 0.0:

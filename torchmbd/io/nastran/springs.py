@@ -28,20 +28,20 @@ from torchmbd.io.nastran.materials import Units, density_of, moduli_of
 _VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
-def linked_parts(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units) -> dict[str, Part]:
+def constant_parts(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units) -> dict[str, Part]:
     """The parts of rods, springs, bushings and solids."""
     parts: dict[str, Part] = {}
     for kind in LINKS:
         own = [link for link in data.links if link.card.name == kind]
         if own:
-            parts[kind.lower()] = _links(data, mesh, index, units, own)
+            parts[kind.lower()] = _link_part(data, mesh, index, units, own)
     if data.solids:
         parts["solids"] = _solids(data, mesh, index, units)
     return parts
 
 
-def _links(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units, own: list[Link]) -> Part:
-    stiffness, masses = zip(*(_matrix(data, link) for link in own), strict=True)
+def _link_part(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units, own: list[Link]) -> Part:
+    stiffness, masses = zip(*(_link_matrix(data, link) for link in own), strict=True)
     scale = torch.tensor([1.0, 1.0, 1.0, units.length, units.length, units.length] * 2, dtype=torch.float64)
     K = torch.from_numpy(np.array(stiffness)) * units.mass * scale[:, None] * scale
     nodes = torch.tensor([[index[grid] for grid in link.grids] for link in own], dtype=torch.long)
@@ -51,7 +51,7 @@ def _links(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units, own:
     return GivenElements(mesh, [freedoms], [K], nodes.flatten()[heavy], mass[heavy])
 
 
-def _matrix(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
+def _link_matrix(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
     """Stiffness [12, 12] and mass in units of the file."""
     if link.card.name in ("CROD", "CTUBE", "CONROD"):
         return _rod(data, link)
@@ -60,9 +60,9 @@ def _matrix(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
 
 def _rod(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
     kind = LINKS[link.card.name][2]
-    card, first = (link.card, 4) if link.property is None else (data.own(link.card, kind, link.property), 2)
+    card, first = (link.card, 4) if link.property is None else (data.property_of(link.card, kind, link.property), 2)
     material = data.material(card, card.integer(first, "MID"))
-    A, J, extra = _tube(card) if kind == "PTUBE" else _round(card, first)
+    A, J, extra = _tube_numbers(card) if kind == "PTUBE" else _rod_numbers(card, first)
     a, b = (np.array(data.grids[grid]) for grid in link.grids)
     length = float(np.linalg.norm(b - a))
     if not length > 0.0 or not A > 0.0 or J < 0.0:
@@ -77,12 +77,12 @@ def _rod(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
     return K, (material.real(5, "RHO", 0.0) * A + extra) * length
 
 
-def _round(card: Card, first: int) -> tuple[float, float, float]:
+def _rod_numbers(card: Card, first: int) -> tuple[float, float, float]:
     """A, J and mass per length without stiffness of a PROD or CONROD; its material stands at `first`."""
     return card.real(first + 1, "A"), card.real(first + 2, "J", 0.0), card.real(first + 4, "NSM", 0.0)
 
 
-def _tube(card: Card) -> tuple[float, float, float]:
+def _tube_numbers(card: Card) -> tuple[float, float, float]:
     """The same of a PTUBE: outer diameter, thickness (blank, 0: solid), the diameter at end B like that at end A."""
     outer = card.real(3, "OD")
     inner = outer - 2.0 * (card.real(4, "T", 0.0) or outer / 2.0)
@@ -96,7 +96,7 @@ def _tube(card: Card) -> tuple[float, float, float]:
 
 def _spring(data: BulkData, link: Link) -> np.ndarray:
     card = link.card
-    k = card.real(2, "K") if link.property is None else data.own(card, "PELAS", link.property).real(2, "K")
+    k = card.real(2, "K") if link.property is None else data.property_of(card, "PELAS", link.property).real(2, "K")
     g = np.zeros(12)
     for end, (grid, place, sign) in enumerate(zip(link.grids, (4, 6), (1.0, -1.0), strict=True)):
         component = card.integer(place, f"C{end + 1}")
@@ -109,7 +109,7 @@ def _spring(data: BulkData, link: Link) -> np.ndarray:
 
 
 def _bushing(data: BulkData, link: Link) -> np.ndarray:
-    own = data.own(link.card, "PBUSH", link.property or 0)
+    own = data.property_of(link.card, "PBUSH", link.property or 0)
     k = _bushing_stiffness(own)
     a, b = (np.array(data.grids[grid]) for grid in link.grids)
     axes = _bushing_axes(data, link, a, b, k)
@@ -126,7 +126,7 @@ def _bushing(data: BulkData, link: Link) -> np.ndarray:
 
 
 def _bushing_stiffness(card: Card) -> list[float]:
-    """K1 to K6; damping and the like are left out."""
+    """Return K1 to K6; damping and other data are left out."""
     for start in range(2, len(card.fields) + 1, 8):
         if card.text(start).upper() == "K":
             return [card.real(start + 1 + i, f"K{i + 1}", 0.0) for i in range(6)]
@@ -166,7 +166,7 @@ def _solids(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units) -> 
     for (number, corners), group in groups.items():
         D, density = _solid_material(data, group[0].card, number, units)
         members = torch.tensor([[index[grid] for grid in own.grids] for own in group], dtype=torch.long)
-        K, share = _right_way_round(mesh, members, D, group)
+        K, share = _oriented_matrices(mesh, members, D, group)
         freedoms.append((6 * members[:, :, None] + torch.arange(3)).flatten(1))
         matrices.append(K)
         nodes.append(members.flatten())
@@ -176,8 +176,8 @@ def _solids(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units) -> 
     return GivenElements(mesh, freedoms, matrices, node, mass)
 
 
-def _right_way_round(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid]) -> tuple[Tensor, Tensor]:
-    """Stiffness and volumes; solids whose corners are counted the other way round have the same ones mirrored."""
+def _oriented_matrices(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid]) -> tuple[Tensor, Tensor]:
+    """Return stiffness and volumes; solids whose corners are in mirrored order have negative ones, whose signs are changed."""
     K, share, volume = solid_matrices(mesh.nodes[members], D)
     right, mirrored = (volume > 0).all(1), (volume < 0).all(1)
     wrong = (~(right | mirrored)).nonzero()[:, 0]
@@ -189,7 +189,7 @@ def _right_way_round(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid])
 
 def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tuple[Tensor, float]:
     """D [6, 6] in mesh axes [Pa] and density [kg/m3]."""
-    own = data.own(card, "PSOLID", number)
+    own = data.property_of(card, "PSOLID", number)
     material = data.material(own, own.integer(2, "MID"))
     if material.name == "MAT1":
         E, G, nu = moduli_of(material)

@@ -25,15 +25,15 @@ class Systems:
     def __init__(self, cards: list[Card] | None = None, grids: list[Card] | None = None) -> None:
         self._cards: dict[int, Card] = {}
         self._grids = {grid.integer(1, "ID"): grid for grid in grids or []}
-        self._made: dict[int, tuple[np.ndarray, np.ndarray, str]] = {0: (np.zeros(3), np.eye(3), "R")}
+        self._systems: dict[int, tuple[np.ndarray, np.ndarray, str]] = {0: (np.zeros(3), np.eye(3), "R")}
         for card in cards or []:
             by_grids = card.name.startswith("CORD1")
             for start in range(0, max(len(card.fields), 1), 4 if by_grids else 8):  # CORD1R holds up to two systems
                 if by_grids or start == 0:
                     part = Card(card.name, card.fields[start:] if start else card.fields, card.where)
-                    self._take(part, part.integer(1, "CID"))
+                    self._add(part, part.integer(1, "CID"))
 
-    def _take(self, card: Card, number: int) -> None:
+    def _add(self, card: Card, number: int) -> None:
         if number < 1:
             raise InputError(f"{card}: CID is {number}; allowed: above 0, which is the basic system")
         if number in self._cards:
@@ -41,7 +41,7 @@ class Systems:
         self._cards[number] = card
 
     def axes(self, number: int, card: Card, at: np.ndarray) -> np.ndarray:
-        """Unit vectors of a system [3, 3] at a place in basic coordinates; x of one that is curved is its radius there."""
+        """Return the unit vectors of a system, rows [3, 3], at a basic position; x of a curved one is along its radius."""
         origin, axes, kind = self._system(number, card, ())
         if kind == "R":
             return axes
@@ -59,7 +59,7 @@ class Systems:
         """Whether a system is cylindrical or spherical."""
         return self._system(number, card, ())[2] != "R"
 
-    def place(self, grid: Card, opened: tuple[int, ...] = ()) -> tuple[float, float, float]:
+    def position(self, grid: Card, opened: tuple[int, ...] = ()) -> tuple[float, float, float]:
         """Position of a GRID in basic coordinates."""
         x = np.array([grid.real(k, f"X{k - 2}", 0.0) for k in (3, 4, 5)])
         point = self._basic(grid.integer(2, "CP", 0), x, grid, opened)
@@ -77,8 +77,8 @@ class Systems:
         return origin + x @ axes
 
     def _system(self, number: int, card: Card, opened: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, str]:
-        if number in self._made:
-            return self._made[number]
+        if number in self._systems:
+            return self._systems[number]
         if number not in self._cards:
             raise InputError(f"{card}: coordinate system {number} does not exist; a CORD2R card is missing")
         if number in opened:
@@ -94,8 +94,8 @@ class Systems:
         if np.linalg.norm(normal) <= 1e-9 * np.linalg.norm(z) * np.linalg.norm(x):
             raise InputError(f"{own}: its three points lie on a line")
         z, y = z / np.linalg.norm(z), normal / np.linalg.norm(normal)
-        self._made[number] = origin, np.stack([np.cross(y, z), y, z]), own.name[-1]
-        return self._made[number]
+        self._systems[number] = origin, np.stack([np.cross(y, z), y, z]), own.name[-1]
+        return self._systems[number]
 
     def _points(self, own: Card, opened: tuple[int, ...]) -> list[np.ndarray]:
         if own.name.startswith("CORD1"):
@@ -103,7 +103,7 @@ class Systems:
             for k in numbers:
                 if k not in self._grids:
                     raise InputError(f"{own}: GRID {k} does not exist")
-            return [np.array(self.place(self._grids[k], opened)) for k in numbers]
+            return [np.array(self.position(self._grids[k], opened)) for k in numbers]
         reference = own.integer(2, "RID", 0)
         names = [f"{letter}{k}" for letter in "ABC" for k in (1, 2, 3)]
         x = np.array([own.real(3 + k, name, 0.0) for k, name in enumerate(names)]).reshape(3, 3)

@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _Given:
-    """Numbers along the span."""
+class _SpanValues:
+    """Numbers along the span, linear between the points of a grid."""
 
     grid: Array
     values: Array
@@ -59,9 +59,9 @@ class WindIOBlade:
             data = _loaded(path.read_text(encoding="utf-8"))
             blade = data["components"]["blade"]
             self._inner, shape = blade["internal_structure_2d_fem"], blade["outer_shape_bem"]
-            self._shape = {name: _given(name, shape[name]) for name in ("chord", "twist", "pitch_axis")}
+            self._shape = {name: _span_values(name, shape[name]) for name in ("chord", "twist", "pitch_axis")}
             axis = shape["reference_axis"]
-            self._axis = [_given(f"reference_axis {name}", axis[name]) for name in "xyz"]
+            self._axis = [_span_values(f"reference_axis {name}", axis[name]) for name in "xyz"]
             self._materials = _named("material", data["materials"])
             self._airfoils(shape["airfoil_position"], _named("airfoil", data["airfoils"]))
             self._webs = _named("web", self._inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
@@ -73,7 +73,7 @@ class WindIOBlade:
             raise InputError(f"{path.name}: {error}") from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
-                f"{path.name} is no windIO blade: {_said(error)}; allowed: components, airfoils, materials"
+                f"{path.name} is no windIO blade: {_error_text(error)}; allowed: components, airfoils, materials"
             ) from None
 
     def _airfoils(self, given: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
@@ -86,7 +86,7 @@ class WindIOBlade:
         shapes = [_resampled(found[t], airfoils[found[t]]["coordinates"]) for t in rising]
         self._profiles = np.array(rising), np.stack(shapes)
         along = [float(airfoils[name]["relative_thickness"]) for name in given["labels"]]
-        own = _given("airfoil_position", {"grid": given["grid"], "values": along})
+        own = _span_values("airfoil_position", {"grid": given["grid"], "values": along})
         self._relative = own if len(rising) == 1 else PchipInterpolator(own.grid, own.values)
 
     def contour(self, position: float) -> Array:
@@ -121,7 +121,7 @@ class WindIOBlade:
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         layers, webs = [], {name: [] for name in self._webs}
         for number, (name, own) in enumerate(self._layers.items()):
-            thickness = _given(f"thickness of {name}", own["thickness"])(position, 0.0)
+            thickness = _span_values(f"thickness of {name}", own["thickness"])(position, 0.0)
             if thickness < 0.0:
                 raise InputError(f"thickness of {name} at {position:g} is {thickness:g} m; allowed: zero or above")
             if thickness < THIN:
@@ -129,24 +129,26 @@ class WindIOBlade:
             if "web" in own:
                 webs[own["web"]].append((number, thickness))
             else:
-                start, end = (self._end(name, side, position, length) for side in ("start", "end"))
-                layers.append(Layer(number, thickness, *_within(name, position, start, end)))
+                start, end = (self._layer_end(name, side, position, length) for side in ("start", "end"))
+                layers.append(Layer(number, thickness, *_clipped(name, position, start, end)))
         made = []
         for name, stack in webs.items():
             if stack:
                 own = self._webs[name]
-                places_of = [_given(f"{side} of {name}", own[f"{side}_nd_arc"])(position) for side in ("start", "end")]
+                places_of = [
+                    _span_values(f"{side} of {name}", own[f"{side}_nd_arc"])(position) for side in ("start", "end")
+                ]
                 made.append(Web(tuple(stack), *places_of))
         plies = [self._solid(own["material"]) for own in self._layers.values()]
         angles = [
-            _given(f"fiber_orientation of {name}", own["fiber_orientation"])(position)
+            _span_values(f"fiber_orientation of {name}", own["fiber_orientation"])(position)
             for name, own in self._layers.items()
         ]
         mesh = profile_section(Profile(places), layers, made, cells, order)
         return Section(mesh, plies, angles)
 
-    def _end(self, name: str, side: str, position: float, length: float, depth: int = 0) -> float:
-        """Where a layer starts or ends along the contour; `fixed` names an edge, or the layer beside."""
+    def _layer_end(self, name: str, side: str, position: float, length: float, depth: int = 0) -> float:
+        """Return the position along the contour where a layer starts or ends; `fixed` names an edge, or a neighboring layer."""
         own, other = self._layers[name], "end" if side == "start" else "start"
         given = own.get(f"{side}_nd_arc")
         if given is not None:
@@ -154,18 +156,18 @@ class WindIOBlade:
             if fixed == "TE":
                 return 0.0 if side == "start" else 1.0
             if fixed in self._layers and depth < len(self._layers):
-                return self._end(fixed, other, position, length, depth + 1)
+                return self._layer_end(fixed, other, position, length, depth + 1)
             if fixed is not None:
                 raise InputError(
                     f"{side}_nd_arc of layer {name!r} is fixed at {fixed!r}; allowed: TE, or the name of a layer"
                 )
-            return _given(f"{side}_nd_arc of {name}", given)(position)
+            return _span_values(f"{side}_nd_arc of {name}", given)(position)
         if "width" not in own or depth > len(self._layers):
             raise InputError(
                 f"layer {name!r} has no {side}_nd_arc; allowed: start_nd_arc and end_nd_arc, or one and width"
             )
-        width = _given(f"width of {name}", own["width"])(position, 0.0) / length
-        beside = self._end(name, other, position, length, len(self._layers) + 1)
+        width = _span_values(f"width of {name}", own["width"])(position, 0.0) / length
+        beside = self._layer_end(name, other, position, length, len(self._layers) + 1)
         return beside + width if side == "end" else beside - width
 
     def _solid(self, name: str) -> Orthotropic:
@@ -178,13 +180,13 @@ class WindIOBlade:
             raise InputError(f"material {name!r}: {error!r}; allowed: E, G, nu, rho") from None
 
 
-def _said(error: Exception) -> str:
-    """A parser's error with its lines, another with its kind: that of a missing key is the key alone."""
+def _error_text(error: Exception) -> str:
+    """Return the text of a parser's error, or the repr of any other: the text of a KeyError is the key alone."""
     return " ".join(str(error).split()) if isinstance(error, yaml.YAMLError) else repr(error)
 
 
 def _loaded(text: str) -> Any:
-    """The data of a text: bounded before they are made, as aliases multiply and the parser recurses."""
+    """Return the data of a text; their size is checked first, because aliases multiply them and the parser recurses."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     letters = np.frombuffer(text.encode(), dtype=np.uint8)
     flow = np.cumsum(np.isin(letters, list(b"[{")).astype(int) - np.isin(letters, list(b"]}")))
@@ -210,8 +212,8 @@ def _loaded(text: str) -> Any:
     raise InputError(f"its data have more than {NESTED} levels or {ENTRIES} entries")
 
 
-def _within(name: str, position: float, start: float, end: float) -> tuple[float, float]:
-    """The part of the contour that a layer covers; what reaches beyond it is cut off, with a warning."""
+def _clipped(name: str, position: float, start: float, end: float) -> tuple[float, float]:
+    """Return the part of the contour that a layer covers, cut off at 0 and 1 with a warning."""
     if min(start, 1.0 - end) < -BEYOND:
         warn(
             f"layer {name!r} at {position:g} reaches from {start:g} to {end:g} of the contour; it is cut off at 0 and 1"
@@ -225,7 +227,7 @@ def _within(name: str, position: float, start: float, end: float) -> tuple[float
 
 
 def _named(kind: str, given: Any, *keys: str) -> dict[str, Any]:
-    """Entries by name, each with these keys."""
+    """Return entries by name; InputError where a name is repeated or a key is missing."""
     found: dict[str, Any] = {}
     for own in given:
         name = own["name"]
@@ -238,8 +240,8 @@ def _named(kind: str, given: Any, *keys: str) -> dict[str, Any]:
     return found
 
 
-def _given(name: str, own: Mapping[str, Any]) -> _Given:
-    """Numbers along the span, checked."""
+def _span_values(name: str, own: Mapping[str, Any]) -> _SpanValues:
+    """Read numbers along the span; InputError where grid and values are not as many rising and finite numbers."""
     try:
         grid, values = (np.array(own[key], dtype=float) for key in ("grid", "values"))
     except (KeyError, TypeError, ValueError) as error:
@@ -248,11 +250,11 @@ def _given(name: str, own: Mapping[str, Any]) -> _Given:
         raise InputError(f"{name} has grid {grid.tolist()[:5]} and {values.size} values; allowed: as many, rising")
     if not (np.isfinite(grid).all() and np.isfinite(values).all()):
         raise InputError(f"{name} has numbers that are not finite; allowed: finite ones")
-    return _Given(grid, values)
+    return _SpanValues(grid, values)
 
 
 def _resampled(name: str, given: Mapping[str, Any]) -> Array:
-    """A contour on as many points from the trailing edge over the suction side, the same share of x on each side."""
+    """Return a contour at _POINTS positions from the trailing edge over the suction side, at the same x on both sides."""
     rows = [np.array(given[axis], dtype=float) for axis in "xy"]
     if rows[0].ndim != 1 or rows[0].shape != rows[1].shape or not np.isfinite(rows).all():
         raise InputError(

@@ -50,7 +50,7 @@ class Web:
 
 
 class Profile:
-    """A contour from the trailing edge over the suction side, points [n, 2] [m], and beyond s = 1 what closes it."""
+    """A contour from the trailing edge over the suction side, points [n, 2] [m]; beyond s = 1 a straight line closes it."""
 
     def __init__(self, points: Array) -> None:
         gap = np.linalg.norm(points[-1] - points[0])
@@ -78,7 +78,7 @@ class Profile:
         x, y = self.points.T
         return 0.5 * float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
 
-    def room(self, s: Array) -> Array:
+    def inner_width(self, s: Array) -> Array:
         """Distance to the opposite wall along the inward normals."""
         p, d = self.at(s), self.inward(s)
         a, e = self.points[:-1], np.diff(self.points, axis=0)
@@ -169,7 +169,7 @@ def _stack(layers: list[Layer], s: float, closed: float) -> list[tuple[int, floa
 
 
 def _divided(stack: list[tuple[int, float]], count: int) -> list[tuple[int, float]]:
-    """The same stack as so many layers: the thickest counts for several."""
+    """Return a stack as `count` layers: the thickest ones are divided."""
     stack = list(stack)
     while len(stack) < count:
         k = max(range(len(stack)), key=lambda i: stack[i][1])
@@ -182,9 +182,9 @@ def _faces(profile: Profile, s: Array, depth: Array, order: int) -> list[Array]:
     """Points [order + 1, count + 1, 2] of the faces of every column."""
     closed = len(s) - 1
     at_station = 0.5 * (depth + np.roll(depth, 1, axis=0))  # between a column and the one before it, around
-    room = profile.room(s[:-1])
+    inner_width = profile.inner_width(s[:-1])
     corner = _corners(profile, s)
-    limit = np.minimum(SHARE * room, corner)
+    limit = np.minimum(SHARE * inner_width, corner)
     total = at_station[:, -1]
     at_station = at_station * np.minimum(1.0, limit / total)[:, None]
     at_station = np.concatenate([at_station, at_station[:1]])
@@ -202,7 +202,7 @@ def _faces(profile: Profile, s: Array, depth: Array, order: int) -> list[Array]:
 
 
 def _corners(profile: Profile, s: Array) -> Array:
-    """How deep a wall may be where the contour turns sharply: a part of the shorter column beside."""
+    """Return the largest thickness of a wall where the contour turns sharply: a part of the shorter adjacent column."""
     p = profile.at(s[:-1])
     before, after = p - np.roll(p, 1, axis=0), np.roll(p, -1, axis=0) - p
     a, b = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)

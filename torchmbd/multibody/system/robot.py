@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError, true_or_false, unknown, warn
-from torchmbd.io.robot_file import STAND, Pose, Robot, RobotJoint, combined
+from torchmbd.io.robot_file import IDENTITY, Pose, Robot, RobotJoint, combined_mass
 from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import put
@@ -169,13 +169,13 @@ class _Builder:
 
     def _owners(self) -> tuple[dict[str, str], dict[str, Pose]]:
         """The link that each link is a part of, and its pose there: those fixed to others are parts of them."""
-        owner, inside = {self.robot.root: self.robot.root}, {self.robot.root: STAND}
+        owner, inside = {self.robot.root: self.robot.root}, {self.robot.root: IDENTITY}
         for joint in self.robot.joints:
             parent = owner[joint.parent]
             if joint.kind == "fixed" and not {parent, joint.child} & self.flexible.keys():
                 owner[joint.child], inside[joint.child] = parent, inside[joint.parent] @ joint.origin
             else:
-                owner[joint.child], inside[joint.child] = joint.child, STAND
+                owner[joint.child], inside[joint.child] = joint.child, IDENTITY
         return owner, inside
 
     def _bodies(self) -> dict[str, Any]:
@@ -208,7 +208,7 @@ class _Builder:
         for name in [name for name, own in self.owner.items() if own == link]:
             own, pose = self.robot.links[name], self.inside[name]
             parts.append((own.mass, pose.place + pose.axes @ own.center, pose.axes @ own.inertia @ pose.axes.T))
-        mass, center, J = combined(parts)
+        mass, center, J = combined_mass(parts)
         if not mass > 0.0:
             raise InputError(f"link {link!r}, with what is fixed to it, has no mass; allowed: a mass > 0 of what moves")
         J, possible = _physical(link, J, mass)
@@ -312,7 +312,7 @@ def _place(
     joints: Sequence[RobotJoint], root: str, positions: Mapping[str, float], velocities: Mapping[str, float]
 ) -> dict[str, _Placed]:
     """Links in space."""
-    placed = {root: _Placed(STAND, np.zeros(3), np.zeros(3))}
+    placed = {root: _Placed(IDENTITY, np.zeros(3), np.zeros(3))}
     for joint in joints:
         base, rate = placed[joint.parent], velocities.get(joint.name, 0.0)
         own = base.pose @ joint.origin
