@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.optimize
 import torch
 
 import torchmbd as mbd
@@ -178,3 +179,61 @@ def test_clamped_plate_under_compression_and_shear():
     N = (-1e-3 * E * t / (1.0 - nu**2), -1e-3 * nu * E * t / (1.0 - nu**2), 2e-3 * E * t / 2.0 / (1.0 + nu))
     wanted = clamped((1.0, 0.7), t, E, nu, [[N[0], N[2]], [N[2], N[1]]])
     assert found[0].item() == pytest.approx(wanted, rel=1e-2)
+
+
+def transfer(factor: float, load: np.ndarray, C: np.ndarray, twist: float, steps: int = 40) -> float:
+    """Zero where a clamped beam of length 1 under a force and a moment at its end has a second equilibrium nearby.
+
+    Rates along the straight beam of (u, th, n, m): displacement, rotation, changes of force and moment in fixed axes. Sections
+    of flexibility C carry the force F and the moment M + (1 - x) e x F; a moment at the end turns by half of th.
+    """
+
+    def cross(a: np.ndarray) -> np.ndarray:
+        return np.cross(np.eye(3), a)
+
+    e, F, M = np.array([1.0, 0.0, 0.0]), factor * load[:3], factor * load[3:]
+
+    def rate(x: float, y: np.ndarray) -> np.ndarray:
+        c, s = math.cos(twist * x), math.sin(twist * x)
+        turn = scipy.linalg.block_diag(1.0, [[c, -s], [s, c]], 1.0, [[c, -s], [s, c]])
+        _, th, n, m = y.reshape(4, 3, 6)
+        inside = np.vstack([n + cross(F) @ th, m + cross(M + (1.0 - x) * np.cross(e, F)) @ th])
+        strain = turn @ C @ turn.T @ inside
+        du = strain[:3] - cross(e) @ th
+        return np.vstack([du, strain[3:], 0.0 * n, cross(F) @ du - cross(e) @ n])
+
+    y, h = np.vstack([np.zeros((6, 6)), np.eye(6)]), 1.0 / steps
+    for k in range(steps):
+        a = rate(k * h, y)
+        b = rate((k + 0.5) * h, y + 0.5 * h * a)
+        c = rate((k + 0.5) * h, y + 0.5 * h * b)
+        d = rate((k + 1.0) * h, y + h * c)
+        y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+    free = np.vstack([y[6:9], y[9:] + 0.5 * cross(M) @ y[3:6]])
+    return float(np.linalg.det(free))
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        (-1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (-1.0, 0.3, 0.5, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 1.0, 0.0, 0.0, 0.2),
+        (0, 0, 0, 1.0, 0.4, 0),
+    ],
+)
+def test_twisted_beams_whose_strains_are_coupled(load):
+    """Bending with torsion and shear, tension with torsion; compression, forces across, bending and torsional moments."""
+    K = torch.diag(torch.tensor([2e7, 5e5, 4e5, 60.0, 100.0, 400.0], dtype=torch.float64))
+    for (i, j), x in {(3, 4): 35.0, (3, 5): -60.0, (4, 5): 60.0, (1, 2): 1e5, (0, 3): 2e3}.items():
+        K[i, j] = K[j, i] = x
+    section = mbd.GivenSection(K, torch.diag(torch.tensor([1.0, 1, 1, 8e-4, 2e-4, 6e-4])).double())
+    ends = torch.linspace(0.0, 1.2, 17, dtype=torch.float64)
+    line, twist = mbd.BeamLine.straight(1.0, 16), torch.stack([ends[:-1], ends[1:]], 1)
+    body = mbd.FlexibleBody.beam("rod", line, section, modes=2, reference="start", twist=twist)
+    found = mbd.buckling(body, {"end": load}).factors.item()
+    C, numbers = np.linalg.inv(K.numpy()), np.array(load, dtype=float)
+    below = [transfer(x * found, numbers, C, 1.2) for x in (0.05, 0.3, 0.6, 0.9)]
+    assert min(below) > 0.0
+    wanted = scipy.optimize.brentq(lambda x: transfer(x, numbers, C, 1.2), 0.9 * found, 1.1 * found, rtol=1e-6)
+    assert found == pytest.approx(wanted, rel=3e-3)

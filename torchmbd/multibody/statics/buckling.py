@@ -8,7 +8,8 @@ u       displacements under the loads and the displacements of supports; support
 
 Factors are differentiable, forward and reverse, in every parameter of the body, through K, u and Kg. Where factors coincide
 each has the mean of their derivatives (fem/reduction/spectral.py). Shapes are numbers without a derivative.
-Assumed: u is small; the loads keep their directions and grow together.
+Assumed: u is small; the loads grow together, forces keep their directions, moments on beams turn by half of the rotation of
+their node (semitangential: J. H. Argyris and others, Comput. Methods Appl. Mech. Eng. 14 (1978) 401-451).
 Source: O. C. Zienkiewicz and R. L. Taylor, The Finite Element Method, vol. 2.
 Checked in tests/multibody/statics/test_buckling.py, tests/validation/test_buckling.py.
 """
