@@ -24,7 +24,7 @@ from torchmbd.integrate import Trajectory
 
 @dataclass(frozen=True)
 class FunctionHistory(History):
-    """A function of the motion as a history; made by `history`."""
+    """A function of the motion as a history; `history` returns it."""
 
     function: Callable[[Any], Tensor]
     unit: str | None = None
@@ -35,7 +35,7 @@ class FunctionHistory(History):
 
 @dataclass(frozen=True)
 class FunctionMeasure(Measure):
-    """A function of the motion as a measure; made by `measure`."""
+    """A function of the motion as a measure; `measure` returns it."""
 
     function: Callable[[Any], Tensor]
     unit: str | None = None

@@ -1,8 +1,8 @@
-"""Degrees to radians: the one place where degrees enter.
+"""Degrees to radians.
 
     theta = pi / 180 * degrees
 
-Everything inside torchmbd is in radians; config files and people speak degrees.
+All angles inside torchmbd are in radians; config files have degrees.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def deg(degrees: float | Sequence[float] | Tensor) -> Tensor:
     tensor([0.0000, 1.5708], dtype=torch.float64)
     """
     try:
-        given = torch.as_tensor(degrees, dtype=torch.float64)
+        x = torch.as_tensor(degrees, dtype=torch.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"degrees is {degrees!r}; allowed: numbers") from error
-    return given * (math.pi / 180.0)
+    return x * (math.pi / 180.0)

@@ -30,8 +30,8 @@ def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:
     index = torch.as_tensor(np.asarray(indices), dtype=torch.long).flatten()
     outside = (index < 0) | (index >= size)
     if outside.any():
-        place = int(outside.nonzero()[0])
-        raise InputError(f"{name}[{place}] = {int(index[place])} is outside of 0 ... {size - 1}")
+        k = int(outside.nonzero()[0])
+        raise InputError(f"{name}[{k}] = {int(index[k])} is outside of 0 ... {size - 1}")
     return index
 
 
@@ -52,17 +52,13 @@ class Pattern:
             raise InputError(f"rows and cols have {len(rows)} and {len(cols)} entries; equally many are needed")
         key = rows * self.size + cols
         if (key[1:] <= key[:-1]).any():
-            place = int((key[1:] <= key[:-1]).nonzero()[0]) + 1
-            entry = (int(rows[place]), int(cols[place]))
-            raise InputError(
-                f"coordinate {place} {entry} repeats or precedes its forerunner; use Pattern.gather to sort"
-            )
+            k = int((key[1:] <= key[:-1]).nonzero()[0]) + 1
+            entry = (int(rows[k]), int(cols[k]))
+            raise InputError(f"coordinate {k} {entry} repeats or precedes its forerunner; use Pattern.gather to sort")
         mirrored = torch.isin(cols * self.size + rows, key, assume_unique=True)
         if not mirrored.all():
-            place = int((~mirrored).nonzero()[0])
-            raise InputError(
-                f"entry ({int(rows[place])}, {int(cols[place])}) has no mirror image; store both triangles"
-            )
+            k = int((~mirrored).nonzero()[0])
+            raise InputError(f"entry ({int(rows[k])}, {int(cols[k])}) has no mirror image; store both triangles")
         object.__setattr__(self, "rows", rows)
         object.__setattr__(self, "cols", cols)
 
@@ -151,8 +147,8 @@ class SparseMatrix:
         """All size x size numbers."""
         n = self.pattern.size
         flat = self.values.new_zeros((*self.lanes, n * n))
-        place = (self.pattern.rows * n + self.pattern.cols).to(flat.device)
-        return flat.index_add(-1, place, self.values).reshape(*self.lanes, n, n)
+        k = (self.pattern.rows * n + self.pattern.cols).to(flat.device)
+        return flat.index_add(-1, k, self.values).reshape(*self.lanes, n, n)
 
     def __matmul__(self, other: Tensor) -> Tensor:
         """Multiply a vector [n] or columns [..., n, k]; lanes broadcast."""

@@ -97,9 +97,8 @@ class Numbers(nn.Module):
     def __init__(self, given: Any):
         super().__init__()
         self.given = given
-        self.positive: tuple[str, ...] = getattr(
-            given, "positive", ()
-        )  # names of fields that are positive in every design
+        # Names of fields that are positive in every design.
+        self.positive: tuple[str, ...] = getattr(given, "positive", ())
         for f in fields(given):
             x = getattr(given, f.name)
             if is_variable(x):

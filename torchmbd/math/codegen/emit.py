@@ -77,7 +77,7 @@ class Emitter:
     def function(self, name: str, schedule: Schedule, kept: set[str] = frozenset()) -> str:  # pyright: ignore
         """C++ of a function with the writes of a schedule. kept: buffers that other functions load."""
         private = schedule.private() - kept
-        for buffer in sorted(schedule.made):
+        for buffer in sorted(schedule.written):
             self._allocate(self.program.buffers[buffer], buffer in private, schedule)
         parts, calls = [], []
         for line in self._cleared(schedule, private):
@@ -112,7 +112,7 @@ class Emitter:
     def _cleared(self, schedule: Schedule, private: set[str]) -> list[str]:
         """Lines that clear the buffers to which numbers are added."""
         lines = []
-        for name in sorted(schedule.made - private):
+        for name in sorted(schedule.written - private):
             buffer = self.program.buffers[name]
             if buffer.kind == "scratch" and not is_fully_written(self.program, buffer):
                 where = f"in.w + in.o[{self.scratch[name][0]}]"
@@ -122,12 +122,12 @@ class Emitter:
 
 def is_fully_written(program: Program, buffer: Buffer) -> bool:
     """Whether every entry of a buffer is written, and to none numbers are added by several writes."""
-    places: AnySize = 0
+    entries: AnySize = 0
     for write in buffer.writes:
-        places = places + product(v.size for v in loop_variables(write.index))
+        entries = entries + product(v.size for v in loop_variables(write.index))
         if write.adds and not is_single_write(program, write):
             return False
-    return places == buffer.size
+    return entries == buffer.size
 
 
 def is_single_write(program: Program, write: Write) -> bool:
@@ -203,8 +203,8 @@ class _NestText:
 
     def _clear_private(self) -> None:
         """Clear the private buffers to which numbers are added in this iteration."""
-        made = sorted({w.buffer for stage in self.nest.stages for w in stage} & self.private)
-        for name in made:
+        written = sorted({w.buffer for stage in self.nest.stages for w in stage} & self.private)
+        for name in written:
             writes = self.program.buffers[name].writes
             if self.nest.variable is not None and not is_fully_written(self.program, self.program.buffers[name]):
                 self.buffers.add(name)
@@ -219,8 +219,8 @@ class _NestText:
                 deeper.setdefault(write.variables[depth], []).append(write)
             else:
                 self._store(write)
-        for variable, some in deeper.items():
-            self._inner(variable, some, depth)
+        for variable, inner_writes in deeper.items():
+            self._inner(variable, inner_writes, depth)
 
     def _inner(self, variable: Variable, writes: list[Write], depth: int) -> None:
         """A loop over an inner variable; its sums are local variables, which are stored after the loop."""
@@ -248,8 +248,8 @@ class _NestText:
                     self._store(write)
             lines = self.scopes[-1].lines
             lines += [f"  {name} += {x};" for name, xs in direct.items() for x in xs]
-            for inner, some in deeper.items():
-                self._within(inner, some, depth + 1, names)
+            for inner, inner_writes in deeper.items():
+                self._within(inner, inner_writes, depth + 1, names)
 
         self._loop(variable, body, before)
         lines = self.scopes[-1].lines
@@ -317,8 +317,7 @@ class _NestText:
                 return
             text = self._place(*args)
         else:
-            given = [self._name_of(a) for a in args]
-            text = _expression(op, given)
+            text = _expression(op, [self._name_of(a) for a in args])
         name = f"v{self._next()}"
         scope.names[node] = name
         scope.lines.append(f"  const auto {name} = {text};")

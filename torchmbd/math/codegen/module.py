@@ -34,11 +34,11 @@ class Module:
         aliases, stored = self._kept(kept)
         roots = [w for name in sorted(required) for w in self.program.buffers[name].writes] + stored
         texts = [emitter.function(name, Schedule(self.program, writes, set())) for name, writes in self.values.items()]
-        given = required | {w.buffer for w in stored}
+        complete = required | {w.buffer for w in stored}
         if self.moving:
-            texts.append(emitter.function("boundary", Schedule(self.program, roots, set()), given))
+            texts.append(emitter.function("boundary", Schedule(self.program, roots, set()), complete))
         for name, writes in self.moving.items():
-            texts.append(emitter.function(name, Schedule(self.program, writes, given, aliases)))
+            texts.append(emitter.function(name, Schedule(self.program, writes, complete, aliases)))
         return "\n".join([emitter.layout(), *texts])
 
     def _needs(self, writes: list[Write], required: set[str], kept: dict[int, None]) -> None:
@@ -83,10 +83,10 @@ class Module:
             over = tuple(sorted(self.program.variables(x), key=self.program.rank))
             groups.setdefault(over, []).append(x)
         aliases, writes = {}, []
-        for over, some in groups.items():
-            buffer = self.program.scratch(len(some) * product(v.size for v in over))
-            for k, x in enumerate(some):
-                index = row_major(over).times(len(some)).plus(k)
+        for over, numbers in groups.items():
+            buffer = self.program.scratch(len(numbers) * product(v.size for v in over))
+            for k, x in enumerate(numbers):
+                index = row_major(over).times(len(numbers)).plus(k)
                 self.program.write(buffer, over, index, x)
                 aliases[x] = self.program._node("load", buffer.name, index)
         for name in dict.fromkeys(self.program.args[x][0] for x in aliases.values()):

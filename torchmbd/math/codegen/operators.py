@@ -99,13 +99,13 @@ def _cat(parts: Sequence[Any], dim: int = 0) -> Any:
         return kept[0]
     if all(isinstance(x, Array) and x.loops[dim] is None for x in kept):
         return _cat_components(program, kept, dim)
-    some: list[tuple[Array, int]] = []
+    joined: list[tuple[Array, int]] = []
     for x in kept:
         if isinstance(x, Pieces) and x.axis == dim:
-            some += x.parts
+            joined += x.parts
         else:
-            some.append((x.as_array(), 1))
-    return Pieces(dim, some)
+            joined.append((x.as_array(), 1))
+    return Pieces(dim, joined)
 
 
 def _cat_components(program: Program, parts: list[Array], dim: int) -> Array:

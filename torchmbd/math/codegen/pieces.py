@@ -92,8 +92,7 @@ def _joined_in_memory(pieces: Pieces) -> Array:
         start = start + product(x.shape[dim : dim + n])
     v = Variable(total, 0) if isinstance(total, Size) else None
     result_loops = (*loops[:dim], v, *loops[dim:])
-    taken = [w for w in loops if w is not None and v is not None and w == v]
-    assert not taken
+    assert v is None or v not in loops
     if v is None:
         raise Untraceable("pieces of a number of components cannot be joined")
     numbers = np.empty([*extents[:dim], 1, *extents[dim:]], dtype=np.int64)

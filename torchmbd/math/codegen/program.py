@@ -100,14 +100,12 @@ class Program(Tape):
 
     def variables(self, number: int) -> frozenset[Variable]:
         """Loop variables that a number depends on."""
-        found = self._variables.get(number)
-        if found is None:
+        if number not in self._variables:
             for node in self.reachable([number], self._variables):
-                self._variables[node] = self._own_variables(node)
-            found = self._variables[number]
-        return found
+                self._variables[node] = self._node_variables(node)
+        return self._variables[number]
 
-    def _own_variables(self, node: int) -> frozenset[Variable]:
+    def _node_variables(self, node: int) -> frozenset[Variable]:
         if self.op[node] == "constant":
             return frozenset()
         if self.op[node] == "load":
@@ -158,13 +156,13 @@ class Program(Tape):
         groups: dict[tuple[Variable, ...], list[int]] = {}
         for x in missing:
             groups.setdefault(tuple(sorted(self.variables(x), key=self.rank)), []).append(x)
-        for over, some in groups.items():
-            buffer = self.scratch(len(some) * product(v.size for v in over))
-            for k, x in enumerate(some):
-                index = row_major(over).times(len(some)).plus(k)
+        for over, group in groups.items():
+            buffer = self.scratch(len(group) * product(v.size for v in over))
+            for k, x in enumerate(group):
+                index = row_major(over).times(len(group)).plus(k)
                 self.write(buffer, over, index, x)
-            for k, x in enumerate(some):
-                index = row_major(over).times(len(some)).plus(k)
+            for k, x in enumerate(group):
+                index = row_major(over).times(len(group)).plus(k)
                 self._stored[x] = self._node("load", buffer.name, index)
         return {x: self._stored.get(x, x) for x in numbers}
 
@@ -177,12 +175,12 @@ class Program(Tape):
                 result[x] = x
             else:
                 groups.setdefault(tuple(sorted(self.variables(x) - summed, key=self.rank)), []).append(x)
-        for kept, some in groups.items():
-            buffer = self.scratch(len(some) * product(v.size for v in kept))
-            index = row_major(kept).times(len(some))
-            for k, x in enumerate(some):
+        for kept, group in groups.items():
+            buffer = self.scratch(len(group) * product(v.size for v in kept))
+            index = row_major(kept).times(len(group))
+            for k, x in enumerate(group):
                 self.write(buffer, (*kept, *over), index.plus(k), x, adds=True)
-            for k, x in enumerate(some):
+            for k, x in enumerate(group):
                 result[x] = self._node("load", buffer.name, index.plus(k))
         return [result[x] for x in numbers]
 

@@ -48,7 +48,7 @@ class Tape:
     """Scalar operations, each known by its number.
 
     op    name, "input" or "constant"
-    args  numbers of the arguments; of an input its array and place, of a constant its value
+    args  numbers of the arguments; of an input its array and index, of a constant its value
     """
 
     def __init__(self) -> None:
@@ -59,12 +59,11 @@ class Tape:
 
     def _node(self, op: str, *args: Any) -> int:
         key = (op, *args)
-        found = self._known.get(key)
-        if found is None:
-            found = self._known[key] = len(self.op)
+        if key not in self._known:
+            self._known[key] = len(self.op)
             self.op.append(op)
             self.args.append(args)
-        return found
+        return self._known[key]
 
     def constant(self, x: float) -> int:
         """A number."""
@@ -88,9 +87,9 @@ class Tape:
             except (ArithmeticError, ValueError):  # infinite or undefined: computed at run time
                 return self._node(op, *args)
         if op in _SIMPLER:
-            found = _SIMPLER[op](self, *args)
-            if found is not None:
-                return found
+            simpler = _SIMPLER[op](self, *args)
+            if simpler is not None:
+                return simpler
         return self._node(op, *(sorted(args) if op in _COMMUTATIVE else args))
 
     def _is_neg(self, a: int) -> bool:
@@ -156,22 +155,22 @@ _SIMPLER = {"add": Tape.add, "sub": Tape.sub, "mul": Tape.mul, "div": Tape.div, 
 
 
 class _Run:
-    """A traced graph, operator by operator. Tensors that do not depend on inputs stay tensors."""
+    """Evaluates a traced graph operator by operator; tensors that do not depend on inputs stay tensors."""
 
     def __init__(self, tape: Tape, graph: torch.fx.GraphModule):
         self.tape, self.graph = tape, graph
 
     def run(self, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         values: dict[Any, Any] = {}
-        given = iter(arguments)
+        remaining = iter(arguments)
         for node in self.graph.graph.nodes:
             if node.op == "placeholder":
-                values[node] = next(given)
+                values[node] = next(remaining)
             elif node.op == "get_attr":
                 values[node] = getattr(self.graph, node.target)
             elif node.op == "output":
-                found = map_arg(node.args[0], lambda n: values[n])
-                return [self.ids(x) for x in (found if isinstance(found, (list, tuple)) else [found])]
+                outputs = map_arg(node.args[0], lambda n: values[n])
+                return [self.ids(x) for x in (outputs if isinstance(outputs, (list, tuple)) else [outputs])]
             else:
                 args, kwargs = map_arg((node.args, node.kwargs), lambda n: values[n])
                 values[node] = self.apply(node.target, args, kwargs)

@@ -31,18 +31,18 @@ class Nest:
 class Schedule:
     """The nests of a function that computes the writes `roots` and all writes that they need.
 
-    given    buffers that are complete when the function is called
-    aliases  number -> load from such a buffer in its place
+    complete  buffers that are complete when the function is called
+    aliases   number -> load from such a buffer in its place
     """
 
     def __init__(
-        self, program: Program, roots: Iterable[Write], given: set[str], aliases: dict[int, int] | None = None
+        self, program: Program, roots: Iterable[Write], complete: set[str], aliases: dict[int, int] | None = None
     ):
-        self.program, self.given, self.aliases = program, given, aliases or {}
+        self.program, self.complete, self.aliases = program, complete, aliases or {}
         self.nests: list[Nest] = []
         self._loads: dict[int, frozenset[int]] = {}
         self.writes = self._needed(roots)
-        self.made = {w.buffer for w in self.writes}
+        self.written = {w.buffer for w in self.writes}
         self._arrange()
 
     def loads(self, number: int) -> list[int]:
@@ -84,7 +84,7 @@ class Schedule:
             writes.append(write)
             for node in self.loads(write.number):
                 name = self.program.args[node][0]
-                if buffers[name].kind == "scratch" and name not in self.given and name not in known:
+                if buffers[name].kind == "scratch" and name not in self.complete and name not in known:
                     known.add(name)
                     stack += buffers[name].writes
         return sorted(dict.fromkeys(writes), key=lambda w: w.number)
@@ -93,7 +93,7 @@ class Schedule:
         at: dict[str, list[tuple[int, int]]] = {}  # nest and stage of each write to a buffer
         for write in self._ordered():
             variable = write.variables[0] if write.variables else None
-            deps = {self.program.args[x][0] for x in self.loads(write.number)} & self.made
+            deps = {self.program.args[x][0] for x in self.loads(write.number)} & self.written
             local = {name for name in deps if self._is_local(name, variable, write)}
             first = max((n + (name not in local) for name in deps for n, _ in at[name]), default=0)
             fits = [k for k in range(first, len(self.nests)) if self.nests[k].variable == variable]
@@ -110,7 +110,7 @@ class Schedule:
         for w in self.writes:
             left[w.buffer] = left.get(w.buffer, 0) + 1
         waiting = {
-            i: {self.program.args[x][0] for x in self.loads(w.number)} & self.made for i, w in enumerate(self.writes)
+            i: {self.program.args[x][0] for x in self.loads(w.number)} & self.written for i, w in enumerate(self.writes)
         }
         result, remaining = [], list(range(len(self.writes)))
         while remaining:
@@ -127,9 +127,9 @@ class Schedule:
 
     def _is_local(self, name: str, variable: Variable | None, write: Write) -> bool:
         """Whether a write loads from a buffer only numbers that the same iteration of its loop has written."""
-        places = [w.index for w in self.program.buffers[name].writes]
-        places += [self.program.args[x][1] for x in self.loads(write.number) if self.program.args[x][0] == name]
-        return variable is not None and all(self.is_of_iteration(name, variable, index) for index in places)
+        indices = [w.index for w in self.program.buffers[name].writes]
+        indices += [self.program.args[x][1] for x in self.loads(write.number) if self.program.args[x][0] == name]
+        return variable is not None and all(self.is_of_iteration(name, variable, index) for index in indices)
 
     def is_of_iteration(self, name: str, variable: Variable, index: Index) -> bool:
         """Whether an index of a buffer [variable, rest] belongs to the current iteration of a loop."""
@@ -154,11 +154,11 @@ class Schedule:
                     shared.add(write.buffer)
                 for x in self.loads(write.number):
                     name, index = self.program.args[x]
-                    if name in self.made:
+                    if name in self.written:
                         where.setdefault(name, set()).add(k)
                         if nest.variable is None or not self.is_of_iteration(name, nest.variable, index):
                             shared.add(name)
-        scratch = {name for name in self.made if self.program.buffers[name].kind == "scratch"}
+        scratch = {name for name in self.written if self.program.buffers[name].kind == "scratch"}
         return {name for name in scratch - shared if len(where[name]) == 1}
 
 
