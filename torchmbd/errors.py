@@ -60,6 +60,9 @@ def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
     options = [str(option) for option in allowed]
     close = difflib.get_close_matches(str(name), options, n=1, cutoff=0.5)
+    if not close:  # a name in capitals is near to the same in small letters
+        small = {option.lower(): option for option in reversed(options)}
+        close = [small[x] for x in difflib.get_close_matches(str(name).lower(), small, n=1, cutoff=0.5)]
     hint = f"; did you mean {close[0]!r}?" if close else ""
     return f"; allowed: {', '.join(options) or '(none)'}{hint}"
 

@@ -192,6 +192,9 @@ MISTAKES = {
     "links": (lambda: problem(links={"x": {"y": 1.0}}), "'x'", "rod.laminate.angles[0]"),
     "subject_to": (lambda: problem(subject_to=[1.0]), "subject_to has 1.0", "constraints"),
     # optimization
+    "capitals": (lambda: mbd.optimize(BOX, "SLSQP"), "method 'SLSQP'", "did you mean 'slsqp'"),
+    "strict limit": (lambda: any_.Max(ENERGY) < 0.1, "< 0.1", "<=, >="),
+    "strict lower limit": (lambda: any_.Max(ENERGY) > 0.1, "> 0.1", "<=, >="),
     "optimizer": (lambda: mbd.optimize(BOX, "mmdf"), "method 'mmdf'", "did you mean 'mmfd'"),
     "its option": (lambda: mbd.optimize(BOX, "mmfd", kktt=1e-3), "'kktt'", "did you mean 'kkt'"),
     "max_iteration": (lambda: mbd.optimize(BOX, max_iteration=3), "(it is 3)", "did you mean 'max_iterations'"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 import torch
 from torch.testing import assert_close
@@ -56,3 +58,14 @@ def test_functions_return_real_numbers(motion, function):
     with pytest.raises(mbd.InputError, match=r"allowed: a tensor of shape .*, real numbers"):
         mbd.history(function).values(motion)
     assert torch.isfinite(mbd.history(lambda m: m.q[..., 0]).values(motion)).all()
+
+
+def test_a_function_that_cuts_its_gradient_is_named(motion):
+    def peak(motion):
+        return torch.tensor([float(x) for x in motion.body("rod").strain_energy.amax(1)], dtype=torch.float64)
+
+    with pytest.warns(UserWarning, match=r"response 'peak' has a gradient of zero.*\.item\(\)"):
+        mbd.measure(peak).value_and_gradient(motion)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mbd.measure(lambda motion: motion.body("rod").strain_energy.amax(1)).value_and_gradient(motion)

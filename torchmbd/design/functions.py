@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, overload
 
+import torch
 from torch import Tensor
 
 from torchmbd.design.response import History, Measure
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
 
 
@@ -63,6 +64,12 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
         returned = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
         name = getattr(function, "__name__", repr(function))
         raise InputError(f"response {name!r} returned {returned}; allowed: a tensor of shape {shape}, real numbers")
+    if torch.is_grad_enabled() and motion.q.requires_grad and not result.requires_grad:
+        name = getattr(function, "__name__", repr(function))
+        warn(
+            f"response {name!r} has a gradient of zero: its result does not follow from the motion by operations of torch; "
+            "float(), .item(), .numpy() and .detach() cut the gradient"
+        )
     return result
 
 

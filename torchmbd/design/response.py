@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import torch
 from torch import Tensor
@@ -249,6 +249,12 @@ class Measure(_Constant):
 
     def __ge__(self, limit: float | str) -> Constraint:
         return Constraint(self, limit, "at_least")
+
+    def __lt__(self, limit: Any) -> NoReturn:
+        raise InputError(f"constraint is {self} < {limit!r}; allowed: <=, >= or equals(...)")
+
+    def __gt__(self, limit: Any) -> NoReturn:
+        raise InputError(f"constraint is {self} > {limit!r}; allowed: <=, >= or equals(...)")
 
     def equals(self, limit: float | str, scale: float | None = None) -> Constraint:
         """Equality constraint; `scale` divides the violation, for a limit of zero."""
