@@ -247,3 +247,17 @@ def test_files_that_are_no_blade(tmp_path, blade):
         mbd.WindIOBlade(tmp_path / "none.yaml")
     with pytest.raises(InputError, match="position = 2"):
         blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"), [({"cells": 0}, "cells = 0"), ({"cells": "a"}, "cells"), ({"order": 3}, "order = 3")]
+)
+def test_numbers_of_elements_that_are_refused(blade, options, match):
+    with pytest.raises(InputError, match=f"{match}.*allowed"):
+        blade(circle(), [skin("outer", "steel", 0.02)], []).section(0.5, **options)
+
+
+def test_linear_elements_give_nearly_the_same_section(blade):
+    made = blade(circle(), [skin("outer", "steel", 0.02)], [])
+    linear, quadratic = (made.section(0.5, order=order).stiffness().diagonal().detach() for order in (1, 2))
+    assert float((linear / quadratic - 1.0).abs().max()) < 2e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -19,6 +20,7 @@ def test_straight():
     assert (line.node("start"), line.node("center")) == (0, 2)
     assert line.elements.tolist() == [[0, 1], [1, 2], [2, 3], [3, 4]]
     assert "center" not in BeamLine.straight(2.0, 3).node_sets
+    assert len(BeamLine.straight(2.0, np.int64(3)).elements) == len(BeamLine.arc(2.0, 0.5, np.int64(3)).elements) == 3
 
 
 def test_any_nodes_and_branches():

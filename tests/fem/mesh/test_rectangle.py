@@ -1,5 +1,6 @@
 """rectangle(): size, names, symmetry of the diagonals and a small bandwidth."""
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -8,7 +9,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.mesh import rectangle
 
 
-@pytest.mark.parametrize("cells", [(1, 1), (3, 2), (2, 5), (24, 4)])
+@pytest.mark.parametrize("cells", [(1, 1), (3, 2), (2, 5), (24, 4), (np.int64(2), np.int64(3))])
 def test_covers_the_rectangle_facing_up(cells):
     mesh = rectangle(3.0, 0.5, cells)
     assert len(mesh.nodes) == (cells[0] + 1) * (cells[1] + 1)

@@ -64,6 +64,11 @@ def test_the_span_is_that_of_the_textbook_and_the_basis_is_orthonormal(n):
     torch.testing.assert_close(found.stiffness, torch.diag(values), rtol=1e-11, atol=1e-11)
 
 
+def test_numbers_of_modes_may_be_those_of_numpy():
+    basis = craig_bampton(K_GOOD, M_GOOD, 2, [0])
+    assert torch.equal(craig_bampton(K_GOOD, M_GOOD, np.int64(2), [0]).vectors, basis.vectors)
+
+
 def test_statics_under_interface_loads_are_exact_without_a_single_mode():
     K, M = random_pencil()
     load = torch.zeros(SIZE, dtype=torch.float64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 import torch
 
@@ -120,3 +121,8 @@ def test_bad_dimensions_are_named(make, words):
         make()
     for word in words:
         assert word in str(error.value)
+
+
+def test_numbers_of_elements_may_be_those_of_numpy():
+    section = sections.rectangle(0.3, 0.2, AS4, cells=(np.int64(3), np.int64(2)))
+    assert len(section.mesh.layer) == 6

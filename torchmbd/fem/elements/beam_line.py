@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam_nodes import Straight, evaluate_nodes, node_module_of
 from torchmbd.fem.mesh.mesh import node_members
-from torchmbd.math.checked_numbers import indices, reals
+from torchmbd.math.checked_numbers import indices, is_whole, reals
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import EXTENT, warn_unusual
 from torchmbd.math.variable import ParameterVector, is_variable, number
@@ -96,7 +96,7 @@ class BeamLine:
         """
         if not 0.0 < number(length) < float("inf"):
             raise InputError(f"BeamLine: length = {length!r} m; allowed: a finite number > 0")
-        if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1:
+        if not is_whole(elements) or elements < 1:
             raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1")
         d = np.asarray(direction, dtype=float)
         if d.shape != (3,) or not np.isfinite(d).all() or not d.any():
@@ -118,7 +118,7 @@ class BeamLine:
             raise InputError(f"BeamLine: radius = {radius!r} m; allowed: a finite number > 0")
         if not 0.0 < angle < 2.0 * np.pi:
             raise InputError(f"BeamLine: angle = {angle!r} rad; allowed: 0 to 2 pi")
-        if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1 or angle > np.pi * elements:
+        if not is_whole(elements) or elements < 1 or angle > np.pi * elements:
             raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1, one for each half turn")
         at = np.linspace(0.0, angle, 2 * elements + 1)
         places = radius * np.stack([np.sin(at), 1.0 - np.cos(at), 0.0 * at], axis=1)

@@ -18,7 +18,7 @@ import torch
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh import Mesh
-from torchmbd.math.checked_numbers import positive
+from torchmbd.math.checked_numbers import is_whole, positive
 
 #: Kinds of cells that it can make.
 KINDS = ("quad", "triangle")
@@ -39,11 +39,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     """
     for name, value in (("length", length), ("width", width)):
         positive(f"rectangle: {name}", value, "m")
-    if (
-        not isinstance(cells, Sequence)
-        or len(cells) != 2
-        or not all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
-    ):
+    if not isinstance(cells, Sequence) or len(cells) != 2 or not all(is_whole(c) and c >= 1 for c in cells):
         raise InputError(f"rectangle: cells = {cells!r}; allowed: two integers >= 1")
     if kind not in KINDS:
         raise unknown("kind", kind, KINDS)

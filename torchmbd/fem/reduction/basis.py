@@ -32,6 +32,7 @@ from torchmbd.fem.reduction.forms import check, check_positive_diagonal, lane_na
 from torchmbd.fem.reduction.signs import signs
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import Cotangent, Pencil, Tangent
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.math.vmap import batch_first
 
@@ -103,7 +104,7 @@ def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, 
     """Return the forms and values of K and M with all leading dimensions flattened to one, and these dimensions."""
     K_form, K_values = recognize("K", K)
     M_form, M_values = recognize("M", M, K_form.size)
-    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= K_form.size:
+    if not is_whole(n) or not 1 <= n <= K_form.size:
         raise InputError(f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size} are allowed")
     K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
     try:

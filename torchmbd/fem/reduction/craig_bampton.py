@@ -39,6 +39,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, Matrix, ModalBasis, fixed_modes, modal_basis
 from torchmbd.fem.reduction.constraint_modes import constraint_modes, interface_freedoms, interior, interior_freedoms
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
 
 
@@ -68,7 +69,7 @@ def craig_bampton(
     T, stiffness = constraint_modes(K, M, interface)
     size = T.shape[-2]
     held = interface_freedoms(interface, size)
-    if isinstance(n, bool) or not isinstance(n, int) or not 0 <= n <= size - len(held):
+    if not is_whole(n) or not 0 <= n <= size - len(held):
         raise InputError(f"n = {n!r} fixed-interface modes; allowed: 0 ... {size - len(held)}, the interior freedoms")
     if n:
         inner = modal_basis(interior(K, held, size), interior(M, held, size), n, cluster)

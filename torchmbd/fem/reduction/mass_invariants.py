@@ -34,6 +34,8 @@ from torch import Tensor
 
 from torchmbd.math.sparse import SparseMatrix
 
+ISOTROPY = 1e-9  # relative difference of rotary inertias that count as equal
+
 
 def epsilon() -> Float[Tensor, "3 3 3"]:
     """The permutation symbol."""
@@ -59,12 +61,12 @@ def rigid_motions(x: Float[Tensor, "n 3"]) -> Float[Tensor, "6n 6"]:
     return torch.cat([T, torch.einsum("ikj,nij->nk", epsilon(), X)], dim=1)
 
 
-def has_isotropic_inertia(M: SparseMatrix, tolerance: float = 1e-9) -> bool:
+def has_isotropic_inertia(M: SparseMatrix) -> bool:
     """Whether all rotary inertias of M are the same about all axes and M has no first moments: its masses need no arms."""
     i, j = M.pattern.rows % 6, M.pattern.cols % 6
     values = M.values.detach().reshape(-1, M.pattern.nnz).abs()
     rotary = values * ((i >= 3) & (j >= 3))
-    bound = tolerance * rotary.amax()
+    bound = ISOTROPY * rotary.amax()
     off = rotary * (i != j)
     mixed = values * ((i >= 3) != (j >= 3))
     blocks = M.pattern.rows // 6 * (M.size // 6) + M.pattern.cols // 6
@@ -75,7 +77,7 @@ def has_isotropic_inertia(M: SparseMatrix, tolerance: float = 1e-9) -> bool:
         each[k].index_add_(1, block[own], M.values.detach().reshape(-1, M.pattern.nnz)[:, own])
     spread = (each.amax(0) - each.amin(0)).amax()
     length = (M.values.detach().abs().amax() * rotary.amax()).sqrt()
-    return bool((off.amax() <= bound) & (spread <= bound) & (mixed.amax() <= tolerance * length))
+    return bool((off.amax() <= bound) & (spread <= bound) & (mixed.amax() <= ISOTROPY * length))
 
 
 def mass_invariants(

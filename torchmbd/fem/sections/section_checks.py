@@ -12,7 +12,7 @@ import numpy as np
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.math.checked_numbers import positive
+from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.math.plausible_units import DIMENSION, THICKNESS, warn_unusual
 from torchmbd.math.variable import number
 
@@ -62,12 +62,12 @@ def check_lengths(**lengths: float | Tensor) -> None:
 
 
 def check_cells(cells: Sequence[int], count: int, order: int) -> None:
-    good = (
-        isinstance(cells, Sequence)
-        and len(cells) == count
-        and all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
-    )
-    if not good:
+    if not (isinstance(cells, Sequence) and len(cells) == count and all(is_whole(c) and c >= 1 for c in cells)):
         raise InputError(f"cells = {cells!r}; allowed: {count} integers >= 1")
+    check_order(order)
+
+
+def check_order(order: int) -> None:
+    """InputError unless elements are linear (1) or quadratic (2)."""
     if order not in (1, 2):
         raise InputError(f"order = {order!r}; allowed: 1 (linear elements) or 2 (quadratic)")

@@ -21,7 +21,9 @@ from scipy.interpolate import PchipInterpolator
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
+from torchmbd.fem.sections.section_checks import check_order
 from torchmbd.io.windio.profile import Layer, Profile, Web, profile_section
+from torchmbd.math.checked_numbers import is_whole
 
 LARGEST = 20_000_000  # bytes of a file
 ENTRIES = 5_000_000  # of the data, those behind aliases counted each time
@@ -109,10 +111,14 @@ class WindIOBlade:
 
         Its angles are those of the layers in the order of the file, those of webs from the leading edge to the trailing one;
         layers that are not there have no elements. x points to the tip.
-        cells    along the contour, more at the ends of layers; order: 1 or 2, of the elements
+        cells    along the contour, more at the ends of layers
+        order    of the elements: 2, or 1, which is too stiff in shear where walls are thin
         """
         if not isinstance(position, (int, float)) or not 0.0 <= position <= 1.0:
             raise InputError(f"position = {position!r}; allowed: 0 to 1, a part of the span")
+        if not is_whole(cells) or cells < 1:
+            raise InputError(f"cells = {cells!r}; allowed: an integer >= 1")
+        check_order(order)
         chord, axis = self._shape["chord"](position), self._shape["pitch_axis"](position)
         if not chord > 0.0:
             raise InputError(f"chord at {position:g} is {chord:g} m; allowed: above 0")
