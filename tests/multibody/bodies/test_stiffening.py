@@ -97,6 +97,45 @@ def test_frequencies_of_a_rotating_cantilever(spin: float):
         assert_close(change, torch.full((1,), sign * 0.75 * om**2).double(), rtol=1e-2, atol=1e-3)
 
 
+def root_torque(scale: float, kind: str) -> Tensor:
+    """Of a beam that couples bending with torsion, under a force on an arm at its end, one inside and a spring there."""
+    K = torch.diag(torch.tensor([2e6, 5e5, 4e5, 60.0, 100.0, 400.0], dtype=torch.float64))
+    for (i, j), x in {(3, 4): 35.0, (3, 5): -30.0, (4, 5): 60.0}.items():
+        K[i, j] = K[j, i] = x
+    section = GivenSection(K, torch.diag(torch.tensor([1.0, 1.0, 1.0, 8e-4, 2e-4, 6e-4])))
+    line, ground, arm = BeamLine.straight(1.0, 8), mbd.Ground(), (0.05, 0.2, -0.15)
+    bodies, joints = [], []
+    if kind == "exact":
+        body = mbd.FlexibleBeam("beam", line, section)
+        tip = mbd.RigidBody("tip", 1e-3, (1e-6, 1e-6, 1e-6), position=(1.0, 0.0, 0.0))
+        bodies, joints, end = [tip], [mbd.Fixed(body.at("end"), tip.at())], tip.at(*arm)
+    else:
+        options: dict = {"reduction": "craig-bampton", "interface": (4, "end"), "modes": 6, "reference": "start"}
+        body = mbd.FlexibleBody.beam("beam", line, section, stiffening=kind == "stiffened", **options)
+        end = body.at("end", offset=arm)
+    joints.append(mbd.Fixed(ground.at(), body.at("start"), name="wall"))
+    forces = [
+        mbd.Force(end, (60.0 * scale, 10.0 * scale, 14.0 * scale), axes="frame"),
+        mbd.Force(body.at(4), (0.0, 5.0 * scale, -20.0 * scale)),
+        mbd.SpringDamper(ground.at(0.5, 0.4, 0.1), body.at(4), stiffness=100.0 * scale, rest=0.1),
+    ]
+    rest = mbd.equilibrium(mbd.System([body, *bodies], joints, forces, truncation=None))
+    return rest.reaction("wall").torque[0, 0] / scale
+
+
+@pytest.mark.thorough
+@torch.no_grad()
+def test_reactions_under_forces_on_arms_and_inside_are_of_second_order():
+    """Against exact beams: errors fall with the square of the load, and are a twentieth of those without stiffening."""
+    errors = {}
+    for scale in (0.25, 0.5):
+        exact = root_torque(scale, "exact")
+        for kind in ("stiffened", "linear"):
+            errors[kind, scale] = float((root_torque(scale, kind) - exact).norm() / exact.norm())
+    assert errors["stiffened", 0.5] < 0.05 * errors["linear", 0.5]
+    assert errors["stiffened", 0.5] / errors["stiffened", 0.25] > 3.3
+
+
 def test_bodies_without_stress_are_refused():
     with pytest.raises(InputError, match="stiffening of 'beam' is 1; allowed: True or False"):
         mbd.FlexibleBody.beam("beam", BeamLine.straight(L, 2), SECTION, reference="start", stiffening=1)  # type: ignore
