@@ -198,8 +198,8 @@ class Scenarios(Problem):
         farthest beyond it.
         """
         motions = self.motions_by_system(x)
-        objective, *_ = parts = self._values_by_scenario(motions)
-        excesses = self._excesses(parts[1:])
+        objective, *constraints = self._values_by_scenario(motions)
+        excesses = self._excesses(constraints)
         statuses = self._in_scenario_order([np.array([motion.status]) for motion in motions])[0]
         objectives = np.where(statuses == OK, objective.max(1), -np.inf)
         candidates = np.flatnonzero(np.isclose(objectives, objectives.max(), rtol=1e-9, atol=0.0))
@@ -216,9 +216,8 @@ class Scenarios(Problem):
     def _excesses(self, constraints: Sequence[np.ndarray]) -> np.ndarray:
         """The largest (g - limit) / scale in every scenario [scenarios], of values g [scenarios, rows] of each constraint."""
         excesses, first = np.full(len(self.scenarios), -np.inf), 0
-        limits = len(self.scenarios) if self._constraint_rule == "each" else 1
         for constraint, g in zip(self.constraints, constraints, strict=True):
-            rows = slice(first, first := first + g.shape[1] * limits)
+            rows = slice(first, first := first + g.shape[1] * self._repeats)
             limit, scale = (x[rows].reshape(-1, g.shape[1]) for x in (self.reference.limits, self.reference.scale))
             excess = (g - limit) / scale
             excess = abs(excess) if constraint.kind == "equal" else excess
