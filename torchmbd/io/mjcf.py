@@ -226,7 +226,7 @@ class _Reader(Values):
             J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         else:
             J = np.diag(self.numbers(f"{where}, inertial", own, "diaginertia", "0 0 0", 3))
-        return mass, pose.place, pose.axes @ J @ pose.axes.T
+        return mass, pose.position, pose.axes @ J @ pose.axes.T
 
     def _geom(self, where: str, given: Attributes, around: Pose) -> tuple[float, np.ndarray, np.ndarray] | None:
         """Return mass, center and inertia of a geom; None where it has no mass."""
@@ -255,7 +255,7 @@ class _Reader(Values):
         volume, inertia = shape_inertia(kind, size)
         mass = mass if mass >= 0.0 else density * volume
         pose = around @ pose
-        return mass, pose.place, mass * pose.axes @ np.diag(inertia) @ pose.axes.T
+        return mass, pose.position, mass * pose.axes @ np.diag(inertia) @ pose.axes.T
 
     # What acts
 

@@ -83,57 +83,59 @@ class Values:
             raise unknown(f"{self.file}, <{element.tag}>: class", name, self.classes)
         return self.classes[name].get(tag or element.tag, {}) | element.attrib
 
-    def numbers(self, where: str, given: Attributes, key: str, default: str, count: int | None = None) -> list[float]:
-        return numbers(f"{where}: {key}", given.get(key, default), count)
+    def numbers(
+        self, where: str, attributes: Attributes, key: str, default: str, count: int | None = None
+    ) -> list[float]:
+        return numbers(f"{where}: {key}", attributes.get(key, default), count)
 
-    def number(self, where: str, given: Attributes, key: str, default: str = "0") -> float:
-        return self.numbers(where, given, key, default, 1)[0]
+    def number(self, where: str, attributes: Attributes, key: str, default: str = "0") -> float:
+        return self.numbers(where, attributes, key, default, 1)[0]
 
-    def direction(self, where: str, given: Attributes, key: str, default: str) -> np.ndarray:
-        found = np.array(self.numbers(where, given, key, default, 3))
+    def direction(self, where: str, attributes: Attributes, key: str, default: str) -> np.ndarray:
+        found = np.array(self.numbers(where, attributes, key, default, 3))
         length = float(np.linalg.norm(found))
         if not length > 1e-9:
-            raise InputError(f"{where}: {key} is {given.get(key)!r}; allowed: a direction")
+            raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: a direction")
         return found / length
 
-    def pose(self, where: str, given: Attributes) -> Pose:
-        return Pose(np.array(self.numbers(where, given, "pos", "0 0 0", 3)), self.axes(where, given))
+    def pose(self, where: str, attributes: Attributes) -> Pose:
+        return Pose(np.array(self.numbers(where, attributes, "pos", "0 0 0", 3)), self.axes(where, attributes))
 
-    def axes(self, where: str, given: Attributes) -> np.ndarray:
-        if "axisangle" in given:
-            *axis, angle = self.numbers(where, given, "axisangle", "", 4)
+    def axes(self, where: str, attributes: Attributes) -> np.ndarray:
+        if "axisangle" in attributes:
+            *axis, angle = self.numbers(where, attributes, "axisangle", "", 4)
             along = self.direction(where, {"axisangle": " ".join(map(repr, axis))}, "axisangle", "")
             return rotation(along, angle * self.angle)
-        if "xyaxes" in given:
-            x, y = np.array(self.numbers(where, given, "xyaxes", "", 6)).reshape(2, 3)
+        if "xyaxes" in attributes:
+            x, y = np.array(self.numbers(where, attributes, "xyaxes", "", 6)).reshape(2, 3)
             z = np.cross(x, y)
             if not min(np.linalg.norm(x), np.linalg.norm(z)) > 1e-9:
-                raise InputError(f"{where}: xyaxes is {given['xyaxes']!r}; allowed: two directions")
+                raise InputError(f"{where}: xyaxes is {attributes['xyaxes']!r}; allowed: two directions")
             x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
             return np.stack([x, np.cross(z, x), z], axis=1)
-        if "zaxis" in given:
-            return axes_along_z(self.direction(where, given, "zaxis", ""))
-        if "euler" in given:
+        if "zaxis" in attributes:
+            return axes_along_z(self.direction(where, attributes, "zaxis", ""))
+        if "euler" in attributes:
             axes = np.eye(3)
-            for letter, angle in zip(self.sequence, self.numbers(where, given, "euler", "", 3), strict=True):
+            for letter, angle in zip(self.sequence, self.numbers(where, attributes, "euler", "", 3), strict=True):
                 turned = rotation(np.eye(3)["xyz".index(letter.lower())], angle * self.angle)
                 axes = axes @ turned if letter.islower() else turned @ axes
             return axes
-        w, *v = self.numbers(where, given, "quat", "1 0 0 0", 4)
+        w, *v = self.numbers(where, attributes, "quat", "1 0 0 0", 4)
         length, sine = math.hypot(w, *v), math.hypot(*v)
         if not length > 1e-9:
-            raise InputError(f"{where}: quat is {given['quat']!r}; allowed: one that is not zero")
+            raise InputError(f"{where}: quat is {attributes['quat']!r}; allowed: one that is not zero")
         return rotation(np.array(v) / sine, 2.0 * math.atan2(sine, w)) if sine else np.eye(3)
 
-    def limits(self, where: str, given: Attributes, key: str, limited: str) -> tuple[float, float] | None:
+    def limits(self, where: str, attributes: Attributes, key: str, limited: str) -> tuple[float, float] | None:
         """Return lower and upper limit in the unit of the file; None without limits."""
-        lower, upper = self.numbers(where, given, key, "0 0", 2)
-        switch = given.get(limited, "auto")
+        lower, upper = self.numbers(where, attributes, key, "0 0", 2)
+        switch = attributes.get(limited, "auto")
         automatic = self.compiler.get("autolimits", "true") == "true" and lower < upper
         if switch == "false" or (switch == "auto" and not automatic):
             return None
         if not lower < upper:
-            raise InputError(f"{where}: {key} is {given.get(key)!r}; allowed: lower below upper")
+            raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: lower below upper")
         return lower, upper
 
 

@@ -27,17 +27,17 @@ _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Pose:
-    """Place [3] and axes (columns) [3, 3] of one frame in another."""
+    """Position [3] and axes (columns) [3, 3] of one frame in another."""
 
-    place: np.ndarray
+    position: np.ndarray
     axes: np.ndarray
 
     def __matmul__(self, other: Pose) -> Pose:
-        return Pose(self.place + self.axes @ other.place, self.axes @ other.axes)
+        return Pose(self.position + self.axes @ other.position, self.axes @ other.axes)
 
     @property
     def inverse(self) -> Pose:
-        return Pose(-self.axes.T @ self.place, self.axes.T)
+        return Pose(-self.axes.T @ self.position, self.axes.T)
 
 
 IDENTITY = Pose(np.zeros(3), np.eye(3))
@@ -109,13 +109,13 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Closure:
-    """A joint, "spherical" or "fixed", of two links beside the tree, at a place [3] in the frame of the first; the links fit
+    """A joint, "spherical" or "fixed", of two links beside the tree, at a position [3] in the frame of the first; the links fit
     together where all coordinates are at their starts."""
 
     name: str
     kind: str
     links: tuple[str, str]
-    place: np.ndarray
+    position: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -197,10 +197,10 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
     return Robot(name, links, ordered, roots[0])
 
 
-def by_unique_name(file: str, kind: str, made: Iterable[Any]) -> dict[str, Any]:
+def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]:
     """Return links or joints by name; InputError where a name is repeated."""
     found: dict[str, Any] = {}
-    for x in made:
+    for x in items:
         if x.name in found:
             raise InputError(f"{file}: {kind} {x.name!r} stands twice")
         found[x.name] = x

@@ -82,7 +82,7 @@ def _link(file: str, element: ET.Element) -> Link:
         raise InputError(f"{where}: mass is {mass:g}; allowed: zero or positive")
     if own is None and mass:
         warn(f"{where}: it has no <inertia>; taken as a point of {mass:g} kg")
-    return Link(name, mass, pose.place, pose.axes @ J @ pose.axes.T)
+    return Link(name, mass, pose.position, pose.axes @ J @ pose.axes.T)
 
 
 def _joint(file: str, element: ET.Element) -> RobotJoint:

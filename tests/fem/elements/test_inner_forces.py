@@ -39,10 +39,10 @@ def test_a_rectangle_in_bending_has_the_energy_of_its_material():
     A = GENERAL.stiffness().A.detach()
     S = torch.linalg.inv(A)
     inner = forces(RECTANGLE)
-    size = inner.given.area.sqrt()
+    size = inner.inner_forces.area.sqrt()
     amount = S.new_tensor([1.0, -0.3, 0.0, 0.0])
     u = (displacements(RECTANGLE / size, S)[0] @ amount).unflatten(0, (4, 3))
-    w = inner.given.work[0] @ (u * torch.stack([size, size, torch.ones_like(size)], dim=-1)).flatten()
+    w = inner.inner_forces.work[0] @ (u * torch.stack([size, size, torch.ones_like(size)], dim=-1)).flatten()
     squares = (
         torch.tensor([0.4**2, 0.9**2], dtype=torch.float64) / 3 / size**2
     )  # means of y^2 and x^2; that of x y is 0

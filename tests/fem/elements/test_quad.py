@@ -47,7 +47,7 @@ def test_the_rule_knows_area_and_center():
     area = cross.sum() / 2
     center = torch.stack([((x + x.roll(-1)) * cross).sum(), ((y + y.roll(-1)) * cross).sum()]) / (6 * area)
     assert_close(points.weight.sum(), area)
-    assert_close((points.weight[..., None] * points.place).sum((0, 1)) / area, center)
+    assert_close((points.weight[..., None] * points.position).sum((0, 1)) / area, center)
     slope = torch.tensor([0.3, -0.7], dtype=torch.float64)
     assert_close(points.slopes @ (GENERAL @ slope)[:, None, :, None], slope.expand(1, 4, 2)[..., None])
 
@@ -123,7 +123,7 @@ def test_thin_limit_is_the_discrete_kirchhoff_quadrilateral():
     points = gauss(corners)
     kappa, gamma = plate_strains(corners, points, IsotropicMean(0.3, 1e-7), CELL, EDGES)
     assert (abs(gamma[0] @ u) < 1e-12).all()
-    assert_close(kappa[0, :, 0] @ u, -6 * 1.6**0.5 * points.place[0, :, 0], rtol=1e-9, atol=1e-12)
+    assert_close(kappa[0, :, 0] @ u, -6 * 1.6**0.5 * points.position[0, :, 0], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("width", [0.1, 1.0, 7.0])
@@ -135,7 +135,7 @@ def test_thin_rectangles_know_the_whole_twist_of_a_cubic(width):
     u = torch.stack([x**2 * y, -2 * x * y, -(x**2)], dim=1).flatten()
     points = gauss(corners)
     kappa, gamma = plate_strains(corners, points, IsotropicMean(0.3, 1e-7), CELL, EDGES)
-    at = points.place[0]
+    at = points.position[0]
     assert (abs(gamma[0] @ u) < 1e-12).all()
     exact = torch.stack([-2 * at[:, 1], 0 * at[:, 0], -4 * at[:, 0]], dim=1)
     assert_close(kappa[0] @ u, exact, rtol=1e-9, atol=1e-10)
@@ -156,7 +156,7 @@ def test_thin_slanted_cells_know_the_curvature_of_all_cubics():
         slope, second = jacfwd(lambda x, k=power: w(x, k)), hessian(lambda x, k=power: w(x, k))
         u = torch.stack([torch.cat([w(x, power)[None], -slope(x)]) for x in corners[0]]).flatten()
         kappa, gamma = plate_strains(corners, points, IsotropicMean(0.3, 1e-7), CELL, EDGES)
-        exact = torch.stack([-torch.stack([h[0, 0], h[1, 1], 2 * h[0, 1]]) for h in map(second, points.place[0])])
+        exact = torch.stack([-torch.stack([h[0, 0], h[1, 1], 2 * h[0, 1]]) for h in map(second, points.position[0])])
         assert (abs(gamma[0] @ u) < 1e-11).all()
         assert_close(kappa[0] @ u, exact, rtol=0, atol=0.02 * float(exact.abs().max()))
 

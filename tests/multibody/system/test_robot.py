@@ -124,7 +124,7 @@ def test_the_motion_converges_to_that_of_the_recursion(file):
     for j, angle in zip([j for j in robot.joints if j.kind != "fixed"], y[0], strict=True):
         pose = pose @ j.origin @ Pose(np.zeros(3), turned(j.axis, angle))
     tip = motion.body("link3").r[0, -1].numpy()
-    np.testing.assert_allclose(tip, pose.place, atol=2e-5)
+    np.testing.assert_allclose(tip, pose.position, atol=2e-5)
 
 
 PENDULUM = [

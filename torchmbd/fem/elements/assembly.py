@@ -107,7 +107,7 @@ class Assembly:
             rows, cols = (torch.cat([getattr(pattern, name) for pattern, *_ in reduced]) for name in ("rows", "cols"))
             self.pattern, position = Pattern.gather(rows, cols, len(self.freedoms.free))
             positions = list(position.split([pattern.nnz for pattern, *_ in reduced]))
-        self._places = [
+        self._value_positions = [
             (source, place[position], factor)
             for (_, source, position, factor), place in zip(reduced, positions, strict=True)
         ]
@@ -146,7 +146,7 @@ class Assembly:
 
     @property
     def _sources(self) -> list[tuple[Part, tuple[Tensor, Tensor, Tensor]]]:
-        return list(zip(self.parts.values(), self._places, strict=True))
+        return list(zip(self.parts.values(), self._value_positions, strict=True))
 
     def _joined(self, values: list[Tensor]) -> SparseMatrix:
         """Return the matrix of the free freedoms from the values of all parts."""
@@ -154,7 +154,7 @@ class Assembly:
             return SparseMatrix(self.pattern, values[0], symmetric=True)
         lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))
         total = values[0].new_zeros(*lanes, self.pattern.nnz)
-        for (_, position, factor), v in zip(self._places, values, strict=True):
+        for (_, position, factor), v in zip(self._value_positions, values, strict=True):
             total = total.index_add(-1, position, (v * factor).expand(*lanes, -1))
         return SparseMatrix(self.pattern, total, symmetric=True)
 

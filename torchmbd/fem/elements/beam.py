@@ -104,15 +104,15 @@ class BeamMatrices:
         freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
         self.pattern, self._position = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
-        self._place(mesh.nodes)
+        self._set_nodes(mesh.nodes)
 
     def with_nodes(self, nodes: Float[Tensor, "*lanes n 3"]) -> BeamMatrices:
         """Return the same elements with other positions of the nodes, differentiable in these."""
         result = copy.copy(self)
-        result._place(nodes)
+        result._set_nodes(nodes)
         return result
 
-    def _place(self, nodes: Float[Tensor, "*lanes n 3"]) -> None:
+    def _set_nodes(self, nodes: Float[Tensor, "*lanes n 3"]) -> None:
         start, end = nodes[..., self.elements, :].unbind(-2)
         middles = self.mesh.middles
         self.curves = Curves.through(start, end, None if middles is None else middles[self.members])

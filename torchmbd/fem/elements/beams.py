@@ -53,7 +53,7 @@ class Beams:
         if not (isinstance(section, nn.Module) and isinstance(section, BeamSection)):
             raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
         self.section = section
-        self.given = orientation, offset, twist, mass
+        self.arguments = orientation, offset, twist, mass
         at, turn = _placed(offset, twist, len(mesh.elements), elements)
         turning = turn.shape[1] == 2 or mesh.middles is not None
         self._line = mesh
@@ -71,7 +71,7 @@ class Beams:
         own = set(self.matrices.members.tolist())
         members = [k for k, e in enumerate(elements) if e in own]
         count = len(self._line.elements)
-        orientation, offset, twist, mass = self.given
+        orientation, offset, twist, mass = self.arguments
 
         def rows(x: Any, dim: int) -> Tensor:
             x = reals("given", x)

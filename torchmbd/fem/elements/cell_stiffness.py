@@ -43,7 +43,7 @@ class CellStiffness:
     strains    of the shapes
     variants   shape and laminate of each, sorted by shape [variants, 2]
     laminates  number of laminates
-    place      index of each entry of a matrix among its h numbers [f, f]
+    entry_index  of each entry of a matrix among its h numbers [f, f]
     """
 
     def __init__(self, strains: Strains, variants: Int[Tensor, "variants 2"], laminates: int) -> None:
@@ -52,7 +52,7 @@ class CellStiffness:
         self.upper, self.laminates = torch.triu_indices(f, f), laminates
         place = torch.zeros(f, f, dtype=torch.long)
         place[self.upper[0], self.upper[1]] = torch.arange(self.upper.shape[1])
-        self.place = place.maximum(place.mT)
+        self.entry_index = place.maximum(place.mT)
         self.basis = _basis(strains)[:, :, self.upper[0], self.upper[1]]
         self.counts = torch.bincount(self.shape, minlength=len(self.basis)).tolist()
         forces = strains.forces

@@ -7,13 +7,13 @@ sigma_b   four states in equilibrium, without mean (quad_states.py), of any lami
 w_b       what these states work on the sides of the cell, and on what bending does to the mid-surface:
           w = W u + mean sigma' S B (kappa - kappa_mean)
 U         mean sigma' S sigma
-X         what the states work on sides that stretch linearly in bending of unit amounts. These lack the parabolas of bending,
-          which the other states would take for their own; so with the amounts c of bending, and what they leave of the work,
+X         work of the states on sides that stretch linearly, in bending of unit amounts. The parabolas of bending are not in it
+          and must not be attributed to the other states; so with the amounts c of bending, and the remaining work r,
 
               c = U_bb^-1 w_b,     r = w - X c,     r_n' = r_n - U_nb U_bb^-1 r_b
               energy / area = 1/2 w_b' U_bb^-1 w_b + 1/2 r_n' (U_nn - U_nb U_bb^-1 U_bn)^-1 r_n'
 
-So the mid-surface of a cell gives way to bending and to forces as any stack asks for, with no freedoms but the corners' own.
+So the mid-surface of a cell deforms under bending and forces as the stack does, without freedoms beside those of corners.
 Since the variation of kappa meets D - B S B instead of D, a cell's stiffness is its linear part (plate.py) and
 
     K = J' C(A, B) J,     J: W and kappa - kappa_mean   [13, freedoms]
@@ -35,7 +35,7 @@ from torch import Tensor
 
 
 class InnerForces(NamedTuple):
-    """What a cell has of them; freedoms as in strains.py.
+    """Data of the inner forces of each cell that do not depend on the laminate; freedoms as in strains.py.
 
     area        of the cell [m2]
     states      sigma: amounts of the three functions, components, bending first [m, 3, 3, 4]
@@ -64,9 +64,9 @@ def unit_laws() -> Float[Tensor, "6 3 3"]:
 
 
 def zero_mean_functions(weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 4"]:
-    """What four values at points of these areas have of three functions that are orthonormal in the mean, without mean.
+    """Return the map from values at four points of these areas to amounts of three orthonormal functions of zero mean.
 
-    A reflection that takes the roots of the points' shares to the first axis.
+    It follows from the reflection that maps the roots of the points' shares of the area to the first axis.
     """
     root = (weight / weight.sum(1, keepdim=True)).sqrt()
     mirror = root + torch.eye(4, dtype=root.dtype)[0]
@@ -76,10 +76,10 @@ def zero_mean_functions(weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 4"]:
 
 
 class CellForces:
-    """The inner forces of all cells of a kind, ready for any laminate."""
+    """The inner forces of all cells of a kind as functions of the laminate."""
 
     def __init__(self, given: InnerForces) -> None:
-        self.given = given
+        self.inner_forces = given
         self.rows = torch.cat([given.work, given.curvature.flatten(1, 2)], dim=1)  # J
         sigma = given.states
         self._flexibility = torch.einsum("mesa,kst,metb->mkab", sigma, unit_laws(), sigma).flatten(2)
@@ -89,7 +89,7 @@ class CellForces:
     def law(
         self, A: Float[Tensor, "*lanes c 3 3"], B: Float[Tensor, "*lanes c 3 3"]
     ) -> Float[Tensor, "*lanes m 13 13"]:
-        """C of every cell: from what the states work on the sides and from curvatures, energy per area; c is m, or 1."""
+        """Return C of every cell, energy per area by the work of the states on the sides and by curvatures; c is m or 1."""
         strains, forces, _ = self._parts(A, B)
         S = torch.linalg.inv(A)
         relief = torch.einsum("ef,...st->...esft", torch.eye(3, dtype=A.dtype), B @ S @ B).flatten(-2).flatten(-3, -2)
@@ -98,18 +98,18 @@ class CellForces:
     def amounts(
         self, A: Float[Tensor, "*lanes c 3 3"], B: Float[Tensor, "*lanes c 3 3"]
     ) -> Float[Tensor, "*lanes m 4 13"]:
-        """Of the states, from what they work on the sides and from curvatures."""
+        """Return the amounts of the states, by their work on the sides and by curvatures."""
         _, forces, lean = self._parts(A, B)
         bent, others = forces[..., :2, :], forces[..., 2:, :]
         return torch.cat([bent - lean.mT @ others, others], dim=-2)
 
     def at_points(self, weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 4 3 4"]:
-        """Membrane forces of the states at four points that stand for these areas."""
+        """Return the membrane forces of the states at the four points of these areas."""
         share = weight / weight.sum(1, keepdim=True)
-        return torch.einsum("mep,mesb->mpsb", zero_mean_functions(weight) / share[:, None], self.given.states)
+        return torch.einsum("mep,mesb->mpsb", zero_mean_functions(weight) / share[:, None], self.inner_forces.states)
 
     def _parts(self, A: Tensor, B: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Rows [4, 13] that strains and forces are, and U_nb U_bb^-1; see the module header."""
+        """Return the rows [4, 13] of strains and forces, and U_nb U_bb^-1; see the module header."""
         S = torch.linalg.inv(A)
         numbers = S.flatten(-2)[..., None, [3 * i + j for i, j in SYMMETRIC]]
         U = (numbers @ self._flexibility).unflatten(-1, (4, 4)).squeeze(-3)
@@ -125,15 +125,15 @@ class CellForces:
         return torch.cat([w[..., :2, :], left], dim=-2), torch.cat([c, stiff @ left], dim=-2), lean
 
     def stiffness(self, C: Float[Tensor, "lanes m 13 13"]) -> Float[Tensor, "lanes m f f"]:
-        """Area J' C J of all cells."""
-        return (self.given.area[:, None, None] * self.rows).mT @ (C @ self.rows)
+        """Return area J' C J of all cells."""
+        return (self.inner_forces.area[:, None, None] * self.rows).mT @ (C @ self.rows)
 
     def adjoint(self, K: Float[Tensor, "lanes m f f"]) -> Float[Tensor, "lanes m 13 13"]:
-        """What has the same product with C as these have with `stiffness(C)`."""
-        return (self.given.area[:, None, None] * self.rows) @ K @ self.rows.mT
+        """Return the adjoint of `stiffness`: the cotangent of C from that of K."""
+        return (self.inner_forces.area[:, None, None] * self.rows) @ K @ self.rows.mT
 
 
 def _inverse(X: Float[Tensor, "*any 2 2"]) -> Float[Tensor, "*any 2 2"]:
-    """Of symmetric matrices."""
+    """Return the inverses of symmetric matrices."""
     a, b, d = X.flatten(-2)[..., [0, 1, 3]].unbind(-1)
     return torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * b)[..., None, None]

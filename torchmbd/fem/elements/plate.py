@@ -7,9 +7,9 @@ all cells, and derivatives in the design are exact.
 Two numbers enter the strains of a cell (strains.py, shell_elements.py) from the laminate: mean Poisson's ratio and
 shear length (IsotropicMean). They are constants under
 any change of ply angle. When *thickness* is a design variable they stay those of the laminate given here: still a
-converging element with the exact gradient of what it computes, tuned to a neighboring thickness. A fifth more or less
-moves frequencies of a mesh by 0.2 % beside the element tuned anew, half or twice the thickness by 0.5 and 2 %; make the
-body anew after larger changes.
+converging element with the exact gradient of its results, tuned to a neighboring thickness. Frequencies of a mesh differ from
+those of the element of the right thickness by 0.2 % for a fifth more or less thickness, by 0.5 and 2 % for half or twice of
+it; after larger changes make a new body.
 Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units.
 Source: eqs. (10)-(13) of the paper; the elements name their own.
 Checked in tests/fem/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/convergence/test_plate*.py,
@@ -130,7 +130,7 @@ class PlateMatrices:
         for own, laminate in zip(self.kinds.values(), laminates, strict=True):
             variants, variant = torch.unique(torch.stack([own.shape, laminate], 1), dim=0, return_inverse=True)
             cell = CellStiffness(own.strains, variants, self.laminates)
-            sources.append((count + variant[:, None] * cell.each + cell.place.flatten()).flatten())
+            sources.append((count + variant[:, None] * cell.each + cell.entry_index.flatten()).flatten())
             made.append(cell)
             self.variants.append((cell, variant))
             count += cell.numbers
@@ -161,10 +161,10 @@ class PlateMatrices:
         return SparseMatrix(self.pattern, self.values(entries))
 
     def values(
-        self, entries: Float[Tensor, "*lanes 21"], chosen: Int[Tensor, " k"] | None = None
+        self, entries: Float[Tensor, "*lanes 21"], positions: Int[Tensor, " k"] | None = None
     ) -> Float[Tensor, "*lanes nnz"]:
         """Return the numbers of K on the pattern, or only chosen ones: where they are is found once."""
-        picked = self._whole if chosen is None else self._of(chosen)
+        picked = self._whole if positions is None else self._of(positions)
         lanes = entries.shape[: -2 if self.several else -1]
         numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
         law = LaminateStiffness.of(numbers)

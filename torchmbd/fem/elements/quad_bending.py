@@ -68,7 +68,7 @@ def plate_strains(
     side_area: Float[Tensor, "m 4"],
     at_boundary: Bool[Tensor, "m 4"],
 ) -> tuple[Float[Tensor, "m p 3 12"], Float[Tensor, "m p 2 12"]]:
-    """Return curvatures and shear strains at points of a whole rule.
+    """Return curvatures and shear strains at the points of an integration rule.
 
     side_area: mean area of the cells at each side [m2]; at_boundary: sides that no other cell shares
     """
@@ -92,9 +92,9 @@ def plate_strains(
 def curvature_slopes(
     corners: Float[Tensor, "m 4 2"], points: Bilinear, mean: IsotropicMean, side_area: Float[Tensor, "m 4"]
 ) -> tuple[Float[Tensor, "m 2 3 12"], Float[Tensor, " m"]]:
-    """Derivatives of the curvatures by x and y, as they work in the energy, and the share of bending in the gaps.
+    """Return derivatives of the curvatures by x and y, and the share of bending in the gaps.
 
-    Solutions have quadratic parts that are smaller by their weight in the energy, so here they count that often.
+    The weight of the quadratic parts in the energy makes them smaller in solutions, so here they are multiplied by it.
     """
     gap, tangent, length = gaps(corners)
     size2 = quad_size2(length, side_area)
@@ -104,7 +104,7 @@ def curvature_slopes(
     curvature = linear_curvatures(points)
     curvature = curvature + _twist(medians)[:, None] @ curvature + quadratic_curvatures(points, along) @ delta[:, None]
     share = (points.weight / points.weight.sum(1, keepdim=True))[..., None]
-    x = points.place - (share * points.place).sum(1, keepdim=True)
+    x = points.position - (share * points.position).sum(1, keepdim=True)
     nearest = torch.linalg.solve((share * x).mT @ x, (share * x).mT)  # linear field
     phi = (mean.shear_length**2 / size2).mean(1)
     return torch.einsum("mdp,mpsf->mdsf", nearest, curvature), 1.0 / (1.0 + phi)

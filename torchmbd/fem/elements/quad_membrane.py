@@ -5,11 +5,11 @@ Freedoms of a corner: u, v, theta (a real in-plane rotation, no penalty).
 mean     strain from the work of constant stresses on the sides (sides.py): any patch test passes
 forces   that run linearly over the cell, in four states of equilibrium, from their work on the same sides (quad_states.py,
          inner_forces.py). They follow the laminate; so strips of any ply angle bend in their plane as they should
-drill    what no stress sees: theta = 1 and theta = (1, -1, 1, -1) without displacement, with one strain D each, at points of
-         their own; they vanish for rigid motions, constant strains and the four states of the isotropic mean. Long cells
-         that make a single row get less of them: their corners cannot tell theta = 1 from bending by a shear force, whose
-         energy falls with the cell's width over its length. Among neighbours on both long sides, or on one, this bending is
-         shear of the whole; with less, thick plates of such cells would ring in it below their own frequencies
+drill    rotations that no stress does work on: theta = 1 and theta = (1, -1, 1, -1) without displacement, with one strain D
+         each, at separate points; they vanish for rigid motions, constant strains and the four states of the isotropic mean.
+         Long cells in a single row get less of them: there theta = 1 is bending by a shear force, too, whose energy falls with
+         the cell's width over its length. With neighbors on one or both long sides this bending is shear of the whole; with
+         less of them, thick plates of such cells would have spurious frequencies below their own
 
 Rectangles of any laminate bend exactly; one row of isotropic parallelograms or trapezoids of 45 degrees, 5 : 1, within 0.1 %.
 A membrane without drilling freedoms that passes the patch test cannot bend in trapezoids at all (MacNeal, 1987).
@@ -46,7 +46,7 @@ _THETA, _PLANE = [2, 5, 8, 11], [0, 1, 3, 4, 6, 7, 9, 10]
 
 
 class Membrane(NamedTuple):
-    """Of (u, v, theta) x 4: the mean strain, the two of `drill`, and the forces (their curvature is not known here)."""
+    """Rows on (u, v, theta) x 4: the mean strain, the two strains of `drill`, and the forces, whose curvature is zero here."""
 
     mean: Float[Tensor, "m 3 12"]
     drill: Float[Tensor, "m 2 3 12"]
@@ -60,10 +60,10 @@ def membrane(
     softness: Float[Tensor, " m"],
     at_boundary: Bool[Tensor, "m 4"],
 ) -> Membrane:
-    """Return what every cell has; at_boundary: sides that no other cell shares."""
+    """Return the membrane of every cell; at_boundary: sides that no other cell shares."""
     area = points.weight.sum(1)
     size = area.sqrt()[:, None, None]
-    center = (points.weight[..., None] * points.place).sum(1, keepdim=True) / area[:, None, None]
+    center = (points.weight[..., None] * points.position).sum(1, keepdim=True) / area[:, None, None]
     x = (corners - center) / size
     flexible = x.new_tensor([[1.0, -poisson, 0.0], [-poisson, 1.0, 0.0], [0.0, 0.0, 2.0 * (1.0 + poisson)]])
     per_length = torch.cat([1.0 / size, 1.0 / size, torch.ones_like(size)], dim=-1).repeat(1, 1, 4)
@@ -72,7 +72,7 @@ def membrane(
     bent = bending(middle(x).jacobian[:, 0])
     basis = torch.cat([bent, torch.linalg.qr(bent, mode="complete").Q[..., 2:]], dim=-1)  # of the states, bending first
     work = basis.mT @ side_work(x)
-    states = stresses((points.place - center) / size) @ basis[:, None]
+    states = stresses((points.position - center) / size) @ basis[:, None]
     forces = InnerForces(
         area,
         torch.einsum("mep,mpsa->mesa", zero_mean_functions(points.weight), states),
@@ -116,7 +116,7 @@ def _drill_strains(corners: Float[Tensor, "m 4 2"], at_boundary: Bool[Tensor, "m
 
 
 def _softened(forces: InnerForces, drill: Tensor, S: Tensor, softness: Tensor) -> Float[Tensor, "m 12 12"]:
-    """The map of the freedoms that draws the rotations to those which cost nothing in forces and drill."""
+    """Return the map of the freedoms that moves rotations towards those of least energy in forces and drill."""
     A = torch.linalg.inv(S)
     of_forces = forces.work.mT @ CellForces(forces).law(A, torch.zeros_like(A))[:, :4, :4] @ forces.work
     K = of_forces + torch.einsum("mdsf,st,mdtg->mfg", drill, A, drill)

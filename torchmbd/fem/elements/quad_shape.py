@@ -23,7 +23,7 @@ class Bilinear(NamedTuple):
     """The map at points (xi, eta) [p] of every cell.
 
     shape     N_i   [p, 4]
-    place     [m, p, 2], m
+    position     [m, p, 2], m
     jacobian  rows d/dxi, d/deta of (x, y)   [m, p, 2, 2], m
     weight    determinants: with the 2 x 2 rule the areas that the points stand for   [m, p], m2
     slopes    d/dx, d/dy of N_i   [m, p, 2, 4], 1/m
@@ -32,7 +32,7 @@ class Bilinear(NamedTuple):
     xi: Float[Tensor, " p"]
     eta: Float[Tensor, " p"]
     shape: Float[Tensor, "p 4"]
-    place: Float[Tensor, "m p 2"]
+    position: Float[Tensor, "m p 2"]
     jacobian: Float[Tensor, "m p 2 2"]
     weight: Float[Tensor, "m p"]
     slopes: Float[Tensor, "m p 2 4"]
@@ -45,8 +45,8 @@ def bilinear(corners: Float[Tensor, "m 4 2"], xi: Float[Tensor, " p"], eta: Floa
     jacobian = torch.einsum("pai,mic->mpac", natural, corners)
     slopes = torch.linalg.solve(jacobian, natural.expand(len(corners), -1, -1, -1))
     shape = 0.25 * along * across
-    place = torch.einsum("pi,mic->mpc", shape, corners)
-    return Bilinear(xi, eta, shape, place, jacobian, torch.linalg.det(jacobian), slopes)
+    position = torch.einsum("pi,mic->mpc", shape, corners)
+    return Bilinear(xi, eta, shape, position, jacobian, torch.linalg.det(jacobian), slopes)
 
 
 def gauss(corners: Float[Tensor, "m 4 2"]) -> Bilinear:

@@ -1,4 +1,4 @@
-"""A laminate whose fibers steer: angles, and thicknesses if wanted, that vary over the cells of a mesh.
+"""A laminate of steered fibers: its angles, and optionally its thicknesses, vary over the cells of a mesh.
 
     theta_c = sum_k W_ck theta_k        t_c = sum_k W_ck t_k        (fiber_field.py), constant within a cell c
 

@@ -190,7 +190,7 @@ class _Builder:
                 body = self.flexible[link]
                 arm = at.pose.axes @ body.origin.detach().numpy()
                 velocity = at.velocity + np.cross(at.spin, arm)
-                put(body, (at.pose.place + arm).tolist(), at.pose.axes.tolist())
+                put(body, (at.pose.position + arm).tolist(), at.pose.axes.tolist())
                 if self.rate:
                     body.moving(velocity.tolist(), (at.pose.axes.T @ at.spin).tolist())
                 bodies[link] = body
@@ -207,7 +207,7 @@ class _Builder:
         parts = []
         for name in [name for name, own in self.owner.items() if own == link]:
             own, pose = self.robot.links[name], self.inside[name]
-            parts.append((own.mass, pose.place + pose.axes @ own.center, pose.axes @ own.inertia @ pose.axes.T))
+            parts.append((own.mass, pose.position + pose.axes @ own.center, pose.axes @ own.inertia @ pose.axes.T))
         mass, center, J = combined_mass(parts)
         if not mass > 0.0:
             raise InputError(f"link {link!r}, with what is fixed to it, has no mass; allowed: a mass > 0 of what moves")
@@ -220,7 +220,7 @@ class _Builder:
                 mass,
                 given.tolist(),
                 center.tolist(),
-                at.pose.place.tolist(),
+                at.pose.position.tolist(),
                 at.pose.axes.tolist(),
                 *speed,
             )
@@ -279,7 +279,7 @@ class _Builder:
         forces += actuator_forces(self.robot.actuators, ends, controls)
         for closure in self.robot.closures:
             first, second = (self.together[link].pose for link in closure.links)
-            own = Pose(closure.place, np.eye(3))
+            own = Pose(closure.position, np.eye(3))
             poses = own, second.inverse @ first @ own
             a, b = (self._frame(*pair) for pair in zip(closure.links, (closure.name,) * 2, poses, strict=True))
             joints.append((Fixed if closure.kind == "fixed" else Spherical)(a, b, name=identifier(closure.name)))
@@ -291,14 +291,14 @@ class _Builder:
         pose = self.inside[link] @ pose
         body = self.bodies[self.owner[link]]
         if not isinstance(body, FlexibleBody):
-            x, y, z = pose.place.tolist()
+            x, y, z = pose.position.tolist()
             return body.at(x, y, z, axes=pose.axes.tolist())
         nodes = body.mesh.nodes.detach().numpy()
         named = joint in body.mesh.node_sets
         members = (
-            list(body.mesh.node_sets[joint]) if named else [int(np.linalg.norm(nodes - pose.place, axis=1).argmin())]
+            list(body.mesh.node_sets[joint]) if named else [int(np.linalg.norm(nodes - pose.position, axis=1).argmin())]
         )
-        arm = pose.place - nodes[members].mean(0)
+        arm = pose.position - nodes[members].mean(0)
         size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
         if np.linalg.norm(arm) > FAR * size:
             raise InputError(
@@ -320,7 +320,7 @@ def _place(
         slides = joint.kind == "prismatic"
         pose = own @ joint.displaced(positions[joint.name])
         spin = base.spin if slides else base.spin + axis
-        velocity = base.velocity + np.cross(base.spin, pose.place - base.pose.place)
+        velocity = base.velocity + np.cross(base.spin, pose.position - base.pose.position)
         velocity += axis if slides else np.cross(axis, -pose.axes @ joint.anchor)
         placed[joint.child] = _Placed(pose, velocity, spin)
     return placed
