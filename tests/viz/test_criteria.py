@@ -166,6 +166,9 @@ def test_parallel_coordinates():
     assert_allclose(best.get_ydata(), [(30 + 90) / 135, 1.0, (1.0 - 0.5) / 1.5])
     for axis in figure.axes[0].collections:  # an axis does not cross its numbers
         assert_allclose(axis.get_paths()[0].vertices[:, 1], [0.0, 1.0])
+    low, high = mbd.viz.parallel_coordinates([[1.0, 2.0]], [3.0], ["a", "b"], bounds=(-9.0, 9.0)).axes[0].get_ylim()
+    assert low < -0.03  # the numbers of the axes lie inside with one design, too
+    assert high > 1.03
     long = "integral of squared x velocity of tool, plus squared y velocity of tool [m2/s]"
     axes = mbd.viz.parallel_coordinates(X, y, ["a [deg]", "b"], objective=long).axes[0]
     assert axes.get_xticklabels()[-1].get_text() == "objective\n[m2/s]"
