@@ -3,7 +3,7 @@
     eps_11 = sig_11 / E1 - nu12 sig_22 / E1      gamma_12 = tau_12 / G12
     eps_22 = sig_22 / E2 - nu12 sig_11 / E1      gamma_13 = tau_13 / G13,  gamma_23 = tau_23 / G23
 
-E1, E2          moduli along and across the fibre      [Pa]
+E1, E2          moduli along and across the fiber      [Pa]
 G12, G13, G23   shear moduli                           [Pa]
 nu12            Poisson's ratio: strain along 2 for a stress along 1
 density         [kg/m3]
@@ -33,9 +33,9 @@ from torchmbd.math.variable import check_positive, number, stacked, without_vari
 
 @dataclass(frozen=True)
 class Ply:
-    """One unidirectional layer in its own axes (1 = fibre, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.
+    """One unidirectional layer in its own axes (1 = fiber, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.
 
-    E1, E2          moduli along and across the fibre [Pa]
+    E1, E2          moduli along and across the fiber [Pa]
     G12, G13, G23   shear moduli [Pa]
     nu12            Poisson's ratio, strain along 2 for a stress along 1; nu12^2 < E1 / E2
     density         [kg/m3]

@@ -6,7 +6,7 @@ in plane        strain = T(theta) (eps + z kappa),  stress = Q strain
 out of plane    stress = R(theta) F(z) As gamma: the stresses of the shear forces Q = As gamma by equilibrium
                 (transverse_shear.py), zero at the faces, continuous between the layers
 
-Ply axes: 1 = fibre, 3 = the plate's normal. Both maps depend on the design, and are linear in the plate strains.
+Ply axes: 1 = fiber, 3 = the plate's normal. Both maps depend on the design, and are linear in the plate strains.
 Differentiable, forward and reverse, in angles and thicknesses, with lanes.
 Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., section 4.2; Rolfes and Rohwer (1997).
 Checked in tests/fem/materials/test_ply_maps.py.

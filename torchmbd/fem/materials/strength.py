@@ -31,7 +31,7 @@ from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.variable import check_positive, number, stacked
 
-#: The stresses and strains of a ply, in this order; 1 = fibre, 3 = thickness. Shear strains are engineering strains.
+#: The stresses and strains of a ply, in this order; 1 = fiber, 3 = thickness. Shear strains are engineering strains.
 PLY_COMPONENTS = ("11", "22", "12", "13", "23")
 
 
@@ -39,7 +39,7 @@ PLY_COMPONENTS = ("11", "22", "12", "13", "23")
 class Strength:
     """Strengths of one ply [Pa], all positive.
 
-    Xt, Xc        tension and compression along the fibre
+    Xt, Xc        tension and compression along the fiber
     Yt, Yc        across it
     S12           shear in the plane
     S13, S23      infinite by default: transverse shear stresses do not count

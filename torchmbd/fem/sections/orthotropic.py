@@ -2,7 +2,7 @@
 
     (eps_11, eps_22, eps_33, gamma_23, gamma_13, gamma_12) = C^-1 (sig_11, sig_22, sig_33, tau_23, tau_13, tau_12)
 
-E1, E2, E3         moduli along the fibre (1), across it in the ply (2), through the ply (3)   [Pa]
+E1, E2, E3         moduli along the fiber (1), across it in the ply (2), through the ply (3)   [Pa]
 G12, G13, G23      shear moduli                                                                [Pa]
 nu12, nu13, nu23   nu_ij: strain along j for a stress along i, with a minus sign
 density            [kg/m3]
@@ -34,7 +34,7 @@ from torchmbd.math.variable import check_positive, number, stacked, varies, with
 
 @dataclass(frozen=True)
 class Orthotropic:
-    """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fibre, 3 = through the ply).
+    """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fiber, 3 = through the ply).
 
     A number may be mbd.variable(...): a design variable of the sections that are made of it, "ply.E1".
     """

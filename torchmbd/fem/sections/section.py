@@ -60,7 +60,7 @@ class Section(nn.Module):
 
     mesh     elements with their layers and wall angles; dimensions of it that vary are parameters: "width", "thickness"
     ply      one Ply or Orthotropic, or one for each layer; numbers of it that vary are parameters, as of a Laminate
-    angles   of the fibre about the wall's normal, from x to the wall's tangent [layers], rad
+    angles   of the fiber about the wall's normal, from x to the wall's tangent [layers], rad
 
     The functions of `mbd.sections` make it: tube, box, strip, i_section, circle, rectangle.
     """
