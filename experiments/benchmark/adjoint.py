@@ -30,7 +30,7 @@ def adjoint(settings: Settings) -> Result:
 
     @torch.no_grad()
     def steps() -> None:
-        integrator.integrate(library.resolved(values, "native"), case.duration, STEPS)
+        integrator.integrate(library.with_backend(values, "native"), case.duration, STEPS)
 
     def backward() -> float:
         found, leaves = differentiable_motion(moving, case.duration, STEPS)

@@ -138,7 +138,7 @@ def motion(
     """The motion stage of a batch: from frozen dynamics to `responses` of what is observed."""
     with torch.no_grad():
         integrator = integrator_of(DEFAULT, options).with_defaults(dynamics.topology)
-        history = integrator.integrate(library.resolved(dynamics, "auto"), duration, steps).history
+        history = integrator.integrate(library.with_backend(dynamics, "auto"), duration, steps).history
         U = observed(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
@@ -204,7 +204,7 @@ def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
         if not build and not all(library.path_of(dynamics.condensed(), kind).exists() for kind in ("step", "adjoint")):
             return False
         try:
-            native = library.resolved(dynamics, "native").condensed()
+            native = library.with_backend(dynamics, "native").condensed()
         except mbd.InputError:
             return False
         return library.library(native, "adjoint") is not None

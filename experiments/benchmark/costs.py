@@ -252,7 +252,7 @@ def main(arguments: list[str]) -> None:
     elif what == "ready":
         dynamics = (pendulum(50) if arguments[1] == "chain" else loops()).dynamics(1, gradients=False)
         begin = time.perf_counter()
-        native = library.resolved(dynamics, "native")
+        native = library.with_backend(dynamics, "native")
         library.library(native.condensed())
         print(json.dumps({"seconds": time.perf_counter() - begin}))
     elif what == "compile":

@@ -22,7 +22,7 @@ from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
-from torchmbd.integrate.native.library import resolved
+from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.multiphase import integrate, steps_of_phases, switch_numbers, switches_with
 from torchmbd.integrate.phases.phase import Phase, plan
@@ -92,7 +92,7 @@ class ForwardIntegration:
 
     def _without_phases(self, designs: dict[str, Tensor]) -> None:
         dynamics = self.system.dynamics(designs, tangents=self.variables)
-        self.dynamics = resolved(dynamics, self.backend, self.integrator.native_kind)
+        self.dynamics = with_backend(dynamics, self.backend, self.integrator.native_kind)
         args = self.integrator, self.dynamics, self.duration
         with_gradients = self.dynamics.tangents > 0
         if self.steps is None:
@@ -105,7 +105,7 @@ class ForwardIntegration:
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, phase_models = plan(self.system, phases, self.duration)
-        dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
+        dynamics = with_backend(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
         check_memory = memory_check(self.system, dynamics.lanes, len(self.labels), self.integrator)
         self.steps = steps = self.steps or steps_of_phases(
             self.system, dynamics, phase_models, designs, self.duration, self.integrator, check_memory

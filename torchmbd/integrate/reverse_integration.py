@@ -25,7 +25,7 @@ from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
-from torchmbd.integrate.native.library import resolved
+from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.prepared import differentiable
 from torchmbd.integrate.retries import integrate_by_chosen_steps, integrate_lanes
@@ -82,7 +82,7 @@ class ReverseIntegration:
             raise InputError(
                 f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
             )
-        self.dynamics = resolved(self._with(data), self.backend, also=["adjoint"])
+        self.dynamics = with_backend(self._with(data), self.backend, also=["adjoint"])
         if self.wanted:
             self._of_leaves = differentiable(self.dynamics, self.wanted)
         dynamics = self._of_leaves or self.dynamics

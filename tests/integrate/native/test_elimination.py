@@ -13,14 +13,14 @@ from torchmbd.integrate.native.mechanism import Mechanism
 def solved(e: Elimination, K: np.ndarray, b: np.ndarray) -> np.ndarray:
     """As factors.cpp does it, one number after another."""
     n, row, column = len(K), np.nonzero(K)[0], np.nonzero(K)[1]
-    memory = np.zeros(e.numbers)
-    memory[e.place(row, column)] = K[row, column]
+    memory = np.zeros(e.size)
+    memory[e.addresses(row, column)] = K[row, column]
     places = {(int(i), int(j)): k for k, (i, j) in enumerate(zip(e.row, e.column, strict=True))}
     for k in range(n):
-        p, beside = int(e.order[k]), [int(i) for i in e.beside[e.start[k] : e.start[k + 1]]]
-        for i in beside:
+        p, later = int(e.order[k]), [int(i) for i in e.later[e.start[k] : e.start[k + 1]]]
+        for i in later:
             memory[places[i, p]] /= memory[places[p, p]]
-            for j in beside:
+            for j in later:
                 memory[places[i, j]] -= memory[places[i, p]] * memory[places[p, j]]
     L, U = np.eye(n), np.zeros((n, n))
     at = {int(p): k for k, p in enumerate(e.order)}
@@ -50,11 +50,12 @@ def test_places_that_are_met_are_those_of_the_later_row() -> None:
     e = elimination(12, 8, *np.nonzero(K))
     places = {(int(i), int(j)): k for k, (i, j) in enumerate(zip(e.row, e.column, strict=True))}
     for k in range(12):
-        beside = e.beside[e.start[k] : e.start[k + 1]]
-        for r, i in enumerate(beside):
-            head, later = int(e.head[e.start[k] + r]), beside[r + 1 :]
-            found = range(head, head + len(later)) if head >= 0 else e.places[-1 - head : -1 - head + len(later)]
-            assert [int(x) for x in found] == [places[int(i), int(j)] for j in later]
+        later = e.later[e.start[k] : e.start[k + 1]]
+        for r, i in enumerate(later):
+            target, behind = int(e.target[e.start[k] + r]), later[r + 1 :]
+            side_by_side, scattered = range(target, target + len(behind)), e.scattered[-1 - target :][: len(behind)]
+            found = side_by_side if target >= 0 else scattered
+            assert [int(x) for x in found] == [places[int(i), int(j)] for j in behind]
 
 
 @pytest.mark.thorough
@@ -62,5 +63,5 @@ def test_numbers_grow_with_the_links() -> None:
     numbers = []
     for links in (6, 12, 24):
         dynamics = linked(links).dynamics()
-        numbers.append(Mechanism(dynamics.topology, dynamics.saddle.blocks.rows, True).elimination.numbers)
+        numbers.append(Mechanism(dynamics.topology, dynamics.saddle.blocks.rows, True).elimination.size)
     assert numbers[2] - numbers[1] <= 2.1 * (numbers[1] - numbers[0])

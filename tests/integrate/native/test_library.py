@@ -29,7 +29,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TORCHMBD_COMPILE", "1")
     for name in ("_loaded", "_failed"):
         monkeypatch.setattr(library, name, {})
-    monkeypatch.setattr(library, "_said", set())
+    monkeypatch.setattr(library, "_warned", set())
     return tmp_path
 
 
@@ -47,11 +47,11 @@ def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.thorough
 @needs_compiler
 def test_a_corrupt_library_is_removed_and_built_again(cache: Path) -> None:
-    d = library.resolved(dynamics(modes=1), "eager")
+    d = library.with_backend(dynamics(modes=1), "eager")
     path = library.path_of(d)
     path.write_bytes(b"no library")
     with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
-        assert library.resolved(d, "auto").backend == "native"
+        assert library.with_backend(d, "auto").backend == "native"
     assert path.stat().st_size > 1000
 
 
@@ -102,9 +102,9 @@ def test_the_first_call_gives_the_numbers_of_the_tenth(cache: Path) -> None:
 
 
 def test_eager_and_switched_off(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert library.resolved(dynamics(), "eager").backend == "eager"
+    assert library.with_backend(dynamics(), "eager").backend == "eager"
     monkeypatch.setenv("TORCHMBD_COMPILE", "0")
-    assert library.resolved(dynamics(), "auto").backend == "eager"
+    assert library.with_backend(dynamics(), "auto").backend == "eager"
     assert not list(cache.glob("step-*"))  # products of the structure stage have a library of their own
 
 
@@ -116,12 +116,12 @@ def test_a_backend_that_does_not_exist() -> None:
 def refused(d: Dynamics, words: str) -> None:
     """By `auto` said once, by `native` an error."""
     with pytest.warns(UserWarning, match=words):
-        assert library.resolved(d, "auto").backend == "eager"
+        assert library.with_backend(d, "auto").backend == "eager"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert library.resolved(d, "auto").backend == "eager"
+        assert library.with_backend(d, "auto").backend == "eager"
     with pytest.raises(InputError, match=words):
-        library.resolved(d, "native")
+        library.with_backend(d, "native")
 
 
 def test_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +176,7 @@ def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
     system, keys = sprung(law), []
     for stiffness in (3.0, 4.0, 3.0):
         held["stiffness"] = stiffness
-        found = library.written_out(system().dynamics.condensed())
+        found = library.with_traced_laws(system().dynamics.condensed())
         keys.append(library.key(found))
     assert keys[0] == keys[2] != keys[1]
 

@@ -14,7 +14,7 @@ constexpr int MOST = 12;                   // corrections of mu, as in adjoint.p
 constexpr long CHECK = 25;                 // steps between two checks of the factors, as in stepper.py
 constexpr double ENOUGH = 1e-8;            // estimated relative error of mu that gets no other
 constexpr double TINY = 1e-300;
-enum { SHARE, A_FROM_VD, A_FROM_A };       // places among what all lanes share: the first weights of step.py
+enum { SHARE, A_FROM_VD, A_FROM_A };       // positions among the numbers that all lanes share: the first weights of step.py
 
 struct Job {
   long lanes, rows, data, uniform, steps, moving;  // numbers of each; moving: last of the data, which change with the step
@@ -41,10 +41,10 @@ struct Job {
 // Bytes of scratch memory.
 extern "C" long adjoint_scratch(const Mechanism* m, long rows, long steps) {
   const Counts c(*m);
-  return sizeof(V) * (m->numbers + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v + 2 * m->called);
+  return sizeof(V) * (m->size + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v + 2 * m->called);
 }
 
-// Counts and places of q, v, v', lam in a state.
+// Counts and positions of q, v, v', lam in a state.
 struct Parts {
   long count[4], at[4];
   explicit Parts(const Counts& c) : count{c.n_q, c.n_v, c.n_v, c.rows}, at{0, c.n_q, c.n_q + c.n_v, c.n_q + 3 * c.n_v} {}
@@ -79,7 +79,7 @@ extern "C" long adjoint(const Job* job) {
   const Parts p(c);
   const long N_ = c.unknowns, n_x = c.n_x;
   V* w = (V*)J.scratch;
-  V *K = w + c.scratch, *entries = K + m.numbers, *mu = entries + c.entries, *goal = mu + N_, *R = goal + N_, *z = R + N_;
+  V *K = w + c.scratch, *entries = K + m.size, *mu = entries + c.entries, *goal = mu + N_, *R = goal + N_, *z = R + N_;
   V *x = z + N_, *before_y = x + n_x, *ys = before_y + n_x, *as = ys + S * n_x, *worth = as + (J.steps + 1) * c.n_v;
   In in;
   point(in, m, c, w);

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
-from torchmbd.integrate.native.feedback import FeedbackSweep
+from torchmbd.integrate.native.feedback import FeedbackAdjoint
 from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import (
     LANES,
@@ -105,33 +105,33 @@ class NativeAdjointSolver(AdjointSolver):
         ]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
         job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
-        called, worth = self._called(job, schedule) if self.library.called.places else (None, new(0))
+        called, of_strengths = self._called(job, schedule) if self.library.called.actions else (None, new(0))
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
             return super()._segment(number, of_motion, y)
         start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
         by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))
-        by |= called.cotangents(_lanes(worth, lanes)) if called else {}
+        by |= called.cotangents(_lanes(of_strengths, lanes)) if called else {}
         return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
 
-    def _called(self, job: _Job, schedule: Sequence[Prescribed]) -> tuple[FeedbackSweep, Tensor]:
-        """Laws that are called back, and room for what their strengths are worth [steps, block, rows, n, LANES]."""
+    def _called(self, job: _Job, schedule: Sequence[Prescribed]) -> tuple[FeedbackAdjoint, Tensor]:
+        """Laws that are called back, and an array for the cotangents of their strengths [steps, block, rows, n, LANES]."""
         assert self.code is not None
         laws, (steps, count, rows, lanes) = self.library.called, (job.steps, len(self.values), job.rows, job.lanes)
-        n = len(laws.places)
-        signals, worth = (self.values.new_zeros(steps, count, *some, LANES) for some in ((2 * n,), (rows, n)))
+        n = len(laws.actions)
+        signals, of_strengths = (self.values.new_zeros(steps, count, *some, LANES) for some in ((2 * n,), (rows, n)))
         job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
         self.code.adjoint(ctypes.byref(job))
         job.rows, job.read = rows, 0
         data, times = self.grid.dynamics.data, torch.stack([prescribed.t for prescribed in schedule])
         wanted = {name for name, x in data.items() if value(x).requires_grad}
         plain = {name: value(x).detach() for name, x in data.items()}
-        found = FeedbackSweep(laws, plain, _lanes(signals, lanes), times, wanted)
-        arrays = [_blocks(found.strengths), _blocks(found.slopes), worth]
+        found = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)
+        arrays = [_blocks(found.strengths), _blocks(found.slopes), of_strengths]
         job.strengths, job.law_slopes, job.strength_bars = addresses(arrays)
         job.kept = arrays
-        return found, worth
+        return found, of_strengths
 
 
 def _lanes(x: Tensor, lanes: int) -> Tensor:
@@ -146,7 +146,7 @@ def _blocks(x: Tensor) -> Tensor:
 
 
 def _spaced(x: Tensor, steps: range, every: int) -> Tensor:
-    """Numbers [outputs, ...] at the times of steps, zero where there is no output."""
+    """Cotangents [outputs, ...] of the states of a segment, zero where a state is no output."""
     first, last = -(-steps.start // every), steps.stop // every
     some = x[first : last + 1]
     if every == 1:

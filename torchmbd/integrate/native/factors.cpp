@@ -9,13 +9,13 @@ struct Mechanism {
   const long* sizes;               // in the order of struct N
   const int* const* tables;        // in the order of struct Tables
   const double* const* constants;  // in the order of point_constants
-  long numbers;                    // of the matrix in memory
+  long size;                       // numbers of the matrix in memory
   const int *order;                // unknown of each pivot
-  const int *start;                // where the later unknowns that a pivot meets begin in `beside`; [pivots + 1]
-  const int *beside, *near;        // these: unknowns, and pivots
+  const int *start;                // where the later unknowns that a pivot meets begin in `later`; [pivots + 1]
+  const int *later, *later_pivots;  // these unknowns, and their pivots
   const int *base;                 // where the numbers of a pivot begin
-  const int *head;                 // of each entry of `beside`: place of what its row meets next, or -1 - where places stand
-  const int *places;
+  const int *target;               // of each entry of `later`: address of what its row meets next, or -1 - where addresses stand
+  const int *scattered;            // these addresses
   long fills;                      // matrix[to] += factor entries[from]
   const int *to, *from;
   const double *factor;
@@ -28,10 +28,10 @@ struct Mechanism {
 };
 
 namespace {
-enum { SCALE = 8, RATE = 9 };        // places among what all lanes share: weights of step.py
+enum { SCALE = 8, RATE = 9 };        // positions among the numbers that all lanes share: weights of step.py
 constexpr double INACCURATE = 1e-7;  // error of a rate that is one; multipliers of redundant rows may be anything
 
-// Counts of a mechanism, and places of scratch buffers.
+// Counts of a mechanism, and positions of scratch buffers.
 struct Counts {
   N n;
   long o[BUFFERS], scratch, n_q, n_v, rows, unknowns, n_x, entries, data;
@@ -68,25 +68,25 @@ inline V largest(const V* a, long n) {
 // Factors in place, K = L U; the inverse of each pivot takes its place.
 void factor(const Mechanism& m, long unknowns, V* K) {
   for (long k = 0; k < unknowns; k++) {
-    const int *near = m.near + m.start[k], *head = m.head + m.start[k], count = m.start[k + 1] - m.start[k];
+    const int *pivots = m.later_pivots + m.start[k], *target = m.target + m.start[k], count = m.start[k + 1] - m.start[k];
     V *own = K + m.base[k], *U = own + 1, *L = U + count;
     const V inverse = 1.0 / own[0];
     own[0] = inverse;
     for (int r = 0; r < count; r++) L[r] *= inverse;
     for (int r = 0; r < count; r++) {
-      const int i = near[r], length = m.start[i + 1] - m.start[i];
+      const int i = pivots[r], length = m.start[i + 1] - m.start[i];
       const V l = L[r], u = U[r];
       K[m.base[i]] -= l * u;
-      if (head[r] >= 0) {
-        V *row = K + head[r] - (r + 1), *column = row + length;
+      if (target[r] >= 0) {
+        V *row = K + target[r] - (r + 1), *column = row + length;
         for (int c = r + 1; c < count; c++) {
           row[c] -= l * U[c];
           column[c] -= L[c] * u;
         }
       } else {
-        const int* places = m.places - 1 - head[r] - (r + 1);
+        const int* addresses = m.scattered - 1 - target[r] - (r + 1);
         for (int c = r + 1; c < count; c++) {
-          V* row = K + places[c];
+          V* row = K + addresses[c];
           row[0] -= l * U[c];
           row[length] -= L[c] * u;
         }
@@ -97,15 +97,15 @@ void factor(const Mechanism& m, long unknowns, V* K) {
 
 void solve(const Mechanism& m, long unknowns, const V* K, V* b) {
   for (long k = 0; k < unknowns; k++) {
-    const int *beside = m.beside + m.start[k], count = m.start[k + 1] - m.start[k];
+    const int *later = m.later + m.start[k], count = m.start[k + 1] - m.start[k];
     const V *L = K + m.base[k] + 1 + count, y = b[m.order[k]];
-    for (int r = 0; r < count; r++) b[beside[r]] -= L[r] * y;
+    for (int r = 0; r < count; r++) b[later[r]] -= L[r] * y;
   }
   for (long k = unknowns - 1; k >= 0; k--) {
-    const int *beside = m.beside + m.start[k], count = m.start[k + 1] - m.start[k];
+    const int *later = m.later + m.start[k], count = m.start[k + 1] - m.start[k];
     const V* own = K + m.base[k];
     V y = b[m.order[k]];
-    for (int c = 0; c < count; c++) y -= own[1 + c] * b[beside[c]];
+    for (int c = 0; c < count; c++) y -= own[1 + c] * b[later[c]];
     b[m.order[k]] = y * own[0];
   }
 }
@@ -113,16 +113,16 @@ void solve(const Mechanism& m, long unknowns, const V* K, V* b) {
 // Solves with the transposed matrix.
 [[maybe_unused]] void solve_transposed(const Mechanism& m, long unknowns, const V* K, V* b) {
   for (long k = 0; k < unknowns; k++) {
-    const int *beside = m.beside + m.start[k], count = m.start[k + 1] - m.start[k];
+    const int *later = m.later + m.start[k], count = m.start[k + 1] - m.start[k];
     const V* own = K + m.base[k];
     const V y = b[m.order[k]] *= own[0];
-    for (int c = 0; c < count; c++) b[beside[c]] -= own[1 + c] * y;
+    for (int c = 0; c < count; c++) b[later[c]] -= own[1 + c] * y;
   }
   for (long k = unknowns - 1; k >= 0; k--) {
-    const int *beside = m.beside + m.start[k], count = m.start[k + 1] - m.start[k];
+    const int *later = m.later + m.start[k], count = m.start[k + 1] - m.start[k];
     const V* L = K + m.base[k] + 1 + count;
     V y = b[m.order[k]];
-    for (int r = 0; r < count; r++) y -= L[r] * b[beside[r]];
+    for (int r = 0; r < count; r++) y -= L[r] * b[later[r]];
     b[m.order[k]] = y;
   }
 }
@@ -135,12 +135,12 @@ void fill(const In& in, const Mechanism& m, const double* row_mask, const double
   (void)n;
   for (long p = 0; m.products && p < m.pairs; p++)  // as of laws that are written out
     entries[ENTRIES + p] = -(spread(in.u[SCALE]) * in.slopes[p] + in.u[RATE] * in.slopes[m.pairs + p]);
-  std::memset((void*)K, 0, m.numbers * sizeof(V));
+  std::memset((void*)K, 0, m.size * sizeof(V));
   for (long e = 0; e < m.fills; e++) K[m.to[e]] += m.factor[e] * entries[m.from[e]];
   for (long e = 0; e < m.products; e++)
     K[m.product_to[e]] += m.product_factor[e] * entries[m.weight[e]] * entries[m.first[e]] * entries[m.second[e]];
   if (!row_mask) return;
-  for (long e = 0; e < m.numbers; e++) {
+  for (long e = 0; e < m.size; e++) {
     K[e] *= row_mask[m.row[e]] * row_mask[m.column[e]];
     if (m.row[e] == m.column[e]) K[e] -= diagonal_shift[m.row[e]];
   }
@@ -156,7 +156,7 @@ bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* r
   V sound = spread(0.0);
   fill(in, m, row_mask, diagonal_shift, K);
   std::memset((void*)b, 0, c.unknowns * sizeof(V));
-  for (long e = 0; e < m.numbers; e++) {
+  for (long e = 0; e < m.size; e++) {
     b[m.row[e]] += K[e];
     sound += 0.0 * K[e];
   }

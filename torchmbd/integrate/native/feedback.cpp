@@ -1,4 +1,4 @@
-// Strengths of actions whose laws are called back (feedback.py): controllers, and laws that cannot be written out.
+// Strengths of actions whose laws are called back (feedback.py): controllers, and laws that cannot be traced.
 //
 // Before this text stand factors.cpp and, generated, `signals`: s of these actions and then s'. A strength depends on the
 // signals of the actions that its law reads: `pairs` of both. Slopes of a pair: by s, by s'.
@@ -37,7 +37,7 @@ namespace {
     df[m.pair_to[p]] += in.slopes[p] * ds[m.pair_from[p]] + in.slopes[m.pairs + p] * ds[m.called + m.pair_from[p]];
 }
 
-// What the signals are worth [2 called], by what the strengths are worth.
+// Cotangents of the signals [2 called] by those of the strengths.
 [[maybe_unused]] void signal_bars(const In& in, const Mechanism& m, const V* strengths, V* signals) {
   std::memset((void*)signals, 0, 2 * m.called * sizeof(V));
   for (long p = 0; p < m.pairs; p++) {

@@ -1,4 +1,4 @@
-"""Actions whose laws native code calls back: controllers, and laws of the user's own that cannot be written out.
+"""Actions whose laws native code calls back: controllers, and laws of users that cannot be traced.
 
     values     f = F(s, s', t; weights)          once for every correction of a step, all lanes of a block at a time
     slopes     df/ds, df/ds'                     for the iteration matrix and for tangents, of the pairs of actions that depend
@@ -30,15 +30,15 @@ _STRENGTHS, _SLOPES, _TANGENTS = range(3)  # as in feedback.cpp
 
 
 class CalledLaws:
-    """Those of a mechanism.
+    """The called laws of a mechanism.
 
-    places   numbers of their actions among all
-    pairs    of actions, counted among these: one whose strength depends on s or s' of the other
+    actions   numbers of their actions among all actions
+    pairs     of actions, counted among these: one whose strength depends on s or s' of the other
     """
 
     def __init__(self, laws: Sequence[Any]):
-        self.places = [i for i, law in enumerate(laws) if isinstance(law, Port)]
-        self.links = Links([laws[i] for i in self.places]).each
+        self.actions = [i for i, law in enumerate(laws) if isinstance(law, Port)]
+        self.links = Links([laws[i] for i in self.actions]).each
         self.pairs: list[tuple[int, int]] = []
         self._maps = []  # of each link: slopes of its pairs [2, pairs] out of du/dx [outputs inputs]
         for link in self.links:
@@ -59,22 +59,22 @@ class CalledLaws:
         ]
 
     def inputs(self, signals: Tensor, t: Tensor) -> list[Tensor]:
-        """What each of them reads [inputs, lanes] out of s and s' of all [2 n, lanes]."""
+        """Inputs of each law [inputs, lanes] out of s and s' of all actions [2 n, lanes]."""
         both = torch.cat([signals, t.expand(1, signals.shape[1])])
         return [both[link.read] for link in self.links]
 
     def strengths(self, u: Sequence[Tensor]) -> Tensor:
-        """Of all actions [n, ...] by what each of them gives [outputs, ...]."""
+        """Strengths of all actions [n, ...] by the outputs of each law [outputs, ...]."""
         parts = [link.writes @ x for link, x in zip(self.links, u, strict=True)]
         return sum(parts[1:], parts[0])
 
     def slopes(self, jacobians: Sequence[Tensor]) -> Tensor:
-        """Of all pairs by s and s' [2, pairs, lanes], of du/dx [outputs, inputs, lanes]."""
+        """Slopes of all pairs by s and s' [2, pairs, lanes], out of du/dx [outputs, inputs, lanes] of each law."""
         parts = [by @ J.flatten(0, 1) for by, J in zip(self._maps, jacobians, strict=True)]
         return torch.cat(parts, 1) if len(parts) > 1 else parts[0]
 
-    def held(self, parameters: Sequence[Tensor], run: Callable[[], R]) -> R:
-        """run(), in which modules have parameters that are the same for all lanes."""
+    def with_parameters(self, parameters: Sequence[Tensor], run: Callable[[], R]) -> R:
+        """run(), with those parameters set in the modules that are the same for all lanes."""
         for link, p in zip(self.links, parameters, strict=True):
             if p.shape[1] == 1:
                 run = partial(link.control.holding, p, run)
@@ -90,28 +90,28 @@ class _Struct(ctypes.Structure):
 
 
 class Feedback:
-    """What is called back while steps are made. times: of the ends of the steps to come, set before these."""
+    """Serves the calls while steps are made. times: of the ends of the next steps, to be set before these."""
 
     def __init__(self, laws: CalledLaws, data: Mapping[str, Any], lanes: int, n_b: int):
         self.laws, self.lanes, self.times = laws, lanes, torch.zeros(1, dtype=torch.float64)
         self.parameters = [p.clone() for p in laws.parameters(data)]
         names = [law_key(link.control.name) for link in laws.links]
-        self.moves = [data[name].tangent if isinstance(data.get(name), Pair) else None for name in names]
-        n, pairs = len(laws.places), len(laws.pairs)
+        self.weight_tangents = [data[name].tangent if isinstance(data.get(name), Pair) else None for name in names]
+        n, pairs = len(laws.actions), len(laws.pairs)
         shapes = [(2 * n,), (n,), (2, pairs), (n_b, n), (n,)]
         self.arrays = [torch.zeros(*shape, LANES, dtype=torch.float64) for shape in shapes]
-        self.own = [p[:0] if p.shape[1] == 1 else p for p in self.parameters]
+        self.lane_parameters = [p[:0] if p.shape[1] == 1 else p for p in self.parameters]
         self.error: BaseException | None = None
         self.struct = _Struct(_CALL(self._call), *addresses(self.arrays))
 
     @property
     def address(self) -> int:
-        """Where what native code takes is."""
+        """Address of the struct for native code."""
         return ctypes.addressof(self.struct)
 
     def run(self, f: Callable[[], int]) -> int:
         """f() by native code, which calls back; raises what is raised there."""
-        found, error = self.laws.held(self.parameters, f), self.error
+        found, error = self.laws.with_parameters(self.parameters, f), self.error
         if error is not None:
             self.error = None
             raise error
@@ -120,41 +120,41 @@ class Feedback:
     def _call(self, what: int, step: int, block: int) -> int:
         try:
             with torch.inference_mode(False), torch.set_grad_enabled(what == _TANGENTS):
-                self._answer(what, self.times[step], slice(block * LANES, min((block + 1) * LANES, self.lanes)))
-        except BaseException as error:  # native code cannot hand it on
+                self._evaluate(what, self.times[step], slice(block * LANES, min((block + 1) * LANES, self.lanes)))
+        except BaseException as error:  # native code cannot raise it
             self.error = error
             return 1
         return 0
 
-    def _answer(self, what: int, t: Tensor, lanes: slice) -> None:
+    def _evaluate(self, what: int, t: Tensor, lanes: slice) -> None:
         signals, strengths, slopes, tangents, _ = self.arrays
         count, links = lanes.stop - lanes.start, self.laws.links
         x = self.laws.inputs(signals[:, :count], t)
-        p = [y if y.shape[1] == 1 else y[:, lanes] for y in self.own]
+        p = [y if y.shape[1] == 1 else y[:, lanes] for y in self.lane_parameters]
         if what == _STRENGTHS:
             _put(strengths, self.laws.strengths([a.control.at(b, c, t) for a, b, c in zip(links, p, x, strict=True)]))
             return
         if what == _TANGENTS:
             p = [
                 y if move is None else (all_ if all_.shape[1] == 1 else y).expand(-1, count).clone().requires_grad_()
-                for y, all_, move in zip(p, self.parameters, self.moves, strict=True)
+                for y, all_, move in zip(p, self.parameters, self.weight_tangents, strict=True)
             ]
         found = [link.control.sloped(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
         _put(strengths, self.laws.strengths([u.detach() for u, _ in found]))
         _put(slopes, self.laws.slopes([J for _, J in found]))
         if what == _TANGENTS:
             tangents.zero_()
-        for (u, _), link, a, move in zip(found, links, p, self.moves, strict=True):
+        for (u, _), link, a, move in zip(found, links, p, self.weight_tangents, strict=True):
             if what == _TANGENTS and move is not None:
                 by = torch.stack([derivative(y, a) for y in u])
                 own = torch.einsum("okl,ksl->osl", by, move if move.shape[-1] == 1 else move[..., lanes])
                 _put(tangents, tangents[..., :count] + torch.einsum("no,osl->snl", link.writes, own))
 
 
-class FeedbackSweep:
-    """The same backward: values at all steps before, weights after.
+class FeedbackAdjoint:
+    """Called laws in reverse mode: values at all steps first, cotangents of the weights after the native steps.
 
-    signals   [steps, 2 n, lanes], of which the strengths [steps, n, lanes] and slopes [steps, 2, pairs, lanes] are made
+    signals   [steps, 2 n, lanes], which give the strengths [steps, n, lanes] and slopes [steps, 2, pairs, lanes]
     wanted    names of the weights by which derivatives are wanted
     """
 
@@ -171,7 +171,9 @@ class FeedbackSweep:
         ]
         self.outputs: list[list[Tensor]] = []
         with torch.enable_grad():
-            found = laws.held(self.parameters, lambda: [self._at(*both) for both in zip(signals, times, strict=True)])
+            found = laws.with_parameters(
+                self.parameters, lambda: [self._at(x, t) for x, t in zip(signals, times, strict=True)]
+            )
         self.strengths, self.slopes = (torch.stack(x) for x in zip(*found, strict=True))
 
     def _at(self, signals: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
@@ -184,21 +186,21 @@ class FeedbackSweep:
         self.outputs.append([u for u, _ in found])
         return laws.strengths([u.detach() for u, _ in found]), laws.slopes([J for _, J in found])
 
-    def cotangents(self, of_motion: Tensor) -> dict[str, Tensor]:
-        """By the weights [k, rows, lanes], by what all strengths are worth [steps, rows, n, lanes]."""
+    def cotangents(self, of_strengths: Tensor) -> dict[str, Tensor]:
+        """Cotangents of the weights [k, rows, lanes] by those of all strengths [steps, rows, n, lanes]."""
         result = {}
         for k, (name, p, link) in enumerate(zip(self.names, self.parameters, self.laws.links, strict=True)):
             if name is None:
                 continue
-            worth = torch.einsum("no,trnl->rtol", link.writes, of_motion)
+            of_outputs = torch.einsum("no,trnl->rtol", link.writes, of_strengths)
             outputs = [u[k] for u in self.outputs]
-            rows = [torch.autograd.grad(outputs, p, list(own), retain_graph=True)[0] for own in worth]
+            rows = [torch.autograd.grad(outputs, p, list(row), retain_graph=True)[0] for row in of_outputs]
             result[name] = torch.stack(rows, 1)
         return result
 
 
 def _put(to: Tensor, x: Tensor) -> None:
-    """Numbers of the lanes that exist into a block [..., LANES]; the last of them stands for the others."""
+    """Copy numbers of the lanes that exist into a block [..., LANES]; the last of them fills it."""
     if x.shape[-1] in (1, LANES):
         to.copy_(x)
         return

@@ -1,6 +1,6 @@
-"""The C++ of a kind of mechanisms: functions with loops of the equations of motion, around them drivers.
+"""The C++ of a kind of mechanisms: generated functions of the equations of motion, called by drivers.
 
-    step      a step of generalized-alpha (step.py), driven by steps.cpp
+    step      a step of a one-step method (step.py), driven by steps.cpp
     adjoint   the derivative of the same step in reverse mode, driven by adjoint.cpp
     rates     the index-1 right-hand side (equations.py), driven by rates.cpp
 
@@ -51,9 +51,9 @@ class _Traced:
         T = self.T = SymbolicTopology(kind, self.program)
         self.blocks = SymbolicBlocks(T)
         self.names = [*shapes(kind), *moving_shapes(kind)]
-        both = (data_arrays(self.program, kind, prefix) for prefix in ("d_", "e_"))
-        self.data: Any = {name: Pair.of(*x) for name, x in _zipped(*both).items()}
-        self.values = {name: value(x) for name, x in self.data.items()}
+        self.values = data_arrays(self.program, kind, "d_")
+        tangents = data_arrays(self.program, kind, "e_")
+        self.data: Any = {name: Pair.of(x, tangents[name]) for name, x in self.values.items()}
         moving = [
             "dx",
             "dz",
@@ -172,10 +172,6 @@ class _Traced:
         return [*lines, "}"]
 
 
-def _zipped(a: dict, b: dict) -> dict:
-    return {name: (a[name], b[name]) for name in a}
-
-
 def _names(program: Program) -> set[str]:
     """Names of all sizes that a program may use."""
     found = {"B", "F", "M", "V", "W", "C"}
@@ -276,7 +272,7 @@ class _Step(_Traced):
 
 
 class _Saddle:
-    """Stands for Saddle: its matrix is the blocks."""
+    """Saddle whose matrix is its blocks."""
 
     def __init__(self, blocks: SymbolicBlocks):
         self.blocks = blocks

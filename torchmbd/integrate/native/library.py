@@ -5,10 +5,10 @@
 
 A library is valid for one key: the kind, the function, the source of everything that the code is made of, and what every
 library depends on (math/codegen/compiler.py). Counts, tables, step size, lanes and design variables are inputs.
-Laws of drives stay outside: any torch function. Laws of forces that are a user's own are written out as scalar operations
+Laws of drives stay outside: any torch function. Laws of forces of users are traced as scalar operations
 (multibody/forces/user_laws.py), which are in the key; where that cannot be done the system stays uncompiled.
-`resolved` chooses between eager and native steps before the first of them; a library that is missing is built then, once for
-a machine. So the same call gives the same numbers every time.
+`with_backend` chooses between eager and native steps before the first of them; a library that is missing is built then, once
+for a machine. So the same call gives the same numbers every time.
 Checked in tests/integrate/native/test_library.py.
 """
 
@@ -63,37 +63,37 @@ _SOURCES += tuple(f"integrate/native/{name}" for name in _DRIVERS)
 BACKENDS = ("auto", "eager", "native")
 _loaded: dict[str, ctypes.CDLL] = {}
 _failed: dict[str, str] = {}  # builds that failed, and why
-_said: set[str] = set()
+_warned: set[str] = set()
 
 
-def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step", also: Sequence[str] = ()) -> Dynamics:
+def with_backend(dynamics: Dynamics, backend: str, kind: str | None = "step", also: Sequence[str] = ()) -> Dynamics:
     """The dynamics with the backend of its steps, "eager" or "native".
 
     kind   of code that is needed first, which is built here; None: what is needed is not known yet (phases)
     also   kinds that will be needed, which are built at the same time
 
-    "auto": native where there is a compiler and the code of the system can be written and compiled in reasonable time; what
-    speaks against it is said once. "native": InputError where it cannot be. Kinds other than steps are built when needed.
+    "auto": native where there is a compiler and the code of the system can be written and compiled in reasonable time; the
+    obstacle is a warning, once. "native": InputError where it cannot be. Kinds other than steps are built when needed.
     """
     left = dynamics.condensed() if kind == "step" else dynamics
     why = None if backend == "eager" else _obstacle(left, backend, kind, also)
     if backend == "native" and why is not None:
         raise InputError(f"backend is 'native', but {why}; allowed: 'eager' or 'auto'")
-    if why is not None and why not in _said:
-        _said.add(why)
+    if why is not None and why not in _warned:
+        _warned.add(why)
         warn(f"steps are made by operators of torch (backend 'eager'): {why}")
-    native = backend != "eager" and wanted(backend) and why is None
+    native = backend != "eager" and is_wanted(backend) and why is None
     return replace(dynamics, backend="native" if native else "eager")
 
 
 def _obstacle(dynamics: Dynamics, backend: str, kind: str | None, also: Sequence[str]) -> str | None:
-    """Why there is no native code for a system; None: there is, or it is not wanted."""
-    if not wanted(backend):
+    """The reason why there is no native code for a system; None: there is, or it is not wanted."""
+    if not is_wanted(backend):
         return None
     if (why := unavailable()) is not None:
         return why
     try:
-        known = written_out(dynamics)
+        known = with_traced_laws(dynamics)
     except Untraceable as error:
         return f"a law of a force cannot be compiled: {error}"
     if kind is None:
@@ -102,21 +102,21 @@ def _obstacle(dynamics: Dynamics, backend: str, kind: str | None, also: Sequence
     return _failed.get(key(known, kind))
 
 
-def wanted(backend: str) -> bool:
+def is_wanted(backend: str) -> bool:
     """Whether native code is wanted: `auto` leaves it to the environment."""
     return backend == "native" or compilation_wanted()
 
 
 @dataclass(frozen=True)
 class Library:
-    """Native code for one system. mechanism: its counts and tables, as the code takes them."""
+    """Native code for one system. mechanism: its counts and tables, a struct of the code."""
 
     code: ctypes.CDLL
     mechanism: Any
 
     @property
     def address(self) -> int:
-        """Where the mechanism is."""
+        """Address of the mechanism."""
         return ctypes.addressof(self.mechanism)
 
     @property
@@ -125,29 +125,29 @@ class Library:
         return self.mechanism.kept[0].called
 
     def feedback(self, dynamics: Dynamics) -> Feedback | None:
-        """What serves these calls; None: there are no such laws."""
+        """Serves these calls; None: there are no such laws."""
         laws = self.called
-        return Feedback(laws, dynamics.data, dynamics.lanes, dynamics.tangents) if laws.places else None
+        return Feedback(laws, dynamics.data, dynamics.lanes, dynamics.tangents) if laws.actions else None
 
     def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-        """Data as the code takes them: values [block, 1, n, LANES] and tangents [block, n_b, n, LANES]."""
-        values, tangents = data.flat_data(written_out(dynamics))
+        """Data in the layout of the code: values [block, 1, n, LANES] and tangents [block, n_b, n, LANES]."""
+        values, tangents = data.flat_data(with_traced_laws(dynamics))
         return simd_layout.blocks(values), simd_layout.blocks(tangents)
 
     def unflattened(self, dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
-        """Cotangents of the data [component..., rows, lanes] out of those of the numbers that the code takes."""
-        return data.unflattened(written_out(dynamics), by)
+        """Cotangents of the data [component..., rows, lanes] out of those of the numbers of the code."""
+        return data.unflattened(with_traced_laws(dynamics), by)
 
 
 def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
     """The library of a system whose backend is native, built if it is missing; None: by operators of torch."""
     if dynamics.backend != "native":
         return None
-    known = written_out(dynamics)
+    known = with_traced_laws(dynamics)
     name = key(known, kind)
     _load(known, [kind])
-    if name in _failed and name not in _said:
-        _said.add(name)
+    if name in _failed and name not in _warned:
+        _warned.add(name)
         warn(f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}")
     code = _loaded.get(name)
     return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, code))
@@ -190,7 +190,7 @@ def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
 
 
 def _built(name: str, kind: str, text: str, system: str) -> tuple[str, Path, str | None]:
-    """Name and place of a library that is compiled, and why that failed or None."""
+    """Name and path of a library that is compiled, and the reason of a failure or None."""
     try:
         return name, build(name, kind, text, system), None
     except (MbdError, OSError) as error:
@@ -206,7 +206,7 @@ def _path(name: str, kind: str) -> Path:
     return cache_folder() / f"{kind}-{name}{SUFFIX}"
 
 
-def written_out(dynamics: Dynamics) -> Dynamics:
+def with_traced_laws(dynamics: Dynamics) -> Dynamics:
     """The same dynamics with laws of forces of a known form; raises Untraceable where there is one that cannot be."""
     old = dynamics.topology.actions
     new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)

@@ -29,8 +29,11 @@ class _Struct(ctypes.Structure):
         ("sizes", ctypes.c_void_p),
         ("tables", ctypes.c_void_p),
         ("constants", ctypes.c_void_p),
-        ("numbers", ctypes.c_long),
-        *((name, ctypes.c_void_p) for name in ("order", "start", "beside", "near", "base", "head", "places")),
+        ("size", ctypes.c_long),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("order", "start", "later", "later_pivots", "base", "target", "scattered")
+        ),
         ("fills", ctypes.c_long),
         *((name, ctypes.c_void_p) for name in ("to", "from", "factor")),
         ("products", ctypes.c_long),
@@ -135,9 +138,9 @@ class Mechanism:
         )
         self.elimination = e = elimination(n, T.n_v, all_rows, all_columns)
         integers = {
-            "to": e.place(row, column),
+            "to": e.addresses(row, column),
             "from": place,
-            "product_to": e.place(products[0].astype(np.int64), products[1].astype(np.int64)),
+            "product_to": e.addresses(products[0].astype(np.int64), products[1].astype(np.int64)),
             "weight": products[2],
             "first": products[3],
             "second": products[4],
@@ -181,7 +184,7 @@ class Mechanism:
             weight = np.full(len(one), weights + i)
             found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
         for pair, (i, j) in enumerate(self.called.pairs):
-            both = (np.nonzero(action == self.called.places[k])[0] for k in (i, j))
+            both = (np.nonzero(action == self.called.actions[k])[0] for k in (i, j))
             one, other = (x.ravel() for x in np.meshgrid(*both, indexing="ij"))
             weight = np.full(len(one), weights + count + pair)
             found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
@@ -195,13 +198,13 @@ class Mechanism:
         pointers = np.array([self.tables[name].ctypes.data for name in tables] or [0], dtype=np.uint64)
         numbers = np.array([self.constants[name].ctypes.data for name in constants] or [0], dtype=np.uint64)
         e = self.elimination
-        s = _Struct(counts.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, e.numbers)
-        for name in ("order", "start", "beside", "near", "base", "head", "places", "row", "column"):
+        s = _Struct(counts.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, e.size)
+        for name in ("order", "start", "later", "later_pivots", "base", "target", "scattered", "row", "column"):
             setattr(s, name, getattr(e, name).ctypes.data)
         s.fills, s.products = len(self.matrix["to"]), len(self.matrix["product_to"])
         for name, x in self.matrix.items():
             setattr(s, name, x.ctypes.data)
-        s.called, s.pairs = len(self.called.places), len(self.called.pairs)
+        s.called, s.pairs = len(self.called.actions), len(self.called.pairs)
         pairs = np.array(self.called.pairs, dtype=np.intc).reshape(-1, 2).T.copy()
         s.pair_to, s.pair_from = (x.ctypes.data for x in pairs)
         s.kept = (self, counts, pointers, numbers, pairs)

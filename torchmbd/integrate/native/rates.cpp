@@ -16,7 +16,7 @@ struct Job {
 // Bytes of scratch memory.
 extern "C" long rates_scratch(const Mechanism* m) {
   const Counts c(*m);
-  return sizeof(V) * (m->numbers + c.scratch + c.entries + 2 * c.unknowns + 3 * (c.n_q + c.n_v));
+  return sizeof(V) * (m->size + c.scratch + c.entries + 2 * c.unknowns + 3 * (c.n_q + c.n_v));
 }
 
 extern "C" long rates(const Job* job) {
@@ -26,7 +26,7 @@ extern "C" long rates(const Job* job) {
   const Counts c(m);
   const long n_z = c.n_q + c.n_v;
   V* w = (V*)J.scratch;
-  V *K = w + c.scratch, *R = K + m.numbers, *z = R + c.unknowns, *entries = z + c.unknowns, *x = entries + c.entries;
+  V *K = w + c.scratch, *R = K + m.size, *z = R + c.unknowns, *entries = z + c.unknowns, *x = entries + c.entries;
   V *dx = x + n_z, *out = dx + n_z;
   In in;
   point(in, m, c, w);

@@ -28,10 +28,10 @@ struct Job {
 // Bytes of scratch memory, and of the factors of a block.
 extern "C" long steps_scratch(const Mechanism* m, long n_b) {
   const Counts c(*m);
-  return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + n_b) * c.unknowns + (1 + n_b) * c.n_x);
+  return sizeof(V) * (m->size + c.scratch + c.entries + (2 + n_b) * c.unknowns + (1 + n_b) * c.n_x);
 }
 
-extern "C" long steps_factors(const Mechanism* m) { return sizeof(V) * m->numbers; }
+extern "C" long steps_factors(const Mechanism* m) { return sizeof(V) * m->size; }
 
 // Unknowns (v', lam) that a step starts from: those of the state.
 static void start(const Counts& c, const V* x, V* z) {
@@ -56,7 +56,7 @@ extern "C" long run_steps(const Job* job) {
   const Counts c(m);
   const long N_ = c.unknowns, n_x = c.n_x;
   V* w = (V*)J.scratch;
-  V *trial = w + c.scratch, *R = trial + m.numbers, *z = R + N_, *entries = z + N_, *dz = entries + c.entries, *next = dz + N_ * S;
+  V *trial = w + c.scratch, *R = trial + m.size, *z = R + N_, *entries = z + N_, *dz = entries + c.entries, *next = dz + N_ * S;
   In in;
   point(in, m, c, w);
   in.R = R;
@@ -79,7 +79,7 @@ extern "C" long run_steps(const Job* job) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V* state = (V*)J.state + block * (1 + S) * n_x;
     const V* tangents = (const V*)J.tangents + block * S * J.data_tangents;
-    V* factors = (V*)J.factors + block * m.numbers;
+    V* factors = (V*)J.factors + block * m.size;
     point_data(in, (const V*)J.values + block * J.data);
     const V passes = ((const V*)J.passes)[block];
     bool fresh = J.fresh;

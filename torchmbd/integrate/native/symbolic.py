@@ -6,7 +6,7 @@
              strengths (D): arguments on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
 
 What is not a count is part of the kind (`Kind`): one library serves all mechanisms of a kind.
-Over 300 lines: every table of a topology has its twin here.
+Over 300 lines: every table of a topology has its symbol here.
 Checked in tests/integrate/native/.
 """
 
@@ -44,7 +44,7 @@ class Form(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What code depends on.
+    """Everything of a mechanism that its code depends on.
 
     primitives   kinds of primitives, and whether what their laws prescribe depends on the design
     forms        of actions, in the order in which they come
@@ -209,7 +209,7 @@ def moving_shapes(kind: Kind) -> dict[str, tuple[AnySize, ...]]:
 
 
 class SymbolicTopology:
-    """Stands for Topology (see there); its tables are named as in tables.py."""
+    """Topology with symbolic counts and tables; mechanism.py has the numbers of these."""
 
     def __init__(self, kind: Kind, program: Program):
         self.kind = kind
@@ -234,7 +234,7 @@ class SymbolicTopology:
         self.primitives = tuple(self._primitive(program, i, p) for i, (p, _) in enumerate(kind.primitives))
         self.actions = tuple(self._action(i, one) for i, one in enumerate(kind.forms))
         self.rows = sum((p.rows * primitive_count(i) for i, p in enumerate(self.primitives)), 0)
-        self.links = Feedback(kind, program)
+        self.links = SymbolicLinks(kind, program)
 
     @staticmethod
     def _primitive(program: Program, i: int, kind: type[Primitive]) -> Primitive:
@@ -275,8 +275,8 @@ class SymbolicTopology:
         return Array.input(like.program, "unit", (M, M, 1, 1, 1), kind="uniform")
 
 
-class Feedback:
-    """Stands for Links: the strengths of actions whose laws are called back are inputs."""
+class SymbolicLinks:
+    """Links (multibody/forces/feedback.py) in traced code: strengths of actions whose laws are called back are inputs."""
 
     def __init__(self, kind: Kind, program: Program):
         self.kind, self.program = kind, program
@@ -301,7 +301,7 @@ class Feedback:
 
 
 class _Beams:
-    """Stands for beams.Beams."""
+    """beams.Beams with symbolic tables."""
 
     def __init__(self):
         self.sum = SymbolicSegmentSum(Table("beam_groups", 4 * J), 2 * B)
@@ -311,7 +311,7 @@ class _Beams:
 
 
 class _SparseMap:
-    """Stands for index_maps.SparseMap: entries with a row, a column and a factor."""
+    """index_maps.SparseMap with symbolic entries: a row, a column and a factor each."""
 
     def __init__(self, program: Program, name: str, entries: Size, rows: AnySize):
         self.column, self.rows = Table(f"{name}_column", entries), rows
@@ -326,7 +326,7 @@ class _SparseMap:
 
 
 class _UnitForces:
-    """Stands for UnitForces; `letter` R or D."""
+    """UnitForces with symbolic tables; `letter` R or D."""
 
     blocks: Any = UnitForces.blocks
 

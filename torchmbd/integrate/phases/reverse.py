@@ -22,7 +22,7 @@ from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
-from torchmbd.integrate.native.library import resolved
+from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotangents
 from torchmbd.integrate.phases.events import Views
@@ -82,7 +82,7 @@ class ReversePhaseIntegration:
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
         data, designs = self._split(inputs)
-        model = resolved(replace(self.model, data=data), self.backend, None)
+        model = with_backend(replace(self.model, data=data), self.backend, None)
         check_memory = memory_check(self.system, model.lanes, 0, self.integrator)
         self.steps = self.steps or steps_of_phases(
             self.system, model, self.phase_models, designs, self.duration, self.integrator, check_memory
