@@ -30,7 +30,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
-from torchmbd.integrate.native.simd_layout import moving
+from torchmbd.integrate.native.simd_layout import varied_numbers
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.prepared import differentiable, prepare
 from torchmbd.integrate.pullback import leaf
@@ -86,7 +86,7 @@ class Grid:
         if by.laws is not None:
             with torch.enable_grad():
                 T = self.dynamics.topology
-                outputs.append(moving(T, T.schedule(self.times[1:], self.dynamics.data), len(self.lanes), 0))
+                outputs.append(varied_numbers(T, T.schedule(self.times[1:], self.dynamics.data), len(self.lanes), 0))
             of_motion.append(by.laws)
         used = [(y, x) for y, x in zip(outputs, of_motion, strict=True) if y.requires_grad]
         leaves = list(self.leaves.values())

@@ -65,7 +65,7 @@ class ForwardIntegration:
     stats: dict[str, Any] = field(init=False)
     switches: list[Switch] = field(default_factory=list, init=False)
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
-    moving: tuple[str, ...] = field(default=(), init=False)
+    output_data: tuple[str, ...] = field(default=(), init=False)
     _multiphase: MultiphaseRun | None = field(default=None, init=False)
     _tangents: list[Tensor] = field(default_factory=list, init=False)
 
@@ -80,11 +80,11 @@ class ForwardIntegration:
         else:
             self._through_phases(designs, self.phases)
         data = self.dynamics.data
-        self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
+        self.output_data = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
         h = self.history
         self.validity = validity(h, self.status, self.stats)
         numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
-        numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
+        numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.output_data)]
         for switch in self.switches:
             numbers += switch_numbers(switch)
         self._tangents = [x.tangent for x in numbers]
@@ -134,7 +134,7 @@ class ForwardIntegration:
         products = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), db) for dx in self._tangents)
         return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in products]
 
-    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+    def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         parts = [
             torch.einsum("krl,kbl->brl", y.flatten(0, -3), dx.flatten(0, -3).expand(-1, -1, y.shape[-1]))

@@ -39,8 +39,8 @@ class Integration(Protocol):
         """Tangents of all outputs along directions of the inputs (None: zero)."""
         ...
 
-    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
-        """Cotangents of the wanted inputs (others: None), of all lanes, from those of the outputs (None: zero)."""
+    def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
+        """Cotangents of the inputs that need a gradient (others: None), of all lanes, by those of the outputs (None: zero)."""
         ...
 
 
@@ -64,12 +64,12 @@ class Motion(torch.autograd.Function):
     @staticmethod
     @one_thread()
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[1:]
+        inputs, needs_grad = ctx.saved_tensors, ctx.needs_input_grad[1:]
         _refuse_batched(cotangents)
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(inputs))
-        by_inputs = iter(_Backward.apply(ctx.integration, wanted, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
-        return None, *(next(by_inputs) if is_wanted else None for is_wanted in wanted)
+        by_inputs = iter(_Backward.apply(ctx.integration, needs_grad, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
+        return None, *(next(by_inputs) if needed else None for needed in needs_grad)
 
     @staticmethod
     def jvp(ctx: Any, _: None, *directions: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -129,33 +129,35 @@ class _Derivative(torch.autograd.Function):
 
 
 class _Backward(_Derivative):
-    """(inputs, cotangents of the outputs) -> cotangents of the wanted inputs."""
+    """(inputs, cotangents of the outputs) -> cotangents of the inputs that need a gradient."""
 
     @staticmethod
-    def forward(integration: Integration, wanted: tuple[bool, ...], *tensors: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        inputs, outputs = tensors[: len(wanted)], tensors[len(wanted) :]
+    def forward(integration: Integration, needs_grad: tuple[bool, ...], *tensors: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        inputs, outputs = tensors[: len(needs_grad)], tensors[len(needs_grad) :]
         rows = next(x.shape[-2] for x in outputs if x is not None)
         result = []
-        for x, cotangent, is_wanted in zip(inputs, integration.cotangents(outputs, wanted), wanted, strict=True):
-            if is_wanted and x is not None:
+        for x, cotangent, needed in zip(inputs, integration.cotangents(outputs, needs_grad), needs_grad, strict=True):
+            if needed and x is not None:
                 y = x.new_zeros(*x.shape[:-2], rows, x.shape[-1]) if cotangent is None else cotangent
                 result.append(y.sum(-1, keepdim=True) if x.shape[-1] == 1 < y.shape[-1] else y)
         return tuple(result)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, integration: Integration, wanted: tuple[bool, ...], *tensors: Tensor | None):
-        n, dims, batch = len(wanted), in_dims[2:], info.batch_size
+    def vmap(
+        info: Any, in_dims: tuple, integration: Integration, needs_grad: tuple[bool, ...], *tensors: Tensor | None
+    ):
+        n, dims, batch = len(needs_grad), in_dims[2:], info.batch_size
         if all(d is None for d in dims[:n]):  # one motion, many cotangents
             stacked = [x if x is None else _stack(x, d, batch) for x, d in zip(tensors[n:], dims[n:], strict=True)]
-            found: Any = _Backward.apply(integration, wanted, *tensors[:n], *stacked)
+            found: Any = _Backward.apply(integration, needs_grad, *tensors[:n], *stacked)
             return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
         lanes = _lanes(tensors, dims)
         folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
-        found = [_unfold(x, batch) for x in _Backward.apply(integration, wanted, *folded)]  # pyright: ignore[reportOptionalIterable]
+        found = [_unfold(x, batch) for x in _Backward.apply(integration, needs_grad, *folded)]  # pyright: ignore[reportOptionalIterable]
         single = [
             x is not None and _extent(x, d) == 1
-            for x, d, is_wanted in zip(tensors[:n], dims[:n], wanted, strict=True)
-            if is_wanted
+            for x, d, needed in zip(tensors[:n], dims[:n], needs_grad, strict=True)
+            if needed
         ]
         found = [x.sum(-1, keepdim=True) if is_single else x for x, is_single in zip(found, single, strict=True)]
         return tuple(found), (0,) * len(found)

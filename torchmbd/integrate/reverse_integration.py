@@ -47,7 +47,7 @@ class ReverseIntegration:
     integrator       with a pullback of its steps
     with_gradients   whether derivatives may be taken
     backend          of the steps, as of `simulate`
-    wanted           names of inputs that are differentiated, as far as known before: the initial state is then made once
+    differentiated   names of inputs that are, as far as known before the integration: the initial state is then made once
 
     Results: dynamics, history, status, stats.
     """
@@ -61,7 +61,7 @@ class ReverseIntegration:
     integrator: OneStep
     with_gradients: bool
     backend: str = "auto"
-    wanted: tuple[str, ...] = ()
+    differentiated: tuple[str, ...] = ()
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
@@ -83,8 +83,8 @@ class ReverseIntegration:
                 f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
             )
         self.dynamics = with_backend(self._with(data), self.backend, also=["adjoint"])
-        if self.wanted:
-            self._of_leaves = differentiable(self.dynamics, self.wanted)
+        if self.differentiated:
+            self._of_leaves = differentiable(self.dynamics, self.differentiated)
         dynamics = self._of_leaves or self.dynamics
         args = self.integrator, dynamics, self.duration
         if self.steps is None:
@@ -117,9 +117,9 @@ class ReverseIntegration:
         found = [torch.where(self.validity[1] > 0.0, sum(x), 0.0) for x in zip(*parts, strict=True)]
         return [*found, self.validity.new_zeros(2, found[0].shape[2], len(self.status))]
 
-    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+    def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
-        names = [name for name, one in zip(self.names, wanted, strict=False) if one]
+        names = [name for name, one in zip(self.names, needs_grad, strict=False) if one]
         found = self.adjoint(outputs[:4], names) if names else {}
         result = [found.get(name) for name in self.names]
         if self.duration_is_input:

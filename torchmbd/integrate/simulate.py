@@ -274,8 +274,8 @@ def _reverse_phases(
         whole, phase_models, model, tuple(data), tuple(batch), duration, steps, integrator, backend
     )
     outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
-    end = 5 + len(integration.moving)
-    data = dict(data) | dict(zip(integration.moving, outputs[5:end], strict=True))
+    end = 5 + len(integration.output_data)
+    data = dict(data) | dict(zip(integration.output_data, outputs[5:end], strict=True))
     motion = trajectory_of(whole, integration, outputs[:5], data, batch, entry_labels(system, names), names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
@@ -290,8 +290,8 @@ def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
     """A motion whose tangents are integrated with it."""
     outputs: Any = Motion.apply(integration, *_lanes_last(batch))
-    end = 5 + len(integration.moving)
-    data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[5:end], strict=True))
+    end = 5 + len(integration.output_data)
+    data = dict(integration.dynamics.data) | dict(zip(integration.output_data, outputs[5:end], strict=True))
     names, labels = list(integration.variables), integration.labels
     motion = trajectory_of(integration.system, integration, outputs[:5], data, batch, labels, names)
     motion.switches = integration.switches_of(outputs[end:])

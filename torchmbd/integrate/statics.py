@@ -126,12 +126,12 @@ class StaticIntegration:
         by = [x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in states]
         return [*by, self.validity.new_zeros(2, count, len(self.status))]
 
-    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+    def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         lanes = self.dynamics.lanes
         leaves = {
             name: leaf(x.expand(*x.shape[:-1], lanes).contiguous())
-            for (name, x), one in zip(self.dynamics.data.items(), wanted, strict=True)
+            for (name, x), one in zip(self.dynamics.data.items(), needs_grad, strict=True)
             if one
         }
         with torch.enable_grad():

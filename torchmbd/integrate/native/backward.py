@@ -21,8 +21,8 @@ from torchmbd.integrate.native.simd_layout import (
     blocks,
     in_all_lanes,
     lanes_out,
-    moving_blocks,
     uniform,
+    varied_blocks,
     without_varied,
 )
 from torchmbd.math.pair import value
@@ -76,7 +76,7 @@ class NativeAdjointSolver(AdjointSolver):
         """Drives and known motions at the ends of the steps of a segment; those that all lanes share, and those that vary."""
         T, schedule = self.dynamics.topology, self._schedule(self.segments[number])
         same = uniform(self.weights, without_varied(T, schedule))
-        return schedule, same, moving_blocks(T, schedule, len(self.grid.lanes), 0)
+        return schedule, same, varied_blocks(T, schedule, len(self.grid.lanes), 0)
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
         if self.code is None:

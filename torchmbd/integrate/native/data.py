@@ -24,7 +24,7 @@ def kind_of(dynamics: Dynamics) -> Kind:
 def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     """Values [n, 1, lanes] and tangents [n, n_b, lanes] of all data.
 
-    Behind them zeros for what laws with design variables prescribe, `moving`: it changes from step to step.
+    Behind them zeros for what laws with design variables prescribe (simd_layout.varied_numbers): it changes from step to step.
     """
     lanes, n_b = dynamics.lanes, dynamics.tangents
     parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]

@@ -1,7 +1,7 @@
 """The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
 
-Systems with redundant constraints, with drives that have design variables, or with a body
-without inertia about an axis go the eager way.
+Systems with redundant constraints, with drives that have design variables, or with a body without inertia about an axis are
+evaluated by operators of torch.
 Checked in tests/integrate/native/test_steps.py.
 """
 

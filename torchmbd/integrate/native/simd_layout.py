@@ -42,14 +42,14 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
     return x.expand(*x.shape[:-1], lanes)
 
 
-def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
+def varied_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, block, 1 + n_b, n, LANES]."""
     if not T.varied:
         return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
-    return torch.stack([blocks(x) for x in moving(T, schedule, lanes, n_b)])
+    return torch.stack([blocks(x) for x in varied_numbers(T, schedule, lanes, n_b)])
 
 
-def moving(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
+def varied_numbers(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, n, 1 + n_b, lanes]."""
     if not T.varied:
         return schedule[0].A.new_zeros(len(schedule), 0, 1 + n_b, lanes)
@@ -70,6 +70,6 @@ def uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
 
 
 def without_varied(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:
-    """Prescribed numbers without those of laws with design variables, which `moving_blocks` has."""
+    """Prescribed numbers without those of laws with design variables, which `varied_blocks` has."""
     varied = T.varied
     return [prescribed.shared(varied) for prescribed in schedule] if varied else schedule

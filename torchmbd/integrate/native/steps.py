@@ -20,8 +20,8 @@ from torchmbd.integrate.native.simd_layout import (
     blocks,
     in_all_lanes,
     lanes_out,
-    moving_blocks,
     uniform,
+    varied_blocks,
     without_varied,
 )
 from torchmbd.integrate.step import Model, Weights
@@ -84,7 +84,7 @@ class NativeStepper(EagerStepper):
         if self.code is None:
             return super().run(x, schedule, record, first, start)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
-        moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
+        moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
         table = uniform(self.weights, without_varied(self.dynamics.topology, schedule))
         for part in check_intervals(len(schedule), first, self.n_b):
             done = part.start

@@ -71,8 +71,8 @@ class ReversePhaseIntegration:
     _multiphase: MultiphaseRun = field(init=False, repr=False)
 
     @property
-    def moving(self) -> tuple[str, ...]:
-        """Data that locks change."""
+    def output_data(self) -> tuple[str, ...]:
+        """Names of the data that locks change: outputs of `Motion`."""
         return tuple(
             name
             for name in MARKED
@@ -111,25 +111,25 @@ class ReversePhaseIntegration:
         self.stats["tangent_error"] = stats.get("tangent_error")
         h, count = multiphase.history, next(x.shape[-2] for x in directions if x is not None)
         numbers: list[Any] = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self.validity]
-        numbers += [multiphase.whole.data[name] for name in self.moving]
+        numbers += [multiphase.whole.data[name] for name in self.output_data]
         numbers += [x for switch in multiphase.switches for x in switch_numbers(switch)]
         found = (x.tangent if isinstance(x, Pair) else x.new_zeros(*x.shape[:-2], count, x.shape[-1]) for x in numbers)
         return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in found]
 
-    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+    def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         rows = next(x.shape[-2] for x in outputs if x is not None)
-        names = [name for name, one in zip(self.names, wanted, strict=False) if one]
-        marks = 5 + len(self.moving)
+        names = [name for name, one in zip(self.names, needs_grad, strict=False) if one]
+        marks = 5 + len(self.output_data)
         switches = [outputs[i : i + NUMBERS] for i in range(marks, len(outputs), NUMBERS)]
         found = self._adjoint(names)(
-            PhaseCotangents(outputs[:4], dict(zip(self.moving, outputs[5:marks], strict=True)), switches), rows
+            PhaseCotangents(outputs[:4], dict(zip(self.output_data, outputs[5:marks], strict=True)), switches), rows
         )
         data = {
             name: self._of_data(found, ("data", name), self._multiphase.data_without_marks[name], rows)
             for name in names
         }
-        designs = self._of_designs(found, rows) if any(wanted[len(self.names) :]) else {}
+        designs = self._of_designs(found, rows) if any(needs_grad[len(self.names) :]) else {}
         return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
@@ -156,7 +156,7 @@ class ReversePhaseIntegration:
     def _outputs(self, multiphase: MultiphaseRun) -> tuple[Tensor, ...]:
         h, data = multiphase.history, multiphase.whole.data
         lanes = h.q.shape[-1]
-        marks = [data[name].expand(*data[name].shape[:-1], lanes) for name in self.moving]
+        marks = [data[name].expand(*data[name].shape[:-1], lanes) for name in self.output_data]
         return (
             h.q,
             h.v,
@@ -171,25 +171,25 @@ class ReversePhaseIntegration:
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
         return PhaseAdjoint(self._multiphase, self.integrator, names, failed, backward.adjoint_solver)
 
-    def _of_data(self, found: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
+    def _of_data(self, by_lane: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
         """Cotangents [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""
         result = like.new_zeros(*like.shape[:-2], rows, len(self.status))
-        for lane, by in found.items():
+        for lane, by in by_lane.items():
             if key in by:
                 result[..., lane] = by[key][..., 0, 0].movedim(0, -1)
         return result
 
-    def _of_designs(self, found: dict[int, dict[Key, Tensor]], rows: int) -> dict[str, Tensor]:
+    def _of_designs(self, by_lane: dict[int, dict[Key, Tensor]], rows: int) -> dict[str, Tensor]:
         """Of designs [component..., rows, lanes]: their own, and those of the mode shapes through the structure stage."""
         whole = self._multiphase.views.whole
         lanes = len(self.status)
-        kinds = {key for by in found.values() for key in by if key[0] != "data"}
+        kinds = {key for by in by_lane.values() for key in by if key[0] != "data"}
         with torch.enable_grad():
             designs = {name: x.detach().clone().requires_grad_() for name, x in whole.designs.items()}
             shapes = DesignShapes(self.system, designs, lanes)
             outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
         cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
-        for lane, by in found.items():
+        for lane, by in by_lane.items():
             for key in kinds.intersection(by):
                 cotangents[key][:, lane : lane + 1] += by[key]
         used = [key for key in kinds if outputs[key].requires_grad]

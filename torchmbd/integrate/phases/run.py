@@ -300,18 +300,18 @@ class MultiphaseRun:
         self.phase_number[i, lanes] = self.phase_models.index(phase_model)
 
     def phase_exit(
-        self, phase_model: PhaseModel, entry: PhaseExit, left: dict[int, PhaseExit], staying: list[int]
+        self, phase_model: PhaseModel, entry: PhaseExit, exits: dict[int, PhaseExit], staying: list[int]
     ) -> PhaseExit:
         """Where all lanes left a phase that they entered at `entry`; the time is infinite for lanes that did not.
 
-        left     exits of the lanes that left
+        exits    of the lanes that left
         staying  lanes that were in the phase when the simulation ended: an error, unless it is the last
         """
         for lane in staying:
             if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
                 self.never_ends(phase_model, lane)
         nowhere = PhaseExit(entry.t * 0.0 + torch.inf, entry.x)
-        parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
+        parts = [exits.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
         return PhaseExit(join_lanes([p.t for p in parts]), join_states([p.x for p in parts]))
 
 

@@ -110,12 +110,12 @@ def _solve(B: Any, y: Any) -> Any:
 
 
 def _set_vector(
-    data: equations.Data, T: Topology, own: int, axes: list[int], c: Any, origin: int | None
+    data: equations.Data, T: Topology, index: int, axes: list[int], c: Any, origin: int | None
 ) -> equations.Data:
     """Set an attached vector to c_1 axes_1 + c_2 axes_2 + c_3 axes_3, from the vector `origin` if there is one."""
     data = dict(data)
     for name, axis in equations.ATTACHED.items():
-        if name not in data or (name != "x" and own >= T.attached_flexible):
+        if name not in data or (name != "x" and index >= T.attached_flexible):
             continue
         x = data[name]
         before = (slice(None),) * axis
@@ -123,7 +123,7 @@ def _set_vector(
         vector = (vectors * c).sum(axis)
         if origin is not None:
             vector = vector + x[(*before, origin)]
-        parts = [x[(*before, slice(0, own))], vector.unsqueeze(axis), x[(*before, slice(own + 1, None))]]
+        parts = [x[(*before, slice(0, index))], vector.unsqueeze(axis), x[(*before, slice(index + 1, None))]]
         data[name] = cat(parts, axis)
     return data
 
@@ -160,7 +160,7 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
     """
     T = dynamics.topology
 
-    def left(data: equations.Data, at: equations.Placement, q: Any, impulse: Any, v: Any, x: Tensor) -> Any:
+    def residual(data: equations.Data, at: equations.Placement, q: Any, impulse: Any, v: Any, x: Tensor) -> Any:
         dv, Lam = x[: T.n_v], x[T.n_v :]
         still, nothing = torch.zeros_like(dv), torch.zeros_like(Lam)
         forces = equations.dynamic_residual(T, data, at, still, dv, Lam)
@@ -173,7 +173,7 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
             rates = rates - equations.constraint_jets(T, at, data, still, still, t).velocity
         return cat([forces, rates])
 
-    x = dynamics.solve_linear(left, t, q, impulse, v)
+    x = dynamics.solve_linear(residual, t, q, impulse, v)
     return x[: T.n_v], x[T.n_v :]
 
 
