@@ -44,7 +44,7 @@ def shell(kind: str = "triangle") -> mbd.FlexibleBody:
     return mbd.FlexibleBody.plate("roof", moved(flat, nodes), laminate(), modes=4)
 
 
-def corner_areas(p: torch.Tensor) -> torch.Tensor:
+def corner_areas(p: torch.Tensor) -> Tensor:
     """Directed areas of the corners of a cell: thirds, or the integral of the bilinear shape functions by Gauss points."""
     if len(p) == 3:
         return torch.linalg.cross(p[1] - p[0], p[2] - p[0]).expand(3, 3) / 6.0
@@ -103,3 +103,20 @@ def test_bad_pressures_are_named():
             make()
         for word in words:
             assert word in str(error.value)
+
+
+@pytest.mark.parametrize("load", [-200.0, 200.0])
+def test_a_load_along_a_stiffened_plate_is_a_weight(load):
+    """[Pa], of both signs: a clamped strip that hangs or stands has the frequencies of one under gravity."""
+    ply, mesh = mbd.Ply.isotropic(E=70e9, nu=0.3, density=2700.0), mbd.mesh.rectangle(0.5, 0.05, (6, 1))
+    options: dict = {"modes": 4, "reference": "left_edge", "stiffening": True}
+    body = mbd.FlexibleBody.plate("strip", mesh, mbd.Laminate(ply, [0.0], [1e-3]), **options)
+
+    def frequencies(gravity: float, *forces: mbd.Pressure) -> Tensor:
+        wall = mbd.Fixed(mbd.Ground().at(-0.25, 0.0, 0.0), body.at("left_edge"))
+        system = mbd.System([body], [wall], list(forces), gravity=(gravity, 0.0, 0.0), truncation=None)
+        return mbd.equilibrium(system).frequencies[0]
+
+    pushed = frequencies(0.0, mbd.Pressure(body, abs(load), direction=(load, 0.0, 0.0)))
+    assert_close(pushed, frequencies(load / 2.7), rtol=1e-8, atol=0.0)
+    assert abs(float(pushed[0] / frequencies(0.0)[0]) - 1.0) > 0.2
