@@ -106,6 +106,7 @@ def test_what_was_not_evaluated_has_no_numbers():
     assert outcome_cells(nan, nan, nan) == ["-", "-", "-"]
     assert outcome_cells(nan, 2.0, 0.1) == ["2", "-", "1e-01"]
     assert outcome_cells(4.0, 2.0, 0.0) == ["2", "50.00 %", "0"]
+    assert outcome_cells(4.0, 2.0, 9e-15)[-1] == "0"  # an active constraint
 
 
 def ended(status: str) -> OptimizationResult:

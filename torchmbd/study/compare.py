@@ -20,7 +20,7 @@ from torchmbd.study.metric_names import (
     metric_heading,
     without_group,
 )
-from torchmbd.study.progress import drop_order, gain_heading, print_table, wrapped_heading
+from torchmbd.study.progress import drop_order, gain_heading, print_table, violation_cell, wrapped_heading
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
@@ -48,7 +48,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     for child in found:
         cells = [child.name, *(_cell(child, name, gain_metric(sign)) for name in criteria)]
         violation = child.metrics.get("violation")
-        cells.append("-" if violation is None else f"{violation:.0e}" if violation else "0")
+        cells.append("-" if violation is None else violation_cell(violation))
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
     if not print_table(table, console, drop_order(2 + len(criteria), len(names), [-1, 2])):

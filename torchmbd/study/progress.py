@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from torchmbd.study.columns import Columns
 
 _HEADING = 12  # characters of a line of a heading
+_ROUNDING = 1e-12  # of constraints divided by their limits
 
 
 class Progress:
@@ -83,7 +84,7 @@ class Progress:
             f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
             f"objective {objective}  {gain_heading(self.sign)} {less}"
         )
-        line += f"  violation {violation}" if iterate.violation else ""
+        line += f"  violation {violation}" if violation != "0" else ""
         values = "".join(f"  {value:z8.3f}" for value in self.columns.by_name(iterate.x).values())
         return line + values if len(line) + len(values) <= self.console.width else line
 
@@ -210,4 +211,9 @@ def outcome_cells(first: float, objective: float, violation: float, sign: float 
     if math.isnan(objective):  # not evaluated
         return ["-", "-", "-"]
     less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first and not math.isnan(first) else "-"
-    return [f"{sign * objective:.6g}", less, f"{violation:.0e}" if violation else "0"]
+    return [f"{sign * objective:.6g}", less, violation_cell(violation)]
+
+
+def violation_cell(violation: float) -> str:
+    """Return the cell of a violation; the rounding of an active constraint is no violation."""
+    return f"{violation:.0e}" if violation > _ROUNDING else "0"
