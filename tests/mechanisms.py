@@ -140,7 +140,7 @@ def soft_slider_crank(angles: Sequence[float] = (30.0, -20.0), modes: int = 2, *
 def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
     """From now on the reduced stiffness of one lane of a batch is nan."""
 
-    own = system._made
+    own = system._dynamics
 
     def made(data: dict[str, Any]) -> Any:
         first = torch.zeros(value(data["Kr"]).shape, dtype=torch.bool)

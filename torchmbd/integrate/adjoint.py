@@ -226,7 +226,7 @@ class AdjointSolver:
             by = {name: x + by.get(name, 0.0) for name, x in found.data.items()}
             laws.append(found.laws)
             y, error = found.start, error.maximum(left)
-        varied = self.dynamics.topology.varied
+        varied = self.dynamics.topology.varying_primitives
         return Cotangents(by, torch.cat(laws[::-1]) if varied else None, y), error
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
@@ -243,7 +243,7 @@ class AdjointSolver:
             by = {name: x + found.data[name] for name, x in by.items()}
             laws.append(torch.cat(list(found.laws.values())) if found.laws else None)
             error = error.maximum(found.error)
-        return Cotangents(by, torch.stack(laws[::-1]) if T.varied else None, y), error
+        return Cotangents(by, torch.stack(laws[::-1]) if T.varying_primitives else None, y), error
 
     def _schedule(self, steps: range) -> list[Prescribed]:
         """Drives and bodies of known motion at the ends of steps."""

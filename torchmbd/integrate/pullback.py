@@ -46,7 +46,7 @@ class StepPullback:
         self, model: Model, before: State, after: State, prescribed: Prescribed, corrections: int, negligible: Tensor
     ):
         T, self.corrections, self.negligible = model.T, corrections, negligible
-        varied: dict[int, tuple] = {i: prescribed.laws[i] or () for i in T.varied}
+        varied: dict[int, tuple] = {i: prescribed.laws[i] or () for i in T.varying_primitives}
         self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
         self.x, self.z = before.map(leaf), leaf(torch.cat([after.vd, after.lam]))
         lanes = self.z.shape[-1]

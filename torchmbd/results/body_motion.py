@@ -207,12 +207,12 @@ def point_of(motion: MotionData, frame: Frame) -> Tensor:
     if frame.interpolation is not None and varying_nodes(frame.body.mesh):
         nominal = frame.interpolation.center(frame.body.mesh.nodes - frame.body.origin)
         return (frame.interpolation.center(_node_positions(motion, frame.body)) + frame.point - nominal)[:, None]
-    if frame.place is None:
+    if frame.varying_point is None:
         return frame.point[None, None]
-    places = [attached.place for attached in motion.dynamics.topology.attached]
-    if frame.place not in places:
-        return frame.present[None, None]
-    return value(motion.dynamics.data["x"])[:, places.index(frame.place), 0].T[:, None]
+    places = [attached.varying_point for attached in motion.dynamics.topology.attached]
+    if frame.varying_point not in places:
+        return frame.present_point[None, None]
+    return value(motion.dynamics.data["x"])[:, places.index(frame.varying_point), 0].T[:, None]
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class History:
         """Rows of q (order 0), v (1) or a (2) of the whole [times, k, pair, lanes]."""
         x = (self.q, self.v, self.vd)[order][:, :, pair]
         if self.expansion is not None:
-            return self.expansion.rows(order, x, rows, known=not pair.start)
+            return self.expansion.rows(order, x, rows, values=not pair.start)
         return x if rows is None else select_rows(x, rows)
 
     @property

@@ -125,3 +125,15 @@ def test_ply_stress_names_what_is_missing(plate, tmp_path):
         mbd.Max(mbd.PlyStress("arm", "11"))(motion)
     with pytest.raises(InputError, match="reduced elsewhere"):
         body.save_matrices(tmp_path / "m")
+
+
+def test_arguments_that_would_be_ignored_are_refused(plate, made, tmp_path):
+    """A file has modes and node sets, and so has a mesh."""
+    path = plate.save_reduced(tmp_path / "arm.npz")
+    with pytest.raises(InputError, match="modes, node_sets of 'arm' given beside a file"):
+        mbd.FlexibleBody.from_reduced("arm", path, modes=2, node_sets={"tip": [0]})
+    with pytest.raises(InputError, match="node_sets of 'arm' are given beside a Mesh"):
+        mbd.FlexibleBody.from_reduced("arm", plate.mesh, made["psi"], made["Kr"], numbers(made), node_sets={"tip": [0]})
+    M, K = plate.mass_and_stiffness()
+    with pytest.raises(InputError, match="node_sets of 'arm' are given beside a Mesh"):
+        mbd.FlexibleBody.from_matrices("arm", M, K, nodes=plate.mesh, node_sets={"tip": [0]})

@@ -63,3 +63,11 @@ def test_refusals():
         mbd.BeamElement(GROUND.at(), tip().at(mbd.variable(0.1)), K)
     with pytest.raises(mbd.InputError, match="on a flexible body"):
         mbd.BeamElement(GROUND.at(), mbd.examples.arm().body("arm").at("right"), K)
+
+
+def test_it_holds_a_body_and_its_stiffness_is_no_number_of_a_law():
+    """The body is not listed as free, and the data of the motion have the stiffness once."""
+    body, stiffness = tip(), nn.Parameter(coupled())
+    system = mbd.System([body], [], [mbd.BeamElement(GROUND.at(), body.at(), stiffness, name="strip")])
+    assert system.describe().separate == ()
+    assert "law strip" not in system.dynamics().data

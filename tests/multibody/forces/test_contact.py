@@ -77,7 +77,7 @@ def test_nothing_is_evaluated_where_nothing_touches(name, monkeypatch):
     expected = law.strengths(numbers, x), law.slopes(numbers, x)
     monkeypatch.setattr("torchmbd.multibody.forces.contact_law.pressed", None)
     with torch.no_grad():
-        assert_close(law.sloped(p, x, 0.0), expected, rtol=0, atol=0)
+        assert_close(law.with_jacobian(p, x, 0.0), expected, rtol=0, atol=0)
         assert_close(law.at(p, x, 0.0), expected[0], rtol=0, atol=0)
 
 

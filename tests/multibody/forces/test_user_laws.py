@@ -10,7 +10,7 @@ from torch.testing import assert_close
 from torchmbd.math.codegen.scalars import Untraceable
 from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.multibody.forces import Gap, OfTime, Pieces, Spring, Table
-from torchmbd.multibody.forces.user_laws import written
+from torchmbd.multibody.forces.user_laws import trace_law
 
 LAWS = {
     "spring": lambda s, rate, t: -3.0 * (s - 0.2) - 0.1 * rate,
@@ -47,7 +47,7 @@ def points() -> tuple[Tensor, Tensor, Tensor]:
 
 @pytest.mark.parametrize("name", LAWS)
 def test_what_users_write(name, points):
-    law = written(LAWS[name])
+    law = trace_law(LAWS[name])
     assert_close(law(*points), LAWS[name](*points), rtol=1e-14, atol=1e-14)
     s, rate, t = points
     by_s, by_rate = partial_derivatives(lambda s, rate: LAWS[name](s, rate, t), s, rate)
@@ -58,7 +58,7 @@ def test_what_users_write(name, points):
 
 @pytest.mark.parametrize("name", STATED)
 def test_slopes_that_a_law_states_are_kept(name, points):
-    law = written(STATED[name])
+    law = trace_law(STATED[name])
     assert_close(law(*points), STATED[name](*points), rtol=1e-14, atol=1e-14)
     for found, expected in zip(law.slopes(*points), STATED[name].slopes(*points), strict=True):
         assert_close(found, expected.expand_as(found), rtol=1e-14, atol=1e-14)
@@ -72,10 +72,10 @@ def test_a_law_is_what_it_is_made_of_at_the_time():
     def law(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         return -held["k"] * s
 
-    first = written(law)
-    assert first == written(law)
+    first = trace_law(law)
+    assert first == trace_law(law)
     held["k"] = 3.0
-    assert written(law) != first
+    assert trace_law(law) != first
 
 
 @pytest.mark.parametrize(
@@ -94,4 +94,4 @@ def test_a_law_is_what_it_is_made_of_at_the_time():
 )
 def test_what_cannot_be_written_out_is_left(law):
     with pytest.raises(Untraceable):
-        written(law)
+        trace_law(law)

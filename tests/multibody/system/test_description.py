@@ -82,3 +82,12 @@ def test_two_drives_of_one_motion_are_named():
     joints = [mbd.Revolute(ground.at(), a.at()), *(mbd.Drive(ground, a, speed=s, name=f"motor_{s}") for s in (1, 2))]
     with pytest.raises(InputError, match=r"'motor_1: angle', 'motor_2: angle'"):
         mbd.System([a], joints).describe()
+
+
+@pytest.mark.parametrize("ask", [lambda system: system.describe(), lambda system: mbd.equilibrium(system).frequencies])
+def test_freedoms_without_inertia_are_named(ask):
+    """A rod without inertia about its axis, which a ball joint leaves free, has no vibrations."""
+    rod = mbd.RigidBody("rod", 1.0, (0.0, 0.1, 0.1), position=(0.5, 0, 0))
+    system = mbd.System([rod], [mbd.Spherical(mbd.Ground().at(), rod.at(-0.5, 0, 0))], gravity=(9.81, 0, 0))
+    with pytest.raises(InputError, match=r"no vibrations: .* without inertia .*; allowed: masses and inertias > 0"):
+        ask(system)

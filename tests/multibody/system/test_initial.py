@@ -357,7 +357,7 @@ def test_designs_whose_start_does_not_depend_on_the_design_share_it():
     assert first.shared_start is not None
     assert first.shared_start is second.shared_start
     assert first.condensed().shared_start is second.condensed().shared_start
-    for shared, own in zip(second.start, second.initial._closed(second), strict=True):
+    for shared, own in zip(second.start, second.initial._solve(second), strict=True):
         assert_close(shared, value(own), rtol=0, atol=1e-14)
     assert second.rank is first.rank
     assert second.condensed().rank is first.condensed().rank

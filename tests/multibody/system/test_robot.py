@@ -192,6 +192,8 @@ def test_locked_joints_are_fixed_at_their_positions(file):
     path, rate = file(*lines), {"j1": 1.5, "j2": -2.0}
     system = mbd.System.from_urdf(path, positions=Q, velocities=rate, locked=["j3"])
     assert [body.name for body in system.bodies] == ["link1", "link2"]
+    once = mbd.System.from_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))
+    assert [body.name for body in once.bodies] == ["link1", "link2"]
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
     _, wanted = Tree(path, ["j3"]).accelerations(Q, rate)
     np.testing.assert_allclose(motion.body("link2").omega_rate[0, 0], wanted["link2"][1], rtol=1e-10)

@@ -110,7 +110,7 @@ def test_a_lane_without_factors_is_nan_alone():
     row, column = (x.flatten().numpy() for x in torch.meshgrid(*[torch.arange(5)] * 2, indexing="ij"))
     columns = ColumnPattern.of(row, column, row * 5 + column, 5, 25)
     b = torch.randn(5, 2, 4, generator=generator, dtype=torch.float64)
-    x = Factors(K.flatten(1)[:, columns.place], None, columns).solve(b)
+    x = Factors(K.flatten(1)[:, columns.entry], None, columns).solve(b)
     assert x.isnan().flatten(0, 1).all(0).tolist() == [False, True, True, False]
     for lane in (0, 3):
         assert_close(K[lane] @ x[..., lane], b[..., lane])

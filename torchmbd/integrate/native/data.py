@@ -29,7 +29,7 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     lanes, n_b = dynamics.lanes, dynamics.tangents
     parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]
     T = dynamics.topology
-    varied = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
+    varied = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varying_primitives)
     parts.append(value(parts[0]).new_zeros(varied, 1, 1))
 
     def tangents(x: Any) -> Tensor:

@@ -139,7 +139,7 @@ class Feedback:
                 y if move is None else (all_ if all_.shape[1] == 1 else y).expand(-1, count).clone().requires_grad_()
                 for y, all_, move in zip(p, self.parameters, self.weight_tangents, strict=True)
             ]
-        found = [link.control.sloped(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
+        found = [link.control.with_jacobian(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
         _put(strengths, self.laws.strengths([u.detach() for u, _ in found]))
         _put(slopes, self.laws.slopes([J for _, J in found]))
         if what == _TANGENTS:
@@ -180,7 +180,7 @@ class FeedbackAdjoint:
         """Strengths and slopes at one time."""
         found, laws = [], self.laws
         for link, p, x in zip(laws.links, self.parameters, laws.inputs(signals, t), strict=True):
-            u, J = link.control.sloped(p[:0] if p.shape[1] == 1 else p, x, t)
+            u, J = link.control.with_jacobian(p[:0] if p.shape[1] == 1 else p, x, t)
             link.control.check_attached(u, p, t)
             found.append((u, J))
         self.outputs.append([u for u, _ in found])

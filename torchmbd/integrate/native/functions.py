@@ -84,7 +84,7 @@ class _Traced:
 
     def prescribed(self) -> Prescribed:
         """Drives and bodies of known motion at the end of a step."""
-        C = self.T.known
+        C = self.T.known_bodies
         A, r, t = self.uniform(3, 3, C, 1, 1), self.uniform(3, C, 1, 1), self.uniform()
         laws: list[tuple | None] = []
         for i, (kind, varies) in enumerate(self.kind.primitives):
@@ -337,8 +337,8 @@ def _rates(kind: Kind) -> str:
             n = Size(f"P{i}")
             parts = [Jet(*(s.uniform(n, 1, 1) for _ in range(3))) for _ in range(primitive.driven)]
             jets.append(tuple(parts) if parts else None)
-        eye = Array.input(p, "ground_A", (3, 3, T.known, 1, 1), kind="uniform")
-        origin = Array.input(p, "ground_r", (3, T.known, 1, 1), kind="uniform")
+        eye = Array.input(p, "ground_A", (3, 3, T.known_bodies, 1, 1), kind="uniform")
+        origin = Array.input(p, "ground_r", (3, T.known_bodies, 1, 1), kind="uniform")
         prescribed = Prescribed([d and tuple(jet.value for jet in d) for d in jets], eye, origin, t)
         z = Array.input(p, "z", (T.n_v + T.rows, 1, 1))
 

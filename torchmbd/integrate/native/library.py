@@ -44,7 +44,7 @@ from torchmbd.math.codegen.compiler import (
     unavailable,
 )
 from torchmbd.math.codegen.scalars import Untraceable
-from torchmbd.multibody.forces.user_laws import writable
+from torchmbd.multibody.forces.user_laws import native_law
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.process import cache_folder, require_cache_folder
@@ -209,7 +209,7 @@ def _path(name: str, kind: str) -> Path:
 def with_traced_laws(dynamics: Dynamics) -> Dynamics:
     """The same dynamics with laws of forces of a known form; raises Untraceable where there is one that cannot be."""
     old = dynamics.topology.actions
-    new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
+    new = tuple(replace(action, laws=tuple(native_law(law) for law in action.laws)) for action in old)
     if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
         return dynamics
     return replace(dynamics, topology=replace(dynamics.topology, actions=new))

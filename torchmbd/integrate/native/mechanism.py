@@ -68,7 +68,14 @@ class Mechanism:
 
     def _sizes(self) -> dict[str, int]:
         T, rows, actions = self.T, self.blocks.rows, self.blocks.actions
-        sizes = {"B": T.bodies, "F": T.flexible, "M": T.modes, "V": T.vectors, "W": T.attached_flexible, "C": T.known}
+        sizes = {
+            "B": T.bodies,
+            "F": T.flexible,
+            "M": T.modes,
+            "V": T.vectors,
+            "W": T.attached_flexible,
+            "C": T.known_bodies,
+        }
         sizes |= {"U": T.n_v, "E": _entries(T.spread), "G": _entries(T.gather)}
         sizes |= {f"P{i}": len(p.members[0]) for i, p in enumerate(T.primitives)}
         sizes |= {f"A{i}": len(some) for i, some in enumerate(self.groups.values())}

@@ -75,7 +75,7 @@ class RightHandSide:
 
     def __init__(self, dynamics: Dynamics):
         self.dynamics = dynamics
-        served = not (dynamics.redundant or dynamics.topology.varied)
+        served = not (dynamics.redundant or dynamics.topology.varying_primitives)
         code = library(dynamics, "rates") if served else None
         self.fast = None if code is None else CompiledRates(code, dynamics)
 

@@ -44,18 +44,18 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
 
 def varied_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, block, 1 + n_b, n, LANES]."""
-    if not T.varied:
+    if not T.varying_primitives:
         return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
     return torch.stack([blocks(x) for x in varied_numbers(T, schedule, lanes, n_b)])
 
 
 def varied_numbers(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, n, 1 + n_b, lanes]."""
-    if not T.varied:
+    if not T.varying_primitives:
         return schedule[0].A.new_zeros(len(schedule), 0, 1 + n_b, lanes)
 
     def numbers(prescribed: Prescribed) -> Tensor:
-        parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in prescribed.laws[i] or ()]
+        parts = [x.full if isinstance(x, Pair) else x for i in T.varying_primitives for x in prescribed.laws[i] or ()]
         wide = [torch.cat([x, x.new_zeros(len(x), 1 + n_b - x.shape[1], x.shape[2])], 1) for x in parts]
         return torch.cat([in_all_lanes(x, lanes) for x in wide])
 
@@ -71,5 +71,5 @@ def uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
 
 def without_varied(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:
     """Prescribed numbers without those of laws with design variables, which `varied_blocks` has."""
-    varied = T.varied
-    return [prescribed.shared(varied) for prescribed in schedule] if varied else schedule
+    varied = T.varying_primitives
+    return [prescribed.without_laws(varied) for prescribed in schedule] if varied else schedule

@@ -217,7 +217,7 @@ class SymbolicTopology:
         self.flexible = F if kind.flexible else 0
         self.modes = M if kind.flexible else 0
         self.attached_flexible = W if kind.attached_flexible else 0
-        self.vectors, self.known, self.prescribed_bodies = V, C, ()
+        self.vectors, self.known_bodies, self.prescribed_bodies = V, C, ()
         self.n_q, self.n_rates = 7 * B + self.modes * self.flexible, 6 * B + self.modes * self.flexible
         self.n_v = U if kind.condensed else self.n_rates
         self.vector_body, self.vector_origin = Table("vector_body", V), Table("vector_origin", V)
@@ -304,9 +304,9 @@ class _Beams:
     """beams.Beams with symbolic tables."""
 
     def __init__(self):
-        self.sum = SymbolicSegmentSum(Table("beam_groups", 4 * J), 2 * B)
+        self.body_sum = SymbolicSegmentSum(Table("beam_groups", 4 * J), 2 * B)
 
-    def pick(self, x: Any, dim: int) -> tuple[Any, Any]:
+    def select(self, x: Any, dim: int) -> tuple[Any, Any]:
         return x.index_select(dim, Table("beam_ends", J)), x.index_select(dim, Table("beam_ends", J, J))
 
 

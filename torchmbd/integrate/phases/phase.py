@@ -33,7 +33,7 @@ from torchmbd.integrate.phases.events import Event
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.multibody.forces.action import Action, Law
-from torchmbd.multibody.forces.laws import checked
+from torchmbd.multibody.forces.laws import check_law
 from torchmbd.multibody.joints import Drive, Joint
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.lock import Lock
@@ -172,7 +172,7 @@ def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tu
         own = [force for force in system.forces if force.name == name]
         if len(own) > 1 or len(list(own[0].actions(AttachmentTable()))) != 1:
             raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
-        checked(f"{name} in phase {phase}", law)
+        check_law(f"{name} in phase {phase}", law)
     for force in system.forces:
         for action in force.actions(AttachmentTable()):
             if force.name in laws:

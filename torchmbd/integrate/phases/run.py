@@ -214,7 +214,7 @@ class MultiphaseRun:
         n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         least = self.least_norm[number]
-        return lam if least is None or data is None else least.at_own_time(data, t, q, lam)
+        return lam if least is None or data is None else least.at_varying_time(data, t, q, lam)
 
     def _enter_lane(self, number: int, lane: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
         """The state of one lane after the switch into a phase; nan where it does not get there."""

@@ -44,7 +44,15 @@ from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
-from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
+from torchmbd.multibody.bodies.frame import (
+    Frame,
+    identifier,
+    rotation,
+    set_modal_start,
+    set_start,
+    set_velocities,
+    vector,
+)
 from torchmbd.multibody.bodies.interfaces import Interface, Interfaces
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
 from torchmbd.multibody.bodies.matrix_methods import MatrixMethods
@@ -134,7 +142,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.name = identifier("flexible body", name)
         self.mesh = mesh
         _check_parts(name, mesh, parts)
-        put(self, position, axes)
+        set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
         self.links = links = [*links, *rigid_links(mesh, rigid), *interfaces.links]
         self.parts = dict(parts)
@@ -155,7 +163,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         stiffens = true_or_false(f"stiffening of {name!r}", stiffening)
         self.stiffening = Stiffening(name, self.assembly) if stiffens else None
         self.damping = ModalDamping(name, damping)
-        bend(self, None, None)
+        set_modal_start(self, None, None)
         warn_mesh(name, self.assembly.parts.values())
 
     def _register(self, parts: Mapping[str, Part]) -> None:
@@ -342,13 +350,13 @@ class FlexibleBody(MatrixMethods, nn.Module):
     ) -> Self:
         """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
         [rad/s], kept as far as the joints allow; None: the smallest possible. Returns the body."""
-        move(self, velocity, angular_velocity)
+        set_velocities(self, velocity, angular_velocity)
         return self
 
     def bent(self, modal: Sequence[float] | Tensor | None = None, rate: Sequence[float] | Tensor | None = None) -> Self:
         """Give the modes initial coordinates and rates [modes], of the shapes that the body has in each design (`structure`);
         None: zero. A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
-        bend(self, modal, rate)
+        set_modal_start(self, modal, rate)
         return self
 
     def damped(self, ratio: float | Sequence[float]) -> Self:
@@ -362,8 +370,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
         """Stiffness of the freedoms that are free, of the first design without gradients, and the motion of all nodes
         [nodes, 6, k] out of displacements of these [N, k]; None for a body that was reduced elsewhere."""
-        if self.given is not None:
-            return self.given.flexibility()
+        if self.given_structure is not None:
+            return self.given_structure.flexibility()
         with torch.no_grad():
             K = self.assembly.stiffness()
 
@@ -379,8 +387,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; with stiffening also F1, F2 and, of
         `nodes`, "psi2" (stiffening.py). Leading axes are those of the laminate's parameters (designs).
         """
-        if self.given is not None:
-            return self.given.structure()
+        if self.given_structure is not None:
+            return self.given_structure.structure()
         points = self.assembly.masses()
         K, M = matrices(self.assembly, points)
         try:

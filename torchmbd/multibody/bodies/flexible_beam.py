@@ -22,7 +22,7 @@ from torchmbd.fem.exact_beam import ExactBeam
 from torchmbd.fem.exact_beam.half_elements import half_element_masses
 from torchmbd.fem.exact_beam.sections import ElementProperties
 from torchmbd.math.checked_numbers import nonnegative
-from torchmbd.multibody.bodies.frame import Frame, identifier, put, rotation, vector
+from torchmbd.multibody.bodies.frame import Frame, identifier, rotation, set_start, vector
 from torchmbd.multibody.bodies.rigid import RigidBody
 
 
@@ -117,7 +117,9 @@ class FlexibleBeam(ExactBeam):
             given = None if v is None and om is None else torch.zeros(3, dtype=torch.float64)
             if given is not None:
                 given = (given if v is None else v) + A @ torch.linalg.cross(given if om is None else om, x)
-            put(node, x0 + A @ x, A, given, om if om is not None or v is None else torch.zeros(3, dtype=torch.float64))
+            set_start(
+                node, x0 + A @ x, A, given, om if om is not None or v is None else torch.zeros(3, dtype=torch.float64)
+            )
             node.center = S / m
 
     def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:

@@ -1,9 +1,9 @@
 """Frames on bodies: the virtual bodies of the paper.
 
-A joint or a force sees a frame only: a point and axes attached to a body, whatever the body is. The massless rigid
-body of the paper (section 2.2, refs. 24-25), fixed rigidly to a node of a flexible body, is eliminated by the chain
-rule: with b the position of the node in the undeformed body, psi_t, psi_r the translation and rotation rows of its
-modes, w the modal coordinates, and e an axis of the frame,
+Joints and forces act on frames only: a point and axes attached to a body of any kind. The massless rigid body of the paper
+(section 2.2, refs. 24-25), fixed rigidly to a node of a flexible body, is eliminated by the chain rule: with b the position of
+the node in the undeformed body, psi_t, psi_r the translation and rotation rows of its modes, w the modal coordinates, and e an
+axis of the frame,
 
     point  r + A (b + psi_t w + (psi_r w) x d)          axis  A (e + (psi_r w) x e)
 
@@ -30,7 +30,7 @@ from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 
 
 class Body(Protocol):
-    """What a frame needs to know of its body."""
+    """What a frame needs of its body."""
 
     name: str
     position: Tensor
@@ -41,10 +41,10 @@ class Body(Protocol):
 class Frame:
     """A point and a triad of axes attached to a body; made by `body.at(...)`.
 
-    point   position in the undeformed body, in body axes [3] [m]; where coordinates vary, their first values
-    axes    columns: the axes of the frame in body axes [3, 3]
-    interpolation   mesh nodes that carry the frame; None on a rigid body
-    place   a module (Numbers of Point) with the coordinates of the point that vary; None: none does
+    point           position in the undeformed body, in body axes [3] [m]; of design variables, their first values
+    axes            columns: the axes of the frame in body axes [3, 3]
+    interpolation   mesh nodes whose motion the frame takes; None on a rigid body
+    varying_point   the point as a module (Numbers of Point) where coordinates are design variables; else None
 
     >>> body = mbd.RigidBody("tool", 0.2, (1e-4, 1e-4, 1e-4))
     >>> frame = body.at(0.02, 0, 0, axes=[[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # columns: its x is the body's y
@@ -56,7 +56,7 @@ class Frame:
     point: Tensor
     axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
     interpolation: InterpolationConstraint | None = None
-    place: Numbers | None = None
+    varying_point: Numbers | None = None
 
     def __post_init__(self) -> None:
         if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
@@ -73,9 +73,9 @@ class Frame:
             )
 
     @property
-    def present(self) -> Tensor:
-        """The point as it is now, without a gradient."""
-        return self.point if self.place is None else self.place().vector().detach()
+    def present_point(self) -> Tensor:
+        """The point in the present design [3], without a gradient."""
+        return self.point if self.varying_point is None else self.varying_point().vector().detach()
 
     def axis(self, name: str) -> Tensor:
         """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
@@ -83,7 +83,7 @@ class Frame:
 
     def __repr__(self) -> str:
         if self.interpolation is None:
-            where = ", ".join(f"{float(x):.6g}" for x in self.present)
+            where = ", ".join(f"{float(x):.6g}" for x in self.present_point)
         else:
             where = (
                 f"node {self.interpolation.nodes[0]}"
@@ -107,13 +107,13 @@ class Point:
 
 
 def frame_at(name: str, body: Any, given: tuple, axes: Sequence | Tensor | None) -> Frame:
-    """A frame at a point in body axes [m], coordinates of which may be variables; InputError names the argument."""
+    """A frame at a point in body axes [m], whose coordinates may be design variables; InputError names the argument."""
     allowed = "three finite numbers, or mbd.variable(...) of one"
-    point = numbers(name, [number(x) for x in given], allowed)
+    point = read_numbers(name, [number(x) for x in given], allowed)
     if point.shape != (3,) or not bool(torch.isfinite(point).all()):
         raise InputError(f"{name} is {given!r}; allowed: {allowed}")
-    place = Numbers(Point(*given)) if any(map(is_variable, given)) else None
-    return Frame(body, point, rotation("axes", axes), place=place)
+    varying = Numbers(Point(*given)) if any(map(is_variable, given)) else None
+    return Frame(body, point, rotation("axes", axes), varying_point=varying)
 
 
 def axis_index(name: str) -> int:
@@ -123,7 +123,7 @@ def axis_index(name: str) -> int:
     return "xyz".index(name)
 
 
-def numbers(name: str, x: Any, allowed: str) -> Tensor:
+def read_numbers(name: str, x: Any, allowed: str) -> Tensor:
     """Read numbers of any shape as a tensor of their own; InputError names the argument."""
     refuse_gradients(name, x, allowed)
     try:
@@ -134,7 +134,7 @@ def numbers(name: str, x: Any, allowed: str) -> Tensor:
 
 def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
     """Read three finite numbers as a vector [3]; InputError names the argument."""
-    result = numbers(name, x, "three finite numbers")
+    result = read_numbers(name, x, "three finite numbers")
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(f"{name} is {x!r}; allowed: three finite numbers")
     return result
@@ -146,8 +146,8 @@ def vector_or_parameter(name: str, x: Sequence[float] | Tensor) -> Tensor:
     return parameter(name, x) if isinstance(x, nn.Parameter) else result
 
 
-def keep(module: nn.Module, name: str, x: Tensor) -> None:
-    """Register a Parameter as one of the module, any other tensor as a buffer: both move with the module and are saved."""
+def register(module: nn.Module, name: str, x: Tensor) -> None:
+    """Register x as a parameter of the module if it is a Parameter, else as a buffer, in the place of an earlier x."""
     if name in module._parameters or name in module._buffers:
         delattr(module, name)
     (module.register_parameter if isinstance(x, nn.Parameter) else module.register_buffer)(name, x)  # pyright: ignore[reportCallIssue, reportArgumentType]
@@ -157,7 +157,7 @@ def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
     """Read a rotation matrix [3, 3]: columns are the axes of the body or frame; None is the identity."""
     if axes is None:
         return torch.eye(3, dtype=torch.float64)
-    A = numbers(name, axes, "a 3 x 3 rotation matrix with the axes as columns")
+    A = read_numbers(name, axes, "a 3 x 3 rotation matrix with the axes as columns")
     if A.shape != (3, 3):
         raise InputError(
             f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns"
@@ -178,48 +178,46 @@ def identifier(kind: str, name: str) -> str:
     return name
 
 
-def put(
+def set_start(
     body: nn.Module,
     position: Sequence[float] | Tensor,
     axes: Sequence | Tensor | None,
     velocity: Sequence[float] | Tensor | None = None,
     angular_velocity: Sequence[float] | Tensor | None = None,
 ) -> None:
-    """Give a body its approximate initial position and velocity; what is a Parameter is a design variable."""
-    keep(body, "position", vector_or_parameter(f"position of {body.name!r}", position))
-    keep(body, "axes", rotation(f"axes of {body.name!r}", axes))
-    move(body, velocity, angular_velocity)
+    """Set the approximate initial pose and velocities of a body; Parameters are design variables."""
+    register(body, "position", vector_or_parameter(f"position of {body.name!r}", position))
+    register(body, "axes", rotation(f"axes of {body.name!r}", axes))
+    set_velocities(body, velocity, angular_velocity)
 
 
 VELOCITIES = ("velocity", "angular_velocity")
 MODAL = ("modal", "modal_velocity")  # of flexible bodies
 
 
-def move(
+def set_velocities(
     body: Any, velocity: Sequence[float] | Tensor | None, angular_velocity: Sequence[float] | Tensor | None
 ) -> None:
-    """Give a body its initial velocities; what is None is zero, and follows from what the joints and other bodies ask."""
+    """Set the initial velocities of a body; None: zero, which joints and other bodies may change (system/initial.py)."""
     for key, x in zip(VELOCITIES, (velocity, angular_velocity), strict=True):
-        keep(body, key, vector_or_parameter(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
-    body.moves = tuple(x is not None for x in (velocity, angular_velocity))
+        register(body, key, vector_or_parameter(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
+    body.velocities_given = tuple(x is not None for x in (velocity, angular_velocity))
 
 
-def bend(body: Any, *given: Sequence[float] | Tensor | None) -> None:
-    """Give the modes of a flexible body initial coordinates and rates [modes]; None: zero."""
+def set_modal_start(body: Any, *given: Sequence[float] | Tensor | None) -> None:
+    """Set the initial modal coordinates and rates [modes] of a flexible body; None: zero."""
+    allowed = f"{body.modes} finite numbers, one for each mode, or a torch.nn.Parameter"
     for key, x in zip(MODAL, given, strict=True):
-        name, allowed = (
-            f"{key} of {body.name!r}",
-            f"{body.modes} finite numbers, one for each mode, or a torch.nn.Parameter",
-        )
+        name = f"{key} of {body.name!r}"
         plain = x.detach() if isinstance(x, nn.Parameter) else torch.zeros(body.modes) if x is None else x
-        found = numbers(name, plain, allowed)
-        if found.shape != (body.modes,) or not bool(torch.isfinite(found).all()):
+        values = read_numbers(name, plain, allowed)
+        if values.shape != (body.modes,) or not bool(torch.isfinite(values).all()):
             raise InputError(f"{name} is {x!r}; allowed: {allowed}")
-        keep(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else found)
-    body.bends = any(x is not None for x in given)
+        register(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else values)
+    body.has_modal_start = any(x is not None for x in given)
 
 
-def moves(body: Any) -> list[bool]:
+def given_velocities(body: Any) -> list[bool]:
     """Whether a body was given a velocity, and an angular velocity."""
-    own = (getattr(body, key) for key in VELOCITIES)
-    return [given or bool(x.any()) for given, x in zip(body.moves, own, strict=True)]
+    present = (getattr(body, key) for key in VELOCITIES)
+    return [given or bool(x.any()) for given, x in zip(body.velocities_given, present, strict=True)]

@@ -1,4 +1,4 @@
-"""Mass and stiffness matrices from outside as functions of the design: values on one pattern of all freedoms 6 * node + i.
+"""Given mass and stiffness matrices as functions of the design: values on one pattern of all freedoms 6 * node + i.
 
     M, K                                   numbers                                no design variables
     M, K, {name: (value, dM, dK)}          M + (b - value) dM, K + (b - value) dK       "rod.model.<name>"
@@ -28,17 +28,19 @@ from torchmbd.io.matrix_file import FileMatrix, read_matrix
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.variable import ParameterVector
-from torchmbd.multibody.bodies.matrix_modules import maker
+from torchmbd.multibody.bodies.matrix_modules import matrix_source
 
-SYMMETRY = 1e-9  # of the largest entry
+SYMMETRY = 1e-9  # largest unsymmetry, as a share of the largest entry
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class GivenMatrices:
     """M and K of a body; `now()` gives them for the present design, with lanes.
 
+    mesh       the nodes
     freedoms   number 6 * node + component of each row [N]
-    module     whose parameters are design variables; None: there are none
+    pattern    of M and K over all freedoms
+    module     the module whose parameters are design variables; None: there are none
     """
 
     def __init__(
@@ -53,30 +55,27 @@ class GivenMatrices:
         node_sets: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
         self.name = name
-        made = maker(name, M, K, derivatives, parameters)
-        first = (M, K) if made is None else made.start()
-        read = _aligned([_numbers(f"{key} of {name!r}", key, x) for key, x in zip("MK", first, strict=True)])
-        self.labels, places = _places(name, nodes, read)
-        self.freedoms = _freedoms(name, len(places), freedoms, read, self.labels)
-        size = 6 * len(places)
-        extra = [] if made is None else [x for x in made.changes() if x is not None]
-        changes = [_numbers(f"a derivative of {name!r}", "", x) for x in extra]
-        for found in (*read, *changes):
-            if found.matrix.shape != (len(self.freedoms),) * 2:
-                raise InputError(
-                    f"matrices of {name!r} have the shapes {', '.join(str(x.matrix.shape) for x in (*read, *changes))}; "
-                    f"allowed: {len(self.freedoms)} rows and columns, one for each freedom of {len(places)} nodes"
-                )
-        self.pattern, values = _common(self.freedoms, [x.matrix for x in (*read, *changes)], size)
-        own = isinstance(nodes, Mesh)
-        self.mesh: Mesh = nodes if own else NodeCloud(places, node_sets=node_sets or {}, lines=self._lines(places))
+        source = matrix_source(name, M, K, derivatives, parameters)
+        first = (M, K) if source is None else source.start()
+        read = _aligned([_read(f"{key} of {name!r}", key, x) for key, x in zip("MK", first, strict=True)])
+        labels, positions = _positions(name, nodes, read)
+        self.freedoms = _freedoms(name, len(positions), freedoms, read, labels)
+        further = [_read(f"a derivative of {name!r}", "", x) for x in ([] if source is None else source.further())]
+        matrices = [x.matrix for x in (*read, *further)]
+        if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
+            raise InputError(
+                f"matrices of {name!r} have the shapes {', '.join(str(x.shape) for x in matrices)}; "
+                f"allowed: {len(self.freedoms)} rows and columns, one for each freedom of {len(positions)} nodes"
+            )
+        self.pattern, values = _common_pattern(self.freedoms, matrices, 6 * len(positions))
+        self.mesh = mesh_of(name, nodes, positions, node_sets, self._lines(positions))
         self._values = [_symmetric(name, key, self.pattern, v) for key, v in zip(("M", "K"), values[:2], strict=True)]
         self.module: nn.Module | None = None
         self._variables: ParameterVector | None = None
-        if made is not None:
-            filled = iter(_symmetric(name, "a derivative", self.pattern, v) for v in values[2:])
-            own = made.on(self.pattern, self._values, self.freedoms, filled)
-            self.module, self._variables = made.registered, ParameterVector.of(own)
+        if source is not None:
+            symmetric = iter(_symmetric(name, "a derivative", self.pattern, v) for v in values[2:])
+            module = source.on_pattern(self.pattern, self._values, self.freedoms, symmetric)
+            self.module, self._variables = source.registered, ParameterVector.of(module)
 
     def now(self) -> tuple[SparseMatrix, SparseMatrix]:
         """M and K in the present design; both have the same lanes."""
@@ -89,70 +88,83 @@ class GivenMatrices:
         return torch.unique(torch.stack([i, j], 1)[i != j], dim=0)
 
     def _lines(self, x: Tensor) -> Tensor:
+        """The shortest of these pairs, three for each node, as lines of pictures."""
         pairs = self.pairs()
         pairs = pairs[pairs[:, 0] < pairs[:, 1]]
         length = (x[pairs[:, 0]] - x[pairs[:, 1]]).norm(dim=1)
         return pairs[torch.argsort(length)[: 3 * len(x)]]
 
 
-def _numbers(what: str, key: str, given: Any) -> FileMatrix:
-    """A matrix of numbers from whatever was given."""
+def mesh_of(
+    name: str, nodes: Any, positions: Tensor, node_sets: Mapping[str, Sequence[int]] | None, lines: Tensor | None = None
+) -> Mesh:
+    """`nodes` itself if it is a Mesh, else positions [n, 3] as one; InputError for node_sets beside a Mesh."""
+    if not isinstance(nodes, Mesh):
+        lines = torch.empty(0, 2, dtype=torch.long) if lines is None else lines
+        return NodeCloud(positions, node_sets=node_sets or {}, lines=lines)
+    if node_sets is not None:
+        raise InputError(f"node_sets of {name!r} are given beside a Mesh; allowed: those of the mesh, or nodes [n, 3]")
+    return nodes
+
+
+def _read(label: str, key: str, given: Any) -> FileMatrix:
+    """A matrix out of an array, a sparse matrix, or a file; `key` names it in messages of the file reader."""
     if isinstance(given, FileMatrix):
-        found = given
+        read = given
     elif isinstance(given, (str, Path)):
-        found = read_matrix(key or what, given)
+        read = read_matrix(key or label, given)
     elif scipy.sparse.issparse(given):
-        found = FileMatrix(scipy.sparse.csr_array(given, dtype=np.float64))
+        read = FileMatrix(scipy.sparse.csr_array(given, dtype=np.float64))
     else:
-        dense = reals(what, given)
+        dense = reals(label, given)
         if dense.dim() != 2:
-            raise InputError(f"{what} has shape {tuple(dense.shape)}; allowed: a square matrix")
-        found = FileMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
-    if not np.isfinite(found.matrix.data).all():
-        raise InputError(f"{what} has entries that are not finite; allowed: finite numbers")
-    return found
+            raise InputError(f"{label} has shape {tuple(dense.shape)}; allowed: a square matrix")
+        read = FileMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
+    if not np.isfinite(read.matrix.data).all():
+        raise InputError(f"{label} has entries that are not finite; allowed: finite numbers")
+    return read
 
 
 def _aligned(read: list[FileMatrix]) -> list[FileMatrix]:
-    """Matrices that tell their freedoms, over all that any of them has: those without mass stand in K only."""
-    if any(found.rows is None for found in read):
+    """Matrices whose files state their rows, over the rows of all of them: freedoms without mass are in K only."""
+    if any(x.rows is None for x in read):
         return read
-    rows = sorted({pair for found in read for pair in found.rows or ()})
+    rows = sorted({pair for x in read for pair in x.rows or ()})
     index = {pair: k for k, pair in enumerate(rows)}
     aligned = []
-    for found in read:
-        place = np.array([index[pair] for pair in found.rows or ()])
-        coo = found.matrix.tocoo()
+    for x in read:
+        number = np.array([index[pair] for pair in x.rows or ()])
+        coo = x.matrix.tocoo()
         shape = (len(rows), len(rows))
         aligned.append(
-            FileMatrix(scipy.sparse.csr_array((coo.data, (place[coo.row], place[coo.col])), shape=shape), rows)
+            FileMatrix(scipy.sparse.csr_array((coo.data, (number[coo.row], number[coo.col])), shape=shape), rows)
         )
     return aligned
 
 
-def _places(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int] | None, Float[Tensor, "n 3"]]:
-    """Labels of the nodes, if rows refer to them, and places [n, 3]."""
+def _positions(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int] | None, Float[Tensor, "n 3"]]:
+    """Labels of the nodes, if rows of the matrices refer to them, and positions [n, 3]."""
     if isinstance(nodes, Mapping):
         try:
             labels = sorted(int(label) for label in nodes)
-            places = np.array([list(nodes[label]) for label in labels], dtype=float).reshape(len(labels), 3)
+            positions = np.array([list(nodes[label]) for label in labels], dtype=float).reshape(len(labels), 3)
         except (TypeError, ValueError, KeyError):
             raise InputError(f"nodes of {name!r} are {nodes!r}; allowed: a number -> three coordinates") from None
-        return labels, reals(f"nodes of {name!r}", places)
+        return labels, reals(f"nodes of {name!r}", positions)
     x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes)
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
         raise InputError(f"nodes of {name!r} have shape {tuple(x.shape)}; allowed: [n, 3], or label -> place")
-    named = sorted({label for found in read if found.rows is not None for label, _ in found.rows})
-    if named and len(named) != len(x):
-        raise InputError(f"matrices of {name!r} refer to {len(named)} nodes; allowed: {len(x)}, the nodes given")
-    return named or None, x
+    labels = sorted({label for matrix in read if matrix.rows is not None for label, _ in matrix.rows})
+    if labels and len(labels) != len(x):
+        raise InputError(f"matrices of {name!r} refer to {len(labels)} nodes; allowed: {len(x)}, the nodes given")
+    return labels or None, x
 
 
 def _freedoms(
     name: str, n: int, given: Any, read: Sequence[FileMatrix], labels: list[int] | None
 ) -> Int[Tensor, " rows"]:
     """Number 6 * node + component of each row."""
-    rows = next((found.rows for found in read if found.rows is not None), None)
+    rows = next((matrix.rows for matrix in read if matrix.rows is not None), None)
     size = int(read[0].matrix.shape[0])  # pyright: ignore[reportOptionalSubscript]
     if rows is not None and given is None:
         index = {label: k for k, label in enumerate(labels or [])}
@@ -179,23 +191,23 @@ def _freedoms(
     return torch.tensor([6 * k + c for k, c in pairs], dtype=torch.long)
 
 
-def _common(freedoms: Tensor, matrices: Sequence[Any], size: int) -> tuple[Pattern, list[Tensor]]:
-    """The pattern of all entries and their mirror images, and the values of each matrix on it."""
+def _common_pattern(freedoms: Tensor, matrices: Sequence[Any], size: int) -> tuple[Pattern, list[Tensor]]:
+    """The symmetric pattern of the entries of all matrices, and the values of each on it."""
     entries = [matrix.tocoo() for matrix in matrices]
-    own = freedoms.numpy()
-    i = np.concatenate([own[e.row] for e in entries])
-    j = np.concatenate([own[e.col] for e in entries])
+    number = freedoms.numpy()
+    i = np.concatenate([number[e.row] for e in entries])
+    j = np.concatenate([number[e.col] for e in entries])
     pattern, position = Pattern.gather(np.concatenate([i, j]), np.concatenate([j, i]), size)
     positions = list(position[: len(i)].split([len(e.data) for e in entries]))
     values = [
-        torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, place, torch.from_numpy(np.array(e.data, float)))
-        for place, e in zip(positions, entries, strict=True)
+        torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, index, torch.from_numpy(np.array(e.data, float)))
+        for index, e in zip(positions, entries, strict=True)
     ]
     return pattern, values
 
 
 def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
-    """The values, symmetric to the last digit; InputError where they are not symmetric."""
+    """The values made exactly symmetric; InputError where they are not symmetric to SYMMETRY."""
     difference = (values - values[pattern.transposed]).abs()
     worst = int(difference.argmax()) if len(values) else 0
     if len(values) and float(difference[worst]) > SYMMETRY * float(values.abs().max()):
@@ -208,5 +220,5 @@ def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
 
 
 def freedom(k: int) -> str:
-    """What messages call a freedom."""
+    """Name of the freedom k = 6 * node + i in messages."""
     return f"node {k // 6} {COMPONENTS[k % 6]}"

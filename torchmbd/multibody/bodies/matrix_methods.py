@@ -12,8 +12,9 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
+from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.export import assembled, save_matrices
-from torchmbd.multibody.bodies.frame import bend, identifier, put
+from torchmbd.multibody.bodies.frame import identifier, set_modal_start, set_start
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices
 from torchmbd.multibody.bodies.matrix_structure import MatrixStructure
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
@@ -21,9 +22,12 @@ from torchmbd.multibody.bodies.reduced_structure import ReducedStructure, read_r
 
 
 class MatrixMethods:
-    """What a FlexibleBody can do with matrices; `given` is None for a body of elements."""
+    """Methods of FlexibleBody for matrices.
 
-    given: MatrixStructure | ReducedStructure | None = None
+    given_structure   the structure stage of a body of given matrices or modes; None: a body of elements
+    """
+
+    given_structure: MatrixStructure | ReducedStructure | None = None
     stiffening: Any = None
     mesh: Any
     origin: Any
@@ -51,19 +55,20 @@ class MatrixMethods:
 
         M, K         arrays, tensors, SciPy sparse matrices or files (Matrix Market, Nastran OP4 and DMIG text, Abaqus .mtx); or
                      M alone, a torch module, or a function of `parameters`, that returns both, dense [N, N]
-        nodes        places [n, 3] [m], label -> place, or a Mesh (for pictures and names)
-        modes        how many modes with the reference held, besides the constraint modes of `interface` (Craig-Bampton);
-                     or shapes [N, m] that the body deforms by
-        freedoms     3 or 6 for each node (None: what fits), or (node, "x" ... "rz") of each row
+        nodes        positions [n, 3] [m], label -> position, or a Mesh (for pictures and names)
+        modes        number of modes with the reference held, besides the constraint modes of `interface` (Craig-Bampton);
+                     or the shapes [N, m] of the modes
+        freedoms     3 or 6 for each node (None: by the size of M), or (node, "x" ... "rz") of each row
         derivatives  name -> (value, dM, dK): design variables "body.model.name"; None for a matrix that does not change
-        reference    nodes that the body frame is fixed to; None: the one nearest to the center of mass, and what else it takes
+        reference    nodes that the body frame is fixed to; None: the node nearest to the center of mass, with freedoms of
+                     others where it has no rotations
         options      position, axes, damping, as in `plate`
         Assumptions of inertia: fem/reduction/mass_invariants.py
-        Raises InputError: not symmetric, not positive definite, wrong size, forces for rigid motions. Warns of implausible
-        units.
+        Raises InputError for matrices that are not symmetric or not positive definite, have a wrong size, or resist rigid
+        motions. Warns of implausible units.
         """
-        made = GivenMatrices(name, M, K, nodes, freedoms, derivatives, parameters, node_sets)
-        return cls._of(name, MatrixStructure(made, modes, reference, reduction, interface, updated), **options)
+        matrices = GivenMatrices(name, M, K, nodes, freedoms, derivatives, parameters, node_sets)
+        return cls._of(name, MatrixStructure(matrices, modes, reference, reduction, interface, updated), **options)
 
     @classmethod
     def from_reduced(
@@ -80,7 +85,7 @@ class MatrixMethods:
     ) -> Self:
         """A body that was reduced elsewhere, of constant numbers (multibody/bodies/reduced_structure.py).
 
-        nodes        places from the origin of the body frame [n, 3] [m], a Mesh, or a file of `save_reduced` alone
+        nodes        positions from the origin of the body frame [n, 3] [m], a Mesh, or a file of `save_reduced` alone
         modes        at the nodes [n, 6, m], or [n, 3, m] without rotations
         Kr, Mr       reduced stiffness and mass [m, m]; Mr None: the trace of C1 + R2
         invariants   inertia invariants by their names
@@ -88,15 +93,22 @@ class MatrixMethods:
         options      position, axes, damping, as in `plate`
         """
         if isinstance(nodes, (str, Path)) and invariants is None:
+            given = {"modes": modes, "Kr": Kr, "Mr": Mr, "node_sets": node_sets, "K2": K2}
+            if beside := [key for key, x in given.items() if x is not None]:
+                raise InputError(
+                    f"{', '.join(beside)} of {name!r} given beside a file, which has them; allowed: a file alone"
+                )
             return cls._of(name, read_reduced(name, nodes), **options)
-        made = ReducedStructure(name, nodes, modes, Kr, {} if invariants is None else invariants, Mr, node_sets, K2)
-        return cls._of(name, made, **options)
+        structure = ReducedStructure(
+            name, nodes, modes, Kr, {} if invariants is None else invariants, Mr, node_sets, K2
+        )
+        return cls._of(name, structure, **options)
 
     @classmethod
     def _of(
         cls,
         name: str,
-        given: MatrixStructure | ReducedStructure,
+        structure: MatrixStructure | ReducedStructure,
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
         damping: float = 0.0,
@@ -104,17 +116,17 @@ class MatrixMethods:
         body: Any = cls.__new__(cls)
         nn.Module.__init__(body)
         body.name = identifier("flexible body", name)
-        body.given, body.mesh, body.parts, body.interfaces = given, given.mesh, {}, {}
-        put(body, position, axes)
-        body.reference, body.origin, body.modes = list(given.reference), given.origin, given.size
-        if given.module is not None:
-            body.add_module("model", given.module)
+        body.given_structure, body.mesh, body.parts, body.interfaces = structure, structure.mesh, {}, {}
+        set_start(body, position, axes)
+        body.reference, body.origin, body.modes = list(structure.reference), structure.origin, structure.size
+        if structure.module is not None:
+            body.add_module("model", structure.module)
         body.damping = ModalDamping(name, damping)
-        bend(body, None, None)
+        set_modal_start(body, None, None)
         return body
 
     def mass_and_stiffness(self) -> tuple[Any, Any]:
-        """M and K of all six freedoms of all nodes, none held, as SciPy sparse matrices (multibody/bodies/export.py)."""
+        """M and K of all six freedoms of all nodes, without supports, as SciPy sparse matrices (multibody/bodies/export.py)."""
         return assembled(self)
 
     def save_matrices(self, path: str | Path) -> tuple[Path, Path]:
@@ -122,6 +134,6 @@ class MatrixMethods:
         return save_matrices(self, path)
 
     def save_reduced(self, path: str | Path) -> Path:
-        """Write nodes, modes, Kr and invariants of the present design as .npz; from_reduced reads it, digit by digit."""
+        """Write nodes, modes, Kr and invariants of the present design as .npz; from_reduced reads the same digits."""
         with torch.no_grad():
             return save_reduced(path, self.mesh, self.origin, self.structure())

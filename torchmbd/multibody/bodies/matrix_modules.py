@@ -1,7 +1,7 @@
-"""What makes the mass and stiffness matrices of a design: changes that are linear in parameters, a torch module, a function.
+"""Mass and stiffness matrices as functions of the design: linear in parameters, by a torch module, or by a function.
 
-`start` gives the matrices of the first design, `changes` further ones that share their pattern, `on` the module that returns
-values on this pattern (given_matrices.py).
+`start` gives M and K of the first design, `further` other matrices whose entries the common pattern must contain, `on_pattern`
+the module that returns the values of M and K on this pattern (given_matrices.py); `registered` has the design variables.
 Checked in tests/multibody/bodies/test_from_matrices.py.
 """
 
@@ -21,22 +21,22 @@ from torchmbd.math.variable import variable
 
 
 class _Linear(nn.Module):
-    """Values that are linear in parameters."""
+    """M and K that are linear in parameters."""
 
     def __init__(self, name: str, M: Any, K: Any, derivatives: Mapping[str, tuple[Any, Any, Any]]) -> None:
         super().__init__()
         self.given, self.base = (M, K), {}
-        self._changes: list[Any] = []
+        self._derivatives: list[Any] = []
         for key, item in derivatives.items():
             if not isinstance(key, str) or not key.isidentifier() or hasattr(self, key):
                 raise InputError(f"derivatives of {name!r} has the name {key!r}; allowed: a Python identifier")
             if not isinstance(item, (tuple, list)) or len(item) != 3:
                 raise InputError(f"derivatives of {name!r}: {key!r} is {item!r}; allowed: (value, dM, dK)")
             value, dM, dK = item
-            own = value if isinstance(value, nn.Parameter) else variable(value)
-            self.base[key] = own.detach().clone()
-            self.register_parameter(key, own)
-            self._changes += [dM, dK]
+            parameter = value if isinstance(value, nn.Parameter) else variable(value)
+            self.base[key] = parameter.detach().clone()
+            self.register_parameter(key, parameter)
+            self._derivatives += [dM, dK]
 
     @property
     def registered(self) -> nn.Module:
@@ -45,13 +45,13 @@ class _Linear(nn.Module):
     def start(self) -> tuple[Any, Any]:
         return self.given
 
-    def changes(self) -> list[Any]:
-        return self._changes
+    def further(self) -> list[Any]:
+        return [x for x in self._derivatives if x is not None]
 
-    def on(self, pattern: Pattern, values: list[Tensor], freedoms: Tensor, filled: Any) -> nn.Module:
+    def on_pattern(self, pattern: Pattern, values: list[Tensor], freedoms: Tensor, further: Any) -> nn.Module:
         del pattern, freedoms
         self.values = values
-        self.slopes = [None if given is None else next(filled) for given in self._changes]
+        self.slopes = [None if x is None else next(further) for x in self._derivatives]
         return self
 
     def forward(self) -> tuple[Tensor, Tensor]:
@@ -79,36 +79,35 @@ class _Function(nn.Module):
         return self.f(**{key: getattr(self, key) for key in self.names})
 
 
-class _Made(nn.Module):
-    """Values of dense matrices that a module makes."""
+class _DenseMatrices(nn.Module):
+    """M and K out of the dense matrices that a module returns."""
 
     def __init__(self, name: str, module: nn.Module) -> None:
         super().__init__()
-        self.name, self.registered_module = name, [module]
-        self.module = module
+        self.name, self.module = name, module
 
     @property
     def registered(self) -> nn.Module:
-        return self.registered_module[0]
+        return self.module
 
     def start(self) -> tuple[Any, Any]:
         with torch.no_grad():
-            found = self.module()
-        right = isinstance(found, (tuple, list)) and len(found) == 2
-        if not right or not all(isinstance(x, Tensor) and x.dtype == torch.float64 and x.dim() == 2 for x in found):
-            raise InputError(f"the module of {self.name!r} returns {found!r}; allowed: M and K [N, N] in float64")
-        return tuple(found)
+            matrices = self.module()
+        pair = isinstance(matrices, (tuple, list)) and len(matrices) == 2
+        if not pair or not all(isinstance(x, Tensor) and x.dtype == torch.float64 and x.dim() == 2 for x in matrices):
+            raise InputError(f"the module of {self.name!r} returns {matrices!r}; allowed: M and K [N, N] in float64")
+        return tuple(matrices)
 
-    def changes(self) -> list[Any]:
-        # Entries that are zero in this design may not be in another one: all are kept.
+    def further(self) -> list[Any]:
+        # Entries that are zero in this design may not be zero in another: the pattern is full.
         M, _ = self.start()
         return [np.ones(M.shape)]
 
-    def on(self, pattern: Pattern, values: list[Tensor], freedoms: Tensor, filled: Any) -> nn.Module:
-        del values, filled
-        place = torch.full((pattern.size,), -1, dtype=torch.long)
-        place[freedoms] = torch.arange(len(freedoms))
-        self.rows, self.cols = place[pattern.rows], place[pattern.cols]
+    def on_pattern(self, pattern: Pattern, values: list[Tensor], freedoms: Tensor, further: Any) -> nn.Module:
+        del values, further
+        row = torch.full((pattern.size,), -1, dtype=torch.long)
+        row[freedoms] = torch.arange(len(freedoms))
+        self.rows, self.cols = row[pattern.rows], row[pattern.cols]
         return self
 
     def forward(self) -> tuple[Tensor, Tensor]:
@@ -116,10 +115,9 @@ class _Made(nn.Module):
         return tuple(0.5 * (x[self.rows, self.cols] + x[self.cols, self.rows]) for x in (M, K))  # pyright: ignore
 
 
-def maker(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) -> _Linear | _Made | None:
-    """What makes the matrices of a design; None for constants."""
-    makes = isinstance(M, nn.Module) or (callable(M) and not isinstance(M, Tensor))
-    if not makes:
+def matrix_source(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) -> _Linear | _DenseMatrices | None:
+    """The matrices as a function of the design, for arguments of `FlexibleBody.from_matrices`; None: they are constant."""
+    if not isinstance(M, nn.Module) and not (callable(M) and not isinstance(M, Tensor)):
         if K is None or parameters is not None:
             raise InputError(f"K of {name!r} is {K!r}, parameters {parameters!r}; allowed: matrices M and K")
         return _Linear(name, M, K, derivatives) if derivatives else None
@@ -127,5 +125,5 @@ def maker(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) -> _Line
         raise InputError(f"K and derivatives of {name!r} are given beside {M!r}; allowed: a module alone makes both")
     if isinstance(M, nn.Module) == (parameters is not None):
         raise InputError(f"parameters of {name!r} is {parameters!r}; allowed: those of a function, none for a module")
-    made: Any = M
-    return _Made(name, M if isinstance(M, nn.Module) else _Function(made, parameters))
+    function: Any = M
+    return _DenseMatrices(name, M if isinstance(M, nn.Module) else _Function(function, parameters))

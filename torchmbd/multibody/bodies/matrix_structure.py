@@ -1,13 +1,13 @@
 """The structure stage of a body whose mass and stiffness matrices are given (given_matrices.py).
 
-    M, K over all freedoms -> freedoms that are free -> modes psi, Kr -> inertia invariants of M
+    M, K over all freedoms -> rows of the free freedoms -> modes psi, Kr -> inertia invariants of M
 
-The body frame is fixed to the reference nodes, all their freedoms held; without a reference to the node nearest to the
-center of mass. Where that has no rotations, three of its freedoms and three of other nodes are held instead: they hold the
-body as a rigid one, statically determined. Given modes hold nothing: they are what the body deforms by.
+The body frame is fixed to the reference nodes, whose freedoms are all held; without a reference, to the node nearest to the
+center of mass. If that node has no rotations, its three displacements and three freedoms of other nodes are held, so that the
+body is supported statically determined. With given modes no freedom is held.
 
-Nodes without rotations in the matrices get those that fit the displacements of the nodes best to which K couples them (least
-squares): frames on such a node turn with them.
+Nodes without rotations in the matrices get rotations by a least-squares fit of the displacements of the nodes that K couples
+with them; frames on such a node turn with these.
 Checked in tests/multibody/bodies/test_from_matrices.py.
 """
 
@@ -31,8 +31,8 @@ from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
 from torchmbd.multibody.bodies.interpolation import node_indices
 
-RIGID = 1e-5  # forces of a rigid motion, relative to the sum of the sizes of their parts
-ISOTROPIC = 1e-6  # masses that a body has along the three axes, relative
+RIGID = 1e-5  # largest forces of a rigid motion, relative to the sum of the sizes of their terms
+ISOTROPIC = 1e-6  # largest relative difference of the masses along the three axes
 
 
 class MatrixStructure:
@@ -50,7 +50,7 @@ class MatrixStructure:
         interface: str | int | Sequence[str | int],
         updated: bool,
     ) -> None:
-        self.given, self.name, self.mesh, self.module = given, given.name, given.mesh, given.module
+        self.matrices, self.name, self.mesh, self.module = given, given.name, given.mesh, given.module
         updated = true_or_false(f"updated of {self.name!r}", updated)
         with torch.no_grad():
             M, K = given.now()
@@ -61,10 +61,8 @@ class MatrixStructure:
             self.origin = x[self.reference].mean(0)
             used = torch.zeros(M.size, dtype=torch.bool)
             used[given.freedoms] = True
-            loose = (
-                used & (_diagonal(K) == 0) & (_diagonal(M) == 0)
-            )  # as drilling rotations of a solver that drops them
-            used &= ~loose
+            empty = (_diagonal(K) == 0) & (_diagonal(M) == 0)  # such as drilling rotations of some programs
+            used &= ~empty
             self._rotations = FittedRotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
             self._held_rows = torch.tensor(held, dtype=torch.long)
             self.shapes = None if is_whole(modes) else self._given_shapes(modes)
@@ -76,26 +74,27 @@ class MatrixStructure:
                 raise InputError(
                     f"reduction and interface of {self.name!r} are given beside modes; allowed: one of both"
                 )
-            made = self.structure(fixed=False)
-        self.size = made["Kr"].shape[-1]
-        self._warn_units(made)
-        self._fixed = made if self.module is None else None
+            first = self._compute()
+        self.size = first["Kr"].shape[-1]
+        self._warn_units(first)
+        self._constant = first if self.module is None else None  # without design variables: that of all designs
 
-    def structure(self, fixed: bool = True) -> dict[str, Tensor]:
+    def structure(self) -> dict[str, Tensor]:
         """Invariants, "Kr" [..., m, m], "psi" [..., nodes, 6, m] of the present design."""
-        if fixed and self._fixed is not None:
-            return dict(self._fixed)
-        M, K = self.given.now()
+        return self._compute() if self._constant is None else dict(self._constant)
+
+    def _compute(self) -> dict[str, Tensor]:
+        M, K = self.matrices.now()
         vectors, Kr = self._basis(M, K)
         psi = self._rotations(vectors.unflatten(-2, (-1, 6)))
         return mass_invariants(self.mesh.nodes - self.origin, M, psi, self._arms) | {"Kr": Kr, "psi": psi}
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
-        """As of FlexibleBody; None where the modes are given, which hold nothing."""
+        """As of FlexibleBody; None where the modes are given, as no freedom is held then."""
         if self.shapes is not None:
             return None
         with torch.no_grad():
-            K = self.given.now()[1].restrict(self.free)
+            K = self.matrices.now()[1].restrict(self.free)
 
         def expand(u: Tensor) -> Tensor:
             full = u.new_zeros(6 * len(self.mesh.nodes), u.shape[-1]).index_copy(-2, self.free, u)
@@ -104,7 +103,7 @@ class MatrixStructure:
         return SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].detach(), symmetric=True), expand
 
     def _basis(self, M: SparseMatrix, K: SparseMatrix) -> tuple[Tensor, Tensor]:
-        """Modes [..., 6 n, m] and Kr."""
+        """Modes [..., 6 n, m] and Kr [..., m, m]."""
         if self.shapes is not None:
             Mr, Kr = (self.shapes.mT @ (A @ self.shapes) for A in (M, K))
             try:
@@ -121,7 +120,7 @@ class MatrixStructure:
         return full.index_copy(-2, self.free, basis.vectors), basis.stiffness
 
     def _prepare(self, M: SparseMatrix, K: SparseMatrix, modes: Any, kind: Any, interface: Any, updated: bool) -> None:
-        """Choose the reduction: as in reduced.py, of the freedoms that there are."""
+        """Choose the reduction as in reduced.py; InputError for its arguments and for singular matrices."""
         nodes = node_indices(self.mesh, interface)
         for node in nodes:
             if node in self.reference or nodes.count(node) > 1:
@@ -142,15 +141,15 @@ class MatrixStructure:
                     f"{freedom(int(bad[0]))} ({len(bad)} freedoms are so); allowed: mass and stiffness at every freedom"
                 )
         try:
-            found = with_whole_clusters(
+            reduction: Reduction = with_whole_clusters(
                 REDUCTIONS[kind](int(modes), tuple(rows), updated), K.restrict(self.free), M.restrict(self.free)
             )
         except InputError as error:
             raise InputError(
                 f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}"
             ) from None
-        self.reduction: Reduction = found
-        lowest = torch.linalg.eigvalsh(found(K.restrict(self.free), M.restrict(self.free)).stiffness)
+        self.reduction = reduction
+        lowest = torch.linalg.eigvalsh(reduction(K.restrict(self.free), M.restrict(self.free)).stiffness)
         scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())
         if not float(lowest[0]) > 1e-12 * scale:
             raise InputError(
@@ -159,9 +158,9 @@ class MatrixStructure:
             )
 
     def _check_rigid(self, M: SparseMatrix, K: SparseMatrix, rigid: Tensor) -> None:
-        """K gives no forces for rigid motions, and M the same mass along all axes."""
+        """InputError where K has forces for rigid motions, or M different masses along the axes."""
         used = torch.zeros(M.size, 1, dtype=torch.float64)
-        used[self.given.freedoms] = 1.0
+        used[self.matrices.freedoms] = 1.0
         rigid = rigid * used
         sizes = SparseMatrix(K.pattern, K.values.abs()) @ rigid.abs()
         share = ((K @ rigid).abs() / sizes.amax().clamp_min(1e-300)).amax(0)
@@ -179,16 +178,16 @@ class MatrixStructure:
             )
 
     def _held(self, M: SparseMatrix, reference: Any) -> tuple[list[int], list[int]]:
-        """Reference nodes and the held freedoms."""
+        """Reference nodes, and the freedoms that are held."""
         x = self.mesh.nodes
-        own = torch.zeros(M.size, dtype=torch.bool)
-        own[self.given.freedoms] = True
+        present = torch.zeros(M.size, dtype=torch.bool)
+        present[self.matrices.freedoms] = True
         rigid = rigid_motions(x - x.mean(0))
         size = float((x - x.mean(0)).norm(dim=1).max()) or 1.0
         rigid[:, 3:] /= size
         if reference is not None:
             nodes = node_indices(self.mesh, reference)
-            held = [6 * k + i for k in nodes for i in range(6) if own[6 * k + i]]
+            held = [6 * k + i for k in nodes for i in range(6) if present[6 * k + i]]
             if not nodes or torch.linalg.matrix_rank(rigid[held], rtol=1e-9) < 6:
                 raise InputError(
                     f"reference of {self.name!r} is {reference!r}, and does not hold the body; allowed: a node with "
@@ -199,16 +198,16 @@ class MatrixStructure:
         mass = float((T[:, 0] * (M @ T[:, :1])[:, 0]).sum())
         MR = T.mT @ (M @ moments[:, 3:])
         center = torch.stack([MR[1, 2] - MR[2, 1], MR[2, 0] - MR[0, 2], MR[0, 1] - MR[1, 0]]) / (2.0 * mass)
-        full = own.reshape(-1, 6)[:, :3].all(1)
+        full = present.reshape(-1, 6)[:, :3].all(1)
         if not full.any():
             raise InputError(f"nodes of {self.name!r}: none has three displacements; allowed: one at least")
         distance = (x - center).square().sum(1)
         distance[~full] = torch.inf
         node = int(distance.argmin())
-        if own[6 * node : 6 * node + 6].all():
+        if present[6 * node : 6 * node + 6].all():
             return [node], list(range(6 * node, 6 * node + 6))
         first = [6 * node + i for i in range(3)]
-        turning = rigid_motions(x - x[node])[:, 3:] / size * own[:, None]
+        turning = rigid_motions(x - x[node])[:, 3:] / size * present[:, None]
         _, R, order = scipy.linalg.qr(  # pyright: ignore[reportAssignmentType]
             turning.T.numpy(), mode="economic", pivoting=True
         )
@@ -219,20 +218,20 @@ class MatrixStructure:
     def _given_shapes(self, modes: Any) -> Float[Tensor, "6n m"]:
         """Given modes on all freedoms."""
         given = reals(f"modes of {self.name!r}", modes)
-        rows = len(self.given.freedoms)
+        rows = len(self.matrices.freedoms)
         if given.dim() != 2 or given.shape[0] != rows or not 0 < given.shape[1] <= rows:
             raise InputError(
                 f"modes of {self.name!r} have shape {tuple(given.shape)}; allowed: a number, or shapes [{rows}, m]"
             )
         full = torch.zeros(6 * len(self.mesh.nodes), given.shape[1], dtype=torch.float64)
-        full[self.given.freedoms] = given.detach()
+        full[self.matrices.freedoms] = given.detach()
         return full
 
-    def _warn_units(self, made: dict[str, Tensor]) -> None:
+    def _warn_units(self, structure: dict[str, Tensor]) -> None:
         x = self.mesh.nodes
         size = float((x.amax(0) - x.amin(0)).norm())
-        mass = float(made["mass"].reshape(-1)[0])
-        values = torch.linalg.eigvalsh(made["Kr"]).reshape(-1)
+        mass = float(structure["mass"].reshape(-1)[0])
+        values = torch.linalg.eigvalsh(structure["Kr"]).reshape(-1)
         if float(values[0]) <= 1e-12 * float(values[-1]):
             raise InputError(
                 f"modes of {self.name!r} contain one without stiffness (eigenvalues {float(values[0]):g} to "
@@ -240,8 +239,8 @@ class MatrixStructure:
             )
         first = math.sqrt(float(values[0])) / (2.0 * math.pi)
         density, sound = mass / size**3, first * size
-        wrong = not 2e-3 <= size <= 200.0 or not 1e-4 <= density <= 25_000.0 or not 1e-3 <= sound <= 3e4
-        if wrong:
+        implausible = not 2e-3 <= size <= 200.0 or not 1e-4 <= density <= 25_000.0 or not 1e-3 <= sound <= 3e4
+        if implausible:
             warn(
                 f"units of body {self.name!r}? It is {size:.3g} m long, weighs {mass:.3g} kg, and its first frequency "
                 f"is {first:.3g} Hz. Allowed: m, kg, s, N"

@@ -26,6 +26,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh import Mesh, NodeCloud
 from torchmbd.fem.reduction import modal_basis
 from torchmbd.math.checked_numbers import reals
+from torchmbd.multibody.bodies.given_matrices import mesh_of
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "mass": (),
@@ -40,11 +41,11 @@ SHAPES: dict[str, tuple[str | int, ...]] = {
 }
 _OPTIONAL = ("mu", "R1", "R2")
 _MESH = ("triangles", "quads", "lines")
-NORMAL = 1e-9
+NORMAL = 1e-9  # largest relative unsymmetry, and error of a modal mass that counts as the identity
 
 
 class ReducedStructure:
-    """Modes and invariants as they are given; arguments as of `FlexibleBody.from_reduced`."""
+    """Given modes and invariants, constant for all designs; arguments as of `FlexibleBody.from_reduced`."""
 
     module = None
     reference: Sequence[int] = ()
@@ -62,25 +63,25 @@ class ReducedStructure:
     ) -> None:
         self.name = name
         x = nodes.nodes if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes).detach()
-        self.mesh = nodes if isinstance(nodes, Mesh) else NodeCloud(x, node_sets=node_sets or {})
+        self.mesh = mesh_of(name, nodes, x, node_sets)
         self.origin = torch.zeros(3, dtype=torch.float64)
         psi = _shapes(name, len(x), modes)
         self.size = psi.shape[-1]
-        found = self._invariants(invariants)
-        stiffness = self._square("Kr", Kr)
+        structure = self._invariants(invariants)
+        stiffness = self._symmetric_matrix("Kr", Kr)
         if K2 is not None:
-            found["K2"] = self._cube(K2)
+            structure["K2"] = self._symmetric_cube(K2)
         if Mr is not None:
-            rest = self._square("Mr", Mr) - torch.einsum("iiab->ab", found["C1"] + found["R2"])
-            found["R2"] = found["R2"] + torch.eye(3, dtype=torch.float64)[:, :, None, None] * (rest / 3.0)
-        self._made = self._normal(found, stiffness, psi)
+            rest = self._symmetric_matrix("Mr", Mr) - torch.einsum("iiab->ab", structure["C1"] + structure["R2"])
+            structure["R2"] = structure["R2"] + torch.eye(3, dtype=torch.float64)[:, :, None, None] * (rest / 3.0)
+        self._structure = self._normalized(structure, stiffness, psi)
         self._check()
 
     def structure(self) -> dict[str, Tensor]:
         """Invariants, "Kr" and "psi"."""
-        return dict(self._made)
+        return dict(self._structure)
 
-    def _square(self, key: str, given: Any) -> Float[Tensor, "m m"]:
+    def _symmetric_matrix(self, key: str, given: Any) -> Float[Tensor, "m m"]:
         A = reals(f"{key} of {self.name!r}", given).detach()
         if A.shape != (self.size, self.size) or not bool(torch.isfinite(A).all()):
             raise InputError(
@@ -90,7 +91,7 @@ class ReducedStructure:
             raise InputError(f"{key} of {self.name!r} is not symmetric: {A.tolist()}; allowed: symmetric to 1e-9")
         return 0.5 * (A + A.T)
 
-    def _cube(self, given: Any) -> Float[Tensor, "m m m"]:
+    def _symmetric_cube(self, given: Any) -> Float[Tensor, "m m m"]:
         K2 = reals(f"K2 of {self.name!r}", given).detach()
         if K2.shape != (self.size,) * 3 or not bool(torch.isfinite(K2).all()):
             shape = tuple(K2.shape)
@@ -111,24 +112,24 @@ class ReducedStructure:
         for key in values:
             if key not in SHAPES:
                 raise unknown(f"invariant of {self.name!r}", key, [*SHAPES, "J"])
-        found = {}
-        for key, shape in SHAPES.items():
-            wanted = tuple(self.size if n == "m" else int(n) for n in shape)
+        invariants = {}
+        for key, axes in SHAPES.items():
+            shape = tuple(self.size if n == "m" else int(n) for n in axes)
             if key not in values and key not in _OPTIONAL:
                 raise InputError(f"invariants of {self.name!r} lack {key!r}; allowed: all of {', '.join(SHAPES)}")
-            own = reals(f"{key} of {self.name!r}", values.get(key, np.zeros(wanted))).detach()
-            if own.shape != wanted or not bool(torch.isfinite(own).all()):
-                raise InputError(f"{key} of {self.name!r} has shape {tuple(own.shape)}; allowed: {wanted}, finite")
-            found[key] = own
-        return found
+            x = reals(f"{key} of {self.name!r}", values.get(key, np.zeros(shape))).detach()
+            if x.shape != shape or not bool(torch.isfinite(x).all()):
+                raise InputError(f"{key} of {self.name!r} has shape {tuple(x.shape)}; allowed: {shape}, finite")
+            invariants[key] = x
+        return invariants
 
     def flexibility(self) -> None:
-        """As of FlexibleBody: there is no stiffness of all freedoms."""
+        """None: the stiffness of the freedoms of nodes is not known."""
         return None
 
-    def _normal(self, found: dict[str, Tensor], Kr: Tensor, psi: Tensor) -> dict[str, Tensor]:
-        """Coordinates whose modal mass is the identity."""
-        Mr = torch.einsum("iiab->ab", found["C1"] + found["R2"])
+    def _normalized(self, invariants: dict[str, Tensor], Kr: Tensor, psi: Tensor) -> dict[str, Tensor]:
+        """The structure in modal coordinates whose mass is the identity."""
+        Mr = torch.einsum("iiab->ab", invariants["C1"] + invariants["R2"])
         eye = torch.eye(self.size, dtype=torch.float64)
         if float((Mr - eye).abs().max()) > NORMAL:
             try:
@@ -137,19 +138,19 @@ class ReducedStructure:
                 raise InputError(f"modal mass of {self.name!r}, the trace of C1 + R2 or Mr: {error}") from None
             A, Kr = small
             psi = psi @ A
-            found |= {key: found[key] @ A for key in ("S1", "C0", "R1")}
-            found |= {key: A.T @ found[key] @ A for key in ("C1", "R2")}
-            if "K2" in found:
-                found["K2"] = torch.einsum("abc,ai,bj,ck->ijk", found["K2"], A, A, A)
-        return found | {"Kr": Kr, "psi": psi}
+            invariants |= {key: invariants[key] @ A for key in ("S1", "C0", "R1")}
+            invariants |= {key: A.T @ invariants[key] @ A for key in ("C1", "R2")}
+            if "K2" in invariants:
+                invariants["K2"] = torch.einsum("abc,ai,bj,ck->ijk", invariants["K2"], A, A, A)
+        return invariants | {"Kr": Kr, "psi": psi}
 
     def _check(self) -> None:
-        made = self._made
-        P0 = made["P0"]
-        J = (P0.trace() + made["mu"]) * torch.eye(3, dtype=torch.float64) - P0
+        structure = self._structure
+        P0 = structure["P0"]
+        J = (P0.trace() + structure["mu"]) * torch.eye(3, dtype=torch.float64) - P0
         lowest = {
-            "mass": float(made["mass"]),
-            "Kr": float(torch.linalg.eigvalsh(made["Kr"])[0]),
+            "mass": float(structure["mass"]),
+            "Kr": float(torch.linalg.eigvalsh(structure["Kr"])[0]),
             "inertia about the origin": float(torch.linalg.eigvalsh(0.5 * (J + J.T))[0]),
         }
         for key, value in lowest.items():
@@ -169,16 +170,16 @@ def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
     return torch.cat([psi, psi.new_zeros(n, 6 - psi.shape[1], psi.shape[2])], dim=1)
 
 
-def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str, Tensor]) -> Path:
+def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping[str, Tensor]) -> Path:
     """Write a reduced body to an .npz file; nodes are measured from the origin of its frame."""
     path = Path(path)
     if path.suffix != ".npz":
         raise InputError(f"path = {str(path)!r}; allowed: a name that ends in .npz")
-    if "F1" in made:
+    if "F1" in structure:
         raise InputError("the body has stiffening, which no file of reduced bodies holds; allowed: stiffening=False")
-    if made["Kr"].dim() > 2:
-        raise InputError(f"the body has {made['Kr'].shape[0]} designs at once; allowed: one")
-    arrays = {key: made[key].detach().numpy() for key in (*SHAPES, "Kr", "psi", "K2") if key in made}
+    if structure["Kr"].dim() > 2:
+        raise InputError(f"the body has {structure['Kr'].shape[0]} designs at once; allowed: one")
+    arrays = {key: structure[key].detach().numpy() for key in (*SHAPES, "Kr", "psi", "K2") if key in structure}
     arrays["nodes"] = (mesh.nodes - origin).detach().numpy()
     lines = getattr(mesh, "elements", None)
     cells = {"lines": lines} if lines is not None else {key: getattr(mesh, key) for key in _MESH}
@@ -190,7 +191,7 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str,
 
 
 def read_reduced(name: str, path: str | Path) -> ReducedStructure:
-    """Read what `save_reduced` wrote. InputError where the file is another."""
+    """Read a file of `save_reduced`; InputError for other files."""
     if not Path(path).is_file():
         raise InputError(f"nodes of {name!r} is {str(path)!r}; allowed: a file of save_reduced that exists, or numbers")
     try:
@@ -199,8 +200,8 @@ def read_reduced(name: str, path: str | Path) -> ReducedStructure:
         sets = json.loads(str(data["node_sets"]))
         cells: dict[str, Any] = {key: torch.from_numpy(data[key]).long() for key in _MESH if key in data}
         mesh = NodeCloud(torch.from_numpy(data["nodes"]), node_sets=sets, **cells)
-        own = {key: data[key] for key in SHAPES}
-        return ReducedStructure(name, mesh, data["psi"], data["Kr"], own, K2=data.get("K2"))
+        invariants = {key: data[key] for key in SHAPES}
+        return ReducedStructure(name, mesh, data["psi"], data["Kr"], invariants, K2=data.get("K2"))
     except (
         KeyError,
         ValueError,

@@ -18,7 +18,15 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter, positive
 from torchmbd.math.plausible_units import GYRATION, warn_unusual
-from torchmbd.multibody.bodies.frame import Frame, frame_at, identifier, keep, numbers, put, vector_or_parameter
+from torchmbd.multibody.bodies.frame import (
+    Frame,
+    frame_at,
+    identifier,
+    read_numbers,
+    register,
+    set_start,
+    vector_or_parameter,
+)
 
 
 class Ground:
@@ -89,14 +97,16 @@ class RigidBody(nn.Module):
         self.name = identifier("rigid body", name)
         varies = isinstance(mass, nn.Parameter)
         m = positive(f"mass of {name!r}", mass.detach() if varies else mass, "kg")
-        put(self, position, axes, velocity, angular_velocity)
+        set_start(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
         self._principal = isinstance(inertia, nn.Parameter) and inertia.dim() == 1
         radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
         warn_unusual(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
-        keep(self, "mass", _scalar(name, mass) if varies else torch.tensor(m, dtype=torch.float64))
-        keep(self, "center", vector_or_parameter(f"center of {name!r}", center))
-        keep(self, "inertia", parameter(f"inertia of {name!r}", inertia) if isinstance(inertia, nn.Parameter) else J)
+        register(self, "mass", _scalar(name, mass) if varies else torch.tensor(m, dtype=torch.float64))
+        register(self, "center", vector_or_parameter(f"center of {name!r}", center))
+        register(
+            self, "inertia", parameter(f"inertia of {name!r}", inertia) if isinstance(inertia, nn.Parameter) else J
+        )
 
     def at(
         self,
@@ -141,7 +151,9 @@ def _scalar(name: str, mass: nn.Parameter) -> nn.Parameter:
 
 def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
     allowed = "three numbers or a symmetric 3 x 3 matrix [kg m2]"
-    J = numbers(f"inertia of {name!r}", inertia.detach() if isinstance(inertia, nn.Parameter) else inertia, allowed)
+    J = read_numbers(
+        f"inertia of {name!r}", inertia.detach() if isinstance(inertia, nn.Parameter) else inertia, allowed
+    )
     J = torch.diag(J) if J.shape == (3,) else J
     if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
         raise InputError(f"inertia of {name!r} is {inertia!r}; allowed: {allowed}")

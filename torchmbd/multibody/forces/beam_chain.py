@@ -18,7 +18,7 @@ from torchmbd.multibody.joints.joint import AttachmentTable
 class BeamChain(ForceElement):
     """Of one beam; made by the System."""
 
-    of_law: ClassVar[bool] = False
+    variables_in_laws: ClassVar[bool] = False
 
     def __init__(self, beam: FlexibleBeam):
         super().__init__(tuple(node.at() for node in beam.node_bodies), beam.name)

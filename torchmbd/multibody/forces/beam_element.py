@@ -13,6 +13,7 @@ Checked in tests/multibody/forces/test_beam_element.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -45,6 +46,8 @@ class BeamElement(ForceElement):
     >>> rest.body("tip").r[0, 0].round(decimals=4).tolist()  # an arc of half a radian [m]
     [0.4794, 0.1224, 0.0]
     """
+
+    variables_in_laws: ClassVar[bool] = False
 
     def __init__(self, a: Frame, b: Frame, stiffness: Sequence | Tensor, damping: float = 0.0, name: str | None = None):
         super().__init__((a, b), name)
@@ -107,7 +110,7 @@ def _check(name: str, frame: Frame) -> None:
     allowed = "frames of rigid bodies without design variables, and of the ground"
     if frame.interpolation is not None:
         raise InputError(f"{name!r} ends at {frame!r}, on a flexible body; allowed: {allowed}")
-    if frame.place is not None or isinstance(frame.body.position, nn.Parameter):
+    if frame.varying_point is not None or isinstance(frame.body.position, nn.Parameter):
         raise InputError(f"{name!r} ends at {frame!r}, whose place varies with the design; allowed: {allowed}")
 
 

@@ -15,8 +15,8 @@ from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.forces.action import Along, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import Spring, numbers
-from torchmbd.multibody.joints.joint import AttachmentTable, others
+from torchmbd.multibody.forces.laws import Spring, expand_numbers
+from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
 
 class Bushing(ForceElement):
@@ -56,14 +56,14 @@ class Bushing(ForceElement):
     def _springs(self, kind: str, *given: Any) -> list[Any]:
         """The laws of the three axes: of stiffness and damping."""
         labels = [f"{kind}stiffness", f"{kind}damping"]
-        k, c = (numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, given, strict=True))
+        k, c = (expand_numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, given, strict=True))
         result = []
         for i, axis in enumerate("xyz"):
             own = [
                 label if x is one else f"{label}_{axis}"
                 for label, x, one in zip(labels, (k[i], c[i]), given, strict=True)
             ]
-            result.append(self.varying.law(Spring(k[i], c[i]), stiffness=own[0], damping=own[1]))
+            result.append(self.law_variables.law(Spring(k[i], c[i]), stiffness=own[0], damping=own[1]))
         return result
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
@@ -72,7 +72,7 @@ class Bushing(ForceElement):
             if along != Spring():
                 yield Applied(Along, (attachments.point(a), attachments.point(b), attachments.axis(a, axis)), along)
             if about != Spring():
-                x, y = others(axis)
+                x, y = other_axes(axis)
                 yield Applied(
                     Turn, (attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)), about
                 )

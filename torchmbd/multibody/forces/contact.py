@@ -20,7 +20,7 @@ from torchmbd.multibody.forces.action import Along, Spin, Turn
 from torchmbd.multibody.forces.contact_law import ContactControl, ContactNumbers, PlaneControl, StopControl
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.joints.joint import AttachmentTable, others
+from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
 MOST_TURN = 2.0 * math.pi - 0.2  # [rad] between the limits of an angle, which is known up to a turn
 
@@ -125,7 +125,7 @@ class RotationalStop(_Stop):
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
-        x, y = others(self.axis)
+        x, y = other_axes(self.axis)
         vectors = attachments.axis(a, x), attachments.axis(a, y), attachments.axis(b, x)
         yield Applied(Turn, vectors, self._port(self.middle))
 
@@ -172,10 +172,12 @@ class PlaneContact(_Contact):
         axis_index(normal)
         self.normal = normal
         given = {"radius": radius, "stiffness": stiffness, "damping": damping, "exponent": exponent}
-        self.rubs = not _zero(friction)
-        self.rolls = self.rubs and not _zero(radius)
-        given |= {"friction": friction, "speed": speed} if self.rubs else {}
-        self.control = PlaneControl(self.name, ContactNumbers(self.name, given), self.rubs, self.rolls, self.between)
+        self.has_friction = not _zero(friction)
+        self.rolls = self.has_friction and not _zero(radius)
+        given |= {"friction": friction, "speed": speed} if self.has_friction else {}
+        self.control = PlaneControl(
+            self.name, ContactNumbers(self.name, given), self.has_friction, self.rolls, self.between
+        )
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
@@ -183,9 +185,9 @@ class PlaneContact(_Contact):
         yield Applied(
             Along, (*points, attachments.axis(a, self.normal)), Port(self.control, ((0, False), (1, True)), 0)
         )
-        if not self.rubs:
+        if not self.has_friction:
             return
-        axes = [attachments.axis(a, axis) for axis in others(self.normal)]
+        axes = [attachments.axis(a, axis) for axis in other_axes(self.normal)]
         for k, axis in enumerate(axes):
             yield Applied(Along, (*points, axis), Port(self.control, ((2 + k, True),), 1 + k))
         if self.rolls:

@@ -35,7 +35,7 @@ _LEAST = {"exponent": 1.0, "damping": 0.0, "friction": 0.0, "radius": 0.0}
 _STILL = 1e-9  # of the speed of friction: sliding slower than this has no direction
 
 
-class Pressed(NamedTuple):
+class NormalForce(NamedTuple):
     """The force of contact, and its derivatives by penetration and rate of penetration."""
 
     force: Tensor
@@ -43,7 +43,7 @@ class Pressed(NamedTuple):
     by_rate: Tensor
 
 
-def pressed(p: Mapping[str, Any], depth: Tensor, rate: Tensor) -> Pressed:
+def normal_force(p: Mapping[str, Any], depth: Tensor, rate: Tensor) -> NormalForce:
     """By stiffness, exponent and damping."""
     k, n, c = p["stiffness"], p["exponent"], p["damping"]
     inside = depth > 0.0
@@ -52,7 +52,7 @@ def pressed(p: Mapping[str, Any], depth: Tensor, rate: Tensor) -> Pressed:
     share = 1.0 + c * rate
     loss = torch.clamp_min(share, 0.0)
     by_depth = torch.where(inside, k * n * d ** (n - 1.0), 0.0) * loss
-    return Pressed(spring * loss, by_depth, torch.where(share > 0.0, spring * c, torch.zeros_like(spring)))
+    return NormalForce(spring * loss, by_depth, torch.where(share > 0.0, spring * c, torch.zeros_like(spring)))
 
 
 class ContactNumbers(nn.Module):
@@ -116,7 +116,7 @@ class ContactControl(Control):
         numbers = self.numbers(p)
         return x.new_zeros(self.outputs, x.shape[1]) if self._apart(numbers, x) else self.strengths(numbers, x)
 
-    def sloped(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+    def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
         """As of Control."""
         numbers, lanes = self.numbers(p), x.shape[1]
         if self._apart(numbers, x):
@@ -132,9 +132,9 @@ class ContactControl(Control):
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
         """As of Control."""
-        return self.slopes(self.numbers(self._weights(x, data)[:, 0]), x[:, 0]).movedim(-1, 0)
+        return self.slopes(self.numbers(self._parameters(x, data)[:, 0]), x[:, 0]).movedim(-1, 0)
 
-    def _every(self, t: Any, one: Any = None) -> Any:
+    def _over_lanes(self, t: Any, one: Any = None) -> Any:
         return lambda p, x: self.strengths(self.numbers(p), x)
 
 
@@ -147,12 +147,12 @@ class StopControl(ContactControl):
 
     def strengths(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
         """As of ContactControl."""
-        parts = [sign * pressed(p, -gap, -rate).force for sign, gap, rate in self._each(p, x)]
+        parts = [sign * normal_force(p, -gap, -rate).force for sign, gap, rate in self._each(p, x)]
         return sum(parts[1:], parts[0])[None]
 
     def slopes(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
         """As of ContactControl."""
-        parts = [pressed(p, -gap, -rate) for _, gap, rate in self._each(p, x)]
+        parts = [normal_force(p, -gap, -rate) for _, gap, rate in self._each(p, x)]
         by = [-sum((y[k] for y in parts[1:]), parts[0][k]) for k in (1, 2)]
         return torch.stack(by)[None]
 
@@ -174,14 +174,14 @@ class PlaneControl(ContactControl):
     outputs   force along the normal; with friction forces along the axes, of a sphere also torques about them
     """
 
-    def __init__(self, name: str, module: ContactNumbers, rubs: bool, rolls: bool, what: str):
-        super().__init__(name, module, 2 + 2 * rubs + 2 * rolls, 1 + 2 * rubs + 2 * rolls, what)
-        self.rubs, self.rolls = rubs, rolls
+    def __init__(self, name: str, module: ContactNumbers, has_friction: bool, rolls: bool, what: str):
+        super().__init__(name, module, 2 + 2 * has_friction + 2 * rolls, 1 + 2 * has_friction + 2 * rolls, what)
+        self.has_friction, self.rolls = has_friction, rolls
 
     def strengths(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
         """As of ContactControl."""
-        force = pressed(p, p["radius"] - x[0], -x[1]).force
-        if not self.rubs:
+        force = normal_force(p, p["radius"] - x[0], -x[1]).force
+        if not self.has_friction:
             return force[None]
         u = self._sliding(p, x)
         first, second = (-p["friction"] * force * self._share(p, u)[0] * y for y in u)
@@ -190,9 +190,9 @@ class PlaneControl(ContactControl):
 
     def slopes(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
         """As of ContactControl."""
-        found = pressed(p, p["radius"] - x[0], -x[1])
+        found = normal_force(p, p["radius"] - x[0], -x[1])
         normal = torch.stack([-found.by_depth, -found.by_rate])
-        if not self.rubs:
+        if not self.has_friction:
             return normal[None]
         u, r = self._sliding(p, x), p["radius"]
         share, falling = self._share(p, u)

@@ -41,9 +41,9 @@ class Control:
 
     def __call__(self, x: Any, t: Any, data: Mapping[str, Any]) -> Any:
         """u [outputs, pair, lanes] of x [inputs, pair, lanes] at time t."""
-        both = [self._weights(x, data), x]
+        both = [self._parameters(x, data), x]
         plain = [value(y)[:, 0] for y in both]
-        every = self._every(t)
+        every = self._over_lanes(t)
         found = every(*plain)
         self.check_attached(found, plain[0], t)
         moving = [i for i, y in enumerate(both) if isinstance(y, Pair) and len(plain[i])]
@@ -66,10 +66,10 @@ class Control:
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
         """u [outputs, lanes] of parameters [k, lanes or 1], k = 0: its own, and x [inputs, lanes]."""
-        return self._every(t)(p, x)
+        return self._over_lanes(t)(p, x)
 
     @torch.enable_grad()
-    def sloped(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+    def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
         """The same with the graph of the parameters, and du/dx [outputs, inputs, lanes]."""
         x = x.detach().clone().requires_grad_()
         u = self.at(p, x, t)
@@ -84,14 +84,14 @@ class Control:
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
         """du/dx [lanes or 1, outputs, inputs] of plain numbers."""
-        every = self._every(t, torch.func.jacfwd(self._one(t), argnums=1))
-        return every(self._weights(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
+        every = self._over_lanes(t, torch.func.jacfwd(self._one_lane(t), argnums=1))
+        return every(self._parameters(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
 
-    def _weights(self, x: Any, data: Mapping[str, Any]) -> Any:
+    def _parameters(self, x: Any, data: Mapping[str, Any]) -> Any:
         """Parameters [k, pair, lanes]; k = 0 of a module without."""
         return x[:0] if self.variables is None else data[law_key(self.name)]
 
-    def _one(self, t: Any) -> Callable[[Tensor, Tensor], Tensor]:
+    def _one_lane(self, t: Any) -> Callable[[Tensor, Tensor], Tensor]:
         """u [outputs] of one lane: parameters [k] and x [inputs]."""
 
         def one(p: Tensor, x: Tensor) -> Tensor:
@@ -102,9 +102,9 @@ class Control:
 
         return one
 
-    def _every(self, t: Any, one: Any = None) -> Callable[[Tensor, Tensor], Tensor]:
+    def _over_lanes(self, t: Any, one: Any = None) -> Callable[[Tensor, Tensor], Tensor]:
         """A function of one lane on parameters [k, lanes] and x [inputs, lanes]; one lane holds for all."""
-        one = one or self._one(t)
+        one = one or self._one_lane(t)
 
         def every(p: Tensor, x: Tensor) -> Tensor:
             if p.shape[1] == x.shape[1] == 1:

@@ -18,7 +18,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
-from torchmbd.multibody.forces.parametric_law import Varying
+from torchmbd.multibody.forces.parametric_law import LawVariables
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 
@@ -36,7 +36,7 @@ class ForceElement:
     of_law   whether its design variables are numbers of laws, data under its name
     """
 
-    of_law: ClassVar[bool] = True
+    variables_in_laws: ClassVar[bool] = True
 
     def __init__(self, frames: tuple[Any, ...], name: str | None = None):
         kind = type(self).__name__
@@ -52,12 +52,12 @@ class ForceElement:
         self.frames: tuple[Frame, ...] = frames
         self.measured: tuple[Frame, ...] = ()  # frames that it reads only
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
-        self.varying = Varying(self.name)
+        self.law_variables = LawVariables(self.name)
 
     @property
     def variables(self) -> ParameterVector | None:
         """Design variables, parameters of the system by the element's name; None: there are none."""
-        return self.varying.variables
+        return self.law_variables.variables
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         """Yield the actions of the element."""

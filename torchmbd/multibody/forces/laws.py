@@ -248,12 +248,12 @@ VARIABLES = (
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 
 
-def checked(name: str, law: object) -> object:
+def check_law(name: str, law: object) -> object:
     """The law, tried once; InputError names its force element."""
     if not callable(law):
         raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
-    found = tried(name, law, zero, zero, zero[0, 0, 0])
+    found = evaluate_law(name, law, zero, zero, zero[0, 0, 0])
     if not isinstance(found, Tensor) or found.shape != zero.shape or not bool(torch.isfinite(found).all()):
         raise InputError(
             f"law of {name!r} gives {found!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
@@ -261,7 +261,7 @@ def checked(name: str, law: object) -> object:
     return law
 
 
-def tried(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
+def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     """What a law of the user gives; InputError where it raises, or has variables that would not be differentiated."""
     refuse_lost_gradients(f"law of {name!r}", law, VARIABLES)
     try:
@@ -273,7 +273,7 @@ def tried(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     return found
 
 
-def numbers(name: str, x: Any, count: int) -> list[Any]:
+def expand_numbers(name: str, x: Any, count: int) -> list[Any]:
     """`count` finite numbers, or one for all; any may be a design variable."""
     one = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
     given: Any = [x] * count if one else x

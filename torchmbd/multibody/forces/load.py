@@ -14,7 +14,7 @@ from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Push, Twist
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import OfTime, Scaled, checked, numbers, tried
+from torchmbd.multibody.forces.laws import OfTime, Scaled, check_law, evaluate_law, expand_numbers
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
@@ -29,7 +29,9 @@ class _Load(ForceElement):
             raise InputError(f"axes of {self.name!r} is {axes!r}; allowed: 'ground', 'frame'")
         self.axes = axes
         parts = _parts(self.name, vector)
-        self.laws = [checked(self.name, self.varying.in_time(x, axis)) for axis, x in zip("xyz", parts, strict=True)]
+        self.laws = [
+            check_law(self.name, self.law_variables.law_of_time(x, axis)) for axis, x in zip("xyz", parts, strict=True)
+        ]
 
     def _axis(self, attachments: AttachmentTable, axis: str) -> int:
         return attachments.axis(Ground().at() if self.axes == "ground" else self.frames[0], axis)
@@ -39,8 +41,8 @@ def _parts(name: str, vector: Any) -> list[Any]:
     """The three components of a vector of numbers, of a function of time, or of Scaled of one."""
     given: Any = vector.law if isinstance(vector, Scaled) else vector
     if not callable(given):
-        return numbers(f"vector of {name!r}", given, 3)
-    found = tried(name, given, torch.zeros((), dtype=torch.float64))
+        return expand_numbers(f"vector of {name!r}", given, 3)
+    found = evaluate_law(name, given, torch.zeros((), dtype=torch.float64))
     if not isinstance(found, Tensor) or found.shape != (3,) or not bool(torch.isfinite(found).all()):
         raise InputError(
             f"vector of {name!r} gives {found!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [3]"

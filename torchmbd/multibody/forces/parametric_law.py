@@ -45,7 +45,7 @@ class ParametricLaw:
         return replace(self.law, **{field: numbers[i : i + 1] for field, i in self.rows})
 
 
-class Varying:
+class LawVariables:
     """The numbers that vary in the laws of the force `name`."""
 
     def __init__(self, name: str):
@@ -62,7 +62,7 @@ class Varying:
         law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in own.items()})
         return ParametricLaw(law_key(self.name), rows, law) if rows else law
 
-    def in_time(self, x: Any, label: str, size: float = 1.0) -> Any:
+    def law_of_time(self, x: Any, label: str, size: float = 1.0) -> Any:
         """The law size x(t) of a number, a variable called `label`, a function of time, or Scaled of one."""
         if isinstance(x, Scaled):
             return self.law(Scaled(x.factor, OfTime(x.law, size)))

@@ -23,7 +23,7 @@ from torchmbd.multibody.bodies.frame import Frame, vector
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Push
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import Scaled, checked
+from torchmbd.multibody.forces.laws import Scaled, check_law
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 _NOTHING = 1e-12  # share of the largest component of area
@@ -62,7 +62,10 @@ class Pressure(ForceElement):
         self.follows = direction is None
         self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
         super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
-        self.laws = [checked(self.name, self.varying.in_time(pressure, "pressure", area)) for _, _, area in self.parts]
+        self.laws = [
+            check_law(self.name, self.law_variables.law_of_time(pressure, "pressure", area))
+            for _, _, area in self.parts
+        ]
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         for (frame, axis, _), law in zip(self.parts, self.laws, strict=True):

@@ -24,7 +24,7 @@ from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Along, Push, Turn, Twist
 from torchmbd.multibody.joints.cylindrical import Cylindrical
-from torchmbd.multibody.joints.joint import AttachmentTable, others
+from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 from torchmbd.multibody.joints.laws import finite
 from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
@@ -85,7 +85,7 @@ class JointAngle(_OfJoint):
 
     def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
         a, b = self.frames
-        x, y = others(self.joint.axis)
+        x, y = other_axes(self.joint.axis)
         vectors = attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)
         return (Coordinate(Turn, vectors, self._rate, self.center),)
 

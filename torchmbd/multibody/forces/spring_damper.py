@@ -16,8 +16,8 @@ from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Law, Length, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import Spring, checked
-from torchmbd.multibody.joints.joint import AttachmentTable, others
+from torchmbd.multibody.forces.laws import Spring, check_law
+from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
 
 class _Between(ForceElement):
@@ -35,12 +35,12 @@ class _Between(ForceElement):
     ):
         super().__init__((a, b), name)
         numbers: Any = (stiffness, damping, rest)  # of which some may vary
-        spring = self.varying.law(Spring(*numbers))
+        spring = self.law_variables.law(Spring(*numbers))
         if law is not None and spring != Spring():
             raise InputError(f"{self.name!r} has a law and stiffness, damping or rest; allowed: the one or the others")
         if law is None and spring == Spring(rest=getattr(spring, "rest", 0.0)):
             raise InputError(f"{self.name!r} has neither law nor stiffness nor damping; allowed: at least one of them")
-        self.law = checked(self.name, spring if law is None else self.varying.law(law))
+        self.law = check_law(self.name, spring if law is None else self.law_variables.law(law))
 
 
 class SpringDamper(_Between):
@@ -110,5 +110,5 @@ class RotationalSpringDamper(_Between):
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
-        x, y = others(self.axis)
+        x, y = other_axes(self.axis)
         yield Applied(Turn, (attachments.axis(a, x), attachments.axis(a, y), attachments.axis(b, x)), self.law)

@@ -42,7 +42,7 @@ _TORCH: dict[str, Callable[..., Tensor]] = {
 
 
 @dataclass(frozen=True)
-class Written:
+class TracedLaw:
     """A law as operations on numbers 0 (s), 1 (s'), 2 (t), 3, 4, ...
 
     operations  name and arguments of number 3 and all that follow: numbers, or the value of a "constant"
@@ -73,33 +73,33 @@ class Written:
         return [numbers[i] for i in self.outputs]
 
 
-def known(law: Any) -> bool:
+def is_library_law(law: Any) -> bool:
     """Whether a law is of this library, with nothing of the user's own in it."""
     if isinstance(law, (ParametricLaw, Scaled)):
-        return known(law.law)
-    return type(law) in (Written, *LAWS) and not callable(getattr(law, "law", None))
+        return is_library_law(law.law)
+    return type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None))
 
 
-def writable_part(law: Any) -> Any:
+def traceable_part(law: Any) -> Any:
     """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
     if isinstance(law, (ParametricLaw, Scaled)):
-        return replace(law, law=writable_part(law.law))
-    return law if known(law) else written(law)
+        return replace(law, law=traceable_part(law.law))
+    return law if is_library_law(law) else trace_law(law)
 
 
-def writable(law: Any) -> Any:
+def native_law(law: Any) -> Any:
     """The same, or a law to be called back; Untraceable for one with design variables that can be neither."""
-    if isinstance(law, Port) or known(law):
+    if isinstance(law, Port) or is_library_law(law):
         return law
     if isinstance(law, ParametricLaw):
-        return writable_part(law)
+        return traceable_part(law)
     try:
-        return writable_part(law)
+        return traceable_part(law)
     except Untraceable:
-        return Port(CalledLaw(law), ((0, False), (1, True)), 0, center=float(getattr(law, "center", 0.0)))
+        return Port(CallbackLaw(law), ((0, False), (1, True)), 0, center=float(getattr(law, "center", 0.0)))
 
 
-class CalledLaw(Control):
+class CallbackLaw(Control):
     """A law as if it were a controller: of (s, s', t), of all lanes at once. It has no parameters."""
 
     def __init__(self, law: Callable[..., Tensor]):
@@ -118,14 +118,14 @@ class CalledLaw(Control):
             raise InputError(f"{self.label} gives {shown} at t = {float(t):.6g} s; allowed: {s.dtype} {list(s.shape)}")
         return f[0]
 
-    def sloped(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+    def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
         """As of Control."""
         s, rate = x[:2, None, None]
         by = law_slopes(self.law, s, rate, t)
         return self.at(p, x, t), torch.stack([*(y.expand(1, 1, x.shape[1])[0, 0] for y in by), x[2] * 0.0])[None]
 
 
-def written(law: Any) -> Written:
+def trace_law(law: Any) -> TracedLaw:
     """A law as scalar operations; Untraceable, with the reason, if it cannot be written out."""
     own = getattr(law, "slopes", None)
 
@@ -148,7 +148,7 @@ def written(law: Any) -> Written:
     return result
 
 
-def _same(law: Callable[..., tuple[Tensor, ...]], found: Written) -> bool:
+def _same(law: Callable[..., tuple[Tensor, ...]], found: TracedLaw) -> bool:
     """Whether two laws agree, with the slopes that are stated, at random points small and large.
 
     One that leaves torch for a moment would be traced as a constant.
@@ -165,7 +165,7 @@ def _same(law: Callable[..., tuple[Tensor, ...]], found: Written) -> bool:
     return True
 
 
-def _numbered(tape: Tape, outputs: list[int], center: float) -> Written:
+def _numbered(tape: Tape, outputs: list[int], center: float) -> TracedLaw:
     """The operations that the outputs need, in their order on the tape, with numbers of their own."""
     needed, stack = set(), list(outputs)
     while stack:
@@ -182,4 +182,4 @@ def _numbered(tape: Tape, outputs: list[int], center: float) -> Written:
         number[node] = len(_INPUTS) + len(operations)
         operations.append((op, args if op == "constant" else tuple(number[a] for a in args)))
     f, by_s, by_rate = (number[node] for node in outputs)
-    return Written(tuple(operations), (f, by_s, by_rate), center)
+    return TracedLaw(tuple(operations), (f, by_s, by_rate), center)

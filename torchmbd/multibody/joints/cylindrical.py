@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -27,6 +27,6 @@ class Cylindrical(Joint):
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         points = attachments.point(self.a), attachments.point(self.b)
         slide = attachments.coincident_axis(self.a, self.axis, self.b)
-        for normal in others(self.axis):
+        for normal in other_axes(self.axis):
             yield Equation(Plane, (*points, attachments.axis(self.a, normal)))
             yield Equation(Perpendicular, (attachments.axis(self.a, normal), slide))

@@ -15,7 +15,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.plausible_units import warn_degrees
 from torchmbd.math.variable import ParameterVector
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, other_axes
 from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, finite
 from torchmbd.multibody.joints.parametric_law import ParametricDrive
 from torchmbd.multibody.joints.primitive import Angle, Law, Travel
@@ -81,7 +81,7 @@ class Drive(Joint):
             points = attachments.coincident_point(self.b, self.a), attachments.point(self.b)
             yield Equation(Travel, (*points, attachments.axis(self.a, self.axis)), self.law)
         else:
-            x, y = others(self.axis)
+            x, y = other_axes(self.axis)
             axes = (
                 attachments.axis(self.a, x),
                 attachments.axis(self.a, y),

@@ -1,6 +1,6 @@
-"""What a joint is: a list of constraint primitives between the frames of two bodies.
+"""The base class of joints: a joint is a list of constraint primitives between the frames of two bodies.
 
-A joint names its equations once, at the given initial positions of the bodies; it holds no numbers of the motion:
+A joint states its equations once, at the given initial positions of the bodies; it has no state of the motion:
 
     class Revolute(Joint):
         def equations(self, attachments):
@@ -45,18 +45,18 @@ class Attached:
     vector: Tensor
     interpolation: InterpolationConstraint | None
     is_point: bool
-    place: Numbers | None = None  # coordinates that vary
+    varying_point: Numbers | None = None  # as of Frame
 
     @property
     def varies(self) -> bool:
         """Whether it depends on the design."""
         on_nodes = self.is_point and self.interpolation is not None and varying_nodes(self.body.mesh)
-        return on_nodes or self.place is not None
+        return on_nodes or self.varying_point is not None
 
     def now(self) -> Tensor:
         """The vector in the present design [*lanes, 3]."""
-        if self.place is not None:
-            return self.place().vector()
+        if self.varying_point is not None:
+            return self.varying_point().vector()
         if self.interpolation is None or not self.varies:
             return self.vector
         return (
@@ -66,7 +66,7 @@ class Attached:
         )
 
     def modal_rows(self, psi: Tensor) -> Tensor:
-        """How the vector moves with the modes: rows [..., 3, modes] out of the motion psi [..., nodes, 6, modes]."""
+        """Derivative of the vector by the modal coordinates [..., 3, modes], out of mode shapes psi [..., nodes, 6, modes]."""
         if self.interpolation is None:
             return torch.zeros_like(psi[..., 0, :3, :])
         x = self.body.mesh.nodes - self.body.origin
@@ -76,19 +76,18 @@ class Attached:
         return moved[..., :3, :] + turned if self.is_point else turned
 
     def quadratic_rows(self, psi: Tensor, psi2: Tensor, nodes: Sequence[int]) -> Tensor:
-        """How the rows of `modal_rows` change with the modes: [..., 3, modes, modes], symmetric.
+        """Second derivative of the vector by the modal coordinates [..., 3, modes, modes], symmetric.
 
-        psi2   displacements and rotations of second order (bodies/stiffening.py) of some nodes [..., k, 6, modes, modes]
-        nodes  which these are
+        psi2   displacements and rotations of second order (bodies/stiffening.py) of `nodes` [..., k, 6, modes, modes]
+        nodes  k nodes, among which are those of the interpolation
         """
         if self.interpolation is None:
             return torch.zeros_like(psi2[..., 0, :3, :, :])
         x = self.body.mesh.nodes - self.body.origin
-        own = [list(nodes).index(k) for k in self.interpolation.nodes]
-        here = InterpolationConstraint(tuple(range(len(own))), self.interpolation.weights)
-        moved = here.motion(x[list(self.interpolation.nodes)], psi2[..., own, :, :, :].flatten(-2)).unflatten(
-            -1, psi2.shape[-2:]
-        )
+        members = list(self.interpolation.nodes)
+        index = [list(nodes).index(k) for k in members]
+        local = InterpolationConstraint(tuple(range(len(index))), self.interpolation.weights)
+        moved = local.motion(x[members], psi2[..., index, :, :, :].flatten(-2)).unflatten(-1, psi2.shape[-2:])
         lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
         turn = moved[..., 3:, :, :]
         turned = torch.linalg.cross(turn, lever[:, None, None].expand_as(turn), dim=-3)
@@ -101,7 +100,7 @@ class AttachmentTable:
     """Collects the attached vectors of all joints and forces; equal ones are stored once."""
 
     vectors: list[Attached] = field(default_factory=list)
-    _known: dict[tuple, int] = field(default_factory=dict)
+    _index: dict[tuple, int] = field(default_factory=dict)
 
     def _add(
         self,
@@ -109,31 +108,31 @@ class AttachmentTable:
         vector: Tensor,
         interpolation: InterpolationConstraint | None,
         is_point: bool,
-        place: Numbers | None = None,
+        varying_point: Numbers | None = None,
     ) -> int:
-        key = (id(body), interpolation, is_point, tuple(vector.tolist()), id(place))
-        if key not in self._known:
-            self._known[key] = len(self.vectors)
-            self.vectors.append(Attached(body, vector, interpolation, is_point, place))
-        return self._known[key]
+        key = (id(body), interpolation, is_point, tuple(vector.tolist()), id(varying_point))
+        if key not in self._index:
+            self._index[key] = len(self.vectors)
+            self.vectors.append(Attached(body, vector, interpolation, is_point, varying_point))
+        return self._index[key]
 
     def point(self, frame: Frame) -> int:
         """Index of the frame's point."""
-        return self._add(frame.body, frame.present, frame.interpolation, True, frame.place)
+        return self._add(frame.body, frame.present_point, frame.interpolation, True, frame.varying_point)
 
     def axis(self, frame: Frame, axis: str) -> int:
         """Index of an axis of the frame."""
         return self._add(frame.body, frame.axis(axis), frame.interpolation, False)
 
     def coincident_axis(self, frame: Frame, axis: str, other: Frame) -> int:
-        """Index of the axis on the other body that coincides now with an axis of the first frame."""
+        """Index of the axis on the other body that coincides with an axis of the first frame at the given positions."""
         ground = frame.body.axes @ frame.axis(axis)
         return self._add(other.body, other.body.axes.T @ ground, other.interpolation, False)
 
     def coincident_point(self, frame: Frame, other: Frame) -> int:
-        """Index of the point on the other body that coincides now with the point of the first frame."""
+        """Index of the point on the other body that coincides with the point of the first frame at the given positions."""
         varying = any(f.interpolation is not None and varying_nodes(f.body.mesh) for f in (frame, other))
-        if frame.place is not None or varying:
+        if frame.varying_point is not None or varying:
             raise InputError(
                 f"{frame!r} has coordinates that vary, but a displacement is measured from where it is at the given positions; "
                 "allowed: numbers"
@@ -178,10 +177,8 @@ class Joint:
         return None
 
     def common_axis(self, axis: str) -> str:
-        """The letter of an axis that both bodies share; a second frame with axes of its own must agree to 0.1 rad.
-
-        A second frame without axes agrees with anything: `coincident_axis` is taken.
-        """
+        """The letter of an axis of frame a, checked: a second frame with axes of its own must have it in the same direction, to
+        0.1 rad. On the second body joints use `coincident_axis`."""
         axis_index(axis)
         a, b = self.a, self.b
         one, other = a.body.axes @ a.axis(axis), b.body.axes @ b.axis(axis)
@@ -200,14 +197,14 @@ def _shown(direction: Tensor) -> str:
     return f"({', '.join(f'{x:.3g}' for x in direction.tolist())})"
 
 
-def others(axis: str) -> tuple[str, str]:
+def other_axes(axis: str) -> tuple[str, str]:
     """The two axes that follow an axis in the right-handed order: "x" -> ("y", "z")."""
     k = axis_index(axis)
     return "xyz"[(k + 1) % 3], "xyz"[(k + 2) % 3]
 
 
 def as_frame(x: Any) -> Frame:
-    """A frame, or the origin of a body where a joint acts on directions only."""
+    """A frame as it is, or the frame at the origin of a body, for joints that need directions only."""
     if isinstance(x, Frame):
         return x
     if hasattr(x, "mesh"):

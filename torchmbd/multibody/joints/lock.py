@@ -93,7 +93,7 @@ def _phi(joint: Joint, twist: Tensor) -> Tensor:
     attachments = AttachmentTable()
     equations = list(joint.equations(attachments))
     axes = joint.a.body.axes @ joint.a.axes
-    origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.present
+    origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.present_point
     shift, turn = axes @ twist[:3], axes @ twist[3:]
 
     def ground(x: Attached) -> Tensor:

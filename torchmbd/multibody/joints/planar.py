@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -29,5 +29,5 @@ class Planar(Joint):
             Plane, (attachments.point(self.a), attachments.point(self.b), attachments.axis(self.a, self.normal))
         )
         upright = attachments.coincident_axis(self.a, self.normal, self.b)
-        for axis in others(self.normal):
+        for axis in other_axes(self.normal):
             yield Equation(Perpendicular, (attachments.axis(self.a, axis), upright))

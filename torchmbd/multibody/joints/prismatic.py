@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -25,7 +25,7 @@ class Prismatic(Joint):
         self.axis = self.common_axis(axis)
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
-        y, z = others(self.axis)
+        y, z = other_axes(self.axis)
         points = attachments.point(self.a), attachments.point(self.b)
         slide = attachments.coincident_axis(self.a, self.axis, self.b)
         for normal in (y, z):

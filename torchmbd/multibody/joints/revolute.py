@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
@@ -27,5 +27,5 @@ class Revolute(Joint):
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))
         hinge = attachments.coincident_axis(self.a, self.axis, self.b)
-        for normal in others(self.axis):
+        for normal in other_axes(self.axis):
             yield Equation(Perpendicular, (attachments.axis(self.a, normal), hinge))

@@ -36,7 +36,7 @@ class SupportedBody:
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
         if not isinstance(body, FlexibleBody):
             raise InputError(f"body of buckling is {body!r}; allowed: a FlexibleBody")
-        if body.given is not None:
+        if body.given_structure is not None:
             raise InputError(
                 f"body {body.name!r} of buckling is made of matrices, which give no stress; allowed: one of elements"
             )

@@ -1,4 +1,4 @@
-"""The arrangement of a system: bodies, joints and forces in the order of the unknowns (topology.py), as index tensors.
+"""The topology of given bodies, joints and forces: their order among the unknowns (topology.py), and the index tensors.
 
 Checked in tests/multibody/system/.
 """
@@ -26,26 +26,26 @@ from torchmbd.multibody.system.topology import Topology
 
 
 def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[ForceElement] = ()) -> Topology:
-    """Order the bodies, scribe all joints and forces and make the index tensors."""
+    """The topology of a system; InputError for joints and forces on bodies that are not among `bodies`."""
     order = sorted(bodies, key=lambda body: not hasattr(body, "mesh"))
     number = {id(body): i for i, body in enumerate(order)}
     flexible = sum(hasattr(body, "mesh") for body in order)
     ground = len(order)
     attachments = AttachmentTable()
-    equations = [(joint, equation) for joint in joints for equation in _checked(joint, attachments, number)]
-    applied = [action for force in forces for action in _acting(force, attachments, number)]
+    equations = [(joint, equation) for joint in joints for equation in _equations(joint, attachments, number)]
+    applied = [action for force in forces for action in _actions(force, attachments, number)]
     ends = [pair for force in forces for pair in force.beams(attachments)]
-    bends = [number.get(id(x.body), ground) < flexible for x in attachments.vectors]
-    arrangement = sorted(range(len(bends)), key=lambda i: not bends[i])
-    position = {old: new for new, old in enumerate(arrangement)}
-    attached = tuple(attachments.vectors[i] for i in arrangement)
+    on_flexible = [number.get(id(x.body), ground) < flexible for x in attachments.vectors]
+    vector_order = sorted(range(len(on_flexible)), key=lambda i: not on_flexible[i])
+    position = {old: new for new, old in enumerate(vector_order)}
+    attached = tuple(attachments.vectors[i] for i in vector_order)
     body_of = [number.get(id(x.body), ground) for x in attached]
-    own = tuple(body.modes for body in order[:flexible])
+    own_modes = tuple(body.modes for body in order[:flexible])
     primitives, rows, row_joints = _group(equations, position)
     actions = _group_actions(applied, position)
     beams = [position[pair[k]] for k in range(2) for pair in ends]
     names = [body.name for body in order]
-    return assemble(names, own, attached, body_of, primitives, rows, row_joints, actions, beams=beams)
+    return assemble(names, own_modes, attached, body_of, primitives, rows, row_joints, actions, beams=beams)
 
 
 def assemble(
@@ -61,13 +61,17 @@ def assemble(
     rates: Tensor | None = None,
     beams: Sequence[int] = (),
 ) -> Topology:
-    """Make the index tensors. body_of: body of each attached vector, prescribed bodies after the bodies; flexible bodies
-    first; beams: attached points of the starts of beam elements, then of their ends."""
+    """The topology of named bodies, flexible ones first, with its index tensors.
+
+    body_of   number of the body of each attached vector; known bodies are counted after the bodies
+    beams     attached points of the starts of all beam elements, then of their ends
+    Others as of `Topology`.
+    """
     n, flexible, ground = len(names), len(own_modes), len(names) + len(prescribed_bodies)
     argument_vectors, action_vectors = (
         [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
     )
-    bent = [body for body in body_of if body < flexible]
+    vector_flexible = [body for body in body_of if body < flexible]
     force_of = [body if x.is_point and body < n else -1 for x, body in zip(attached, body_of, strict=True)]
     torque_of = [n + body if body < n else -1 for body in body_of]
     return Topology(
@@ -76,19 +80,19 @@ def assemble(
         modes=max(own_modes, default=0),
         own_modes=own_modes,
         attached=attached,
-        attached_flexible=len(bent),
+        attached_flexible=len(vector_flexible),
         vector_body=torch.tensor(body_of, dtype=torch.long),
         vector_origin=torch.tensor(
             [b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long
         ),
-        vector_flexible=torch.tensor(bent, dtype=torch.long),
+        vector_flexible=torch.tensor(vector_flexible, dtype=torch.long),
         primitives=primitives,
         argument_vectors=torch.tensor(argument_vectors, dtype=torch.long),
         row_names=row_names,
         row_joints=row_joints,
         vector_sum=SegmentSum(argument_vectors, len(attached)),
         body_sum=SegmentSum(force_of + torque_of, 2 * n),
-        modal_sum=SegmentSum(bent, flexible),
+        modal_sum=SegmentSum(vector_flexible, flexible),
         actions=actions,
         action_vectors=torch.tensor(action_vectors, dtype=torch.long) if actions else None,
         action_sum=SegmentSum(action_vectors, len(attached)) if actions else None,
@@ -100,72 +104,72 @@ def assemble(
     )
 
 
-def _checked(joint: Joint, attachments: AttachmentTable, number: dict[int, int]) -> list[Equation]:
+def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int]) -> list[Equation]:
     for frame in (joint.a, joint.b):
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _known(joint, list(joint.equations(attachments)), KINDS)
+    return _check_kinds(joint, list(joint.equations(attachments)), KINDS)
 
 
-def _acting(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
+def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
     for frame in (*force.frames, *force.measured):
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _known(force, list(force.actions(attachments)), ACTIONS)
+    return _check_kinds(force, list(force.actions(attachments)), ACTIONS)
 
 
-Named = TypeVar("Named", Equation, Applied)
+Part = TypeVar("Part", Equation, Applied)
 
 
-def _known(owner: Joint | ForceElement, given: list[Named], kinds: tuple[type, ...]) -> list[Named]:
-    """The equations or actions of an element; InputError for a kind that is not in its tuple and would be left out."""
-    for x in given:
-        if x.kind not in kinds:
+def _check_kinds(owner: Joint | ForceElement, parts: list[Part], kinds: tuple[type, ...]) -> list[Part]:
+    """The equations of a joint, or actions of a force; InputError for a kind that is not in `kinds` and would be left out."""
+    for part in parts:
+        if part.kind not in kinds:
             names = ", ".join(kind.__name__ for kind in kinds)
-            found = getattr(x.kind, "__name__", repr(x.kind))
-            raise InputError(f"{owner.name!r} has the kind {found!r}, which is in no tuple KINDS; allowed: {names}")
-    return given
+            name = getattr(part.kind, "__name__", repr(part.kind))
+            raise InputError(f"{owner.name!r} has the kind {name!r}, which is in no tuple KINDS; allowed: {names}")
+    return parts
 
 
 def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Action, ...]:
-    """Collect the actions kind by kind."""
+    """The actions, one object for each kind; position: of attached vectors in the order of the topology."""
     result = []
     for kind in ACTIONS:
-        mine = [action for action in applied if action.kind is kind]
-        if mine:
-            members = tuple(
-                torch.tensor([position[action.vectors[k]] for action in mine]) for k in range(len(kind.arguments))
+        members = [action for action in applied if action.kind is kind]
+        if members:
+            vectors = tuple(
+                torch.tensor([position[action.vectors[k]] for action in members]) for k in range(len(kind.arguments))
             )
-            result.append(kind(members, tuple(action.law for action in mine)))
+            result.append(kind(vectors, tuple(action.law for action in members)))
     return tuple(result)
 
 
 def _group(
     equations: list[tuple[Joint, Equation]], position: dict[int, int]
 ) -> tuple[tuple[Primitive, ...], tuple[str, ...], tuple[str, ...]]:
-    """Collect the equations kind by kind, names of rows and their joints; rows of a kind run component first."""
+    """The primitives, one object for each kind, and name and joint of each row; rows of a kind run component by component."""
     primitives, names, owners = [], [], []
     for kind in KINDS:
-        mine = [(joint, equation) for joint, equation in equations if equation.kind is kind]
-        if not mine:
+        members = [(joint, equation) for joint, equation in equations if equation.kind is kind]
+        if not members:
             continue
-        members = tuple(
-            torch.tensor([position[equation.vectors[k]] for _, equation in mine]) for k in range(len(kind.arguments))
+        vectors = tuple(
+            torch.tensor([position[equation.vectors[k]] for _, equation in members]) for k in range(len(kind.arguments))
         )
-        primitives.append(kind(members, tuple(equation.data for _, equation in mine)))
+        primitives.append(kind(vectors, tuple(equation.data for _, equation in members)))
         for component in range(kind.rows):
             suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
-            names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in mine]
-            owners += [joint.name for joint, _ in mine]
+            names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in members]
+            owners += [joint.name for joint, _ in members]
     return tuple(primitives), _numbered(names), tuple(owners)
 
 
 def _numbered(names: list[str]) -> tuple[str, ...]:
-    """Names of rows; those that occur several times carry their number."""
+    """Names of rows; a number is appended to those that occur several times."""
     count = Counter(names)
     seen: Counter[str] = Counter()
     result = []

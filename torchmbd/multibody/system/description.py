@@ -1,8 +1,8 @@
-"""What a system consists of: `system.describe()` prints bodies, joints, rank, freedoms, mass and first frequencies.
+"""Description of a system: `system.describe()` prints bodies, joints, rank, freedoms, mass and first frequencies.
 
     freedoms = 6 bodies + modes - rank of Phi_q          mobility = 6 bodies - rank of Phi_q by the rigid coordinates
 
-at the assembled initial position. Frequencies are those of small vibrations about it, as if it rested there.
+at the assembled initial position. Frequencies are those of small vibrations about it, which is taken for an equilibrium.
 Checked in tests/multibody/system/test_description.py.
 """
 
@@ -16,6 +16,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.math.pair import value
+from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.system.equilibrium import vibrations
 from torchmbd.multibody.system.rank import Rank, jacobians, rank_of
 
@@ -77,40 +78,40 @@ def describe(system: Any) -> Description:
     with torch.no_grad():
         q, _ = dynamics.initial.solve(dynamics)
         J = jacobians(dynamics, q[:, 0, 0][None], torch.zeros(1, dtype=q.dtype))[0].numpy()
-    found = rank_of(T, J) if T.rows else Rank(0, ())
+    rank = rank_of(T, J) if T.rows else Rank(0, ())
     rigid = rank_of(T, J[:, : 6 * T.bodies]).rank if T.rows else 0
     mass = dict(zip(T.names, value(dynamics.data["mass"])[:, 0, 0].tolist(), strict=True))
-    freedoms = 6 * T.bodies + sum(T.own_modes) - found.rank
+    freedoms = 6 * T.bodies + sum(T.own_modes) - rank.rank
     return Description(
         bodies=tuple(_body(body, mass[body.name]) for body in system.bodies),
         joints=tuple(_joint(joint, T.row_joints) for joint in system.joints),
         forces=tuple(_force(force) for force in system.forces),
         rows=T.rows,
-        rank=found.rank,
-        redundant=found.redundant,
+        rank=rank.rank,
+        redundant=rank.redundant,
         freedoms=freedoms,
         mobility=6 * T.bodies - rigid,
         mass=sum(mass.values()),
         frequencies=tuple(vibrations(dynamics).frequencies.tolist()) if freedoms else (),
-        separate=_separate(system.bodies, [*system.joints, *(f for f in system.forces if not f.of_law)]),
+        separate=_separate(system.bodies, [*system.joints, *(f for f in system.forces if f.beams(AttachmentTable()))]),
     )
 
 
 def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], free: list[str]) -> None:
-    """Refuse a body that nothing holds beside others that are joined; `free` names those that fly on purpose.
+    """InputError where joints exist and a body has no joint and no force; `free` names bodies that fly on purpose.
 
-    A flexible beam counts as one body, its own elements as none of the forces.
+    A flexible beam counts as one body, and its elements do not count as forces.
     """
     unknown = [name for name in free if name not in [body.name for body in bodies]]
     if unknown:
         raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
     frames = [frame for joint in joints for frame in (joint.a, joint.b)] + [x for force in forces for x in force.frames]
-    held = {id(frame.body) for frame in frames}
+    connected = {id(frame.body) for frame in frames}
 
-    def holds(body: Any) -> bool:
-        return any(id(x) in held for x in getattr(body, "node_bodies", [body]))
+    def is_connected(body: Any) -> bool:
+        return any(id(x) in connected for x in getattr(body, "node_bodies", [body]))
 
-    loose = [body.name for body in bodies if not holds(body) and body.name not in free]
+    loose = [body.name for body in bodies if not is_connected(body) and body.name not in free]
     if joints and loose:
         raise InputError(
             f"no joint and no force holds {', '.join(map(repr, loose))}; "
@@ -135,7 +136,7 @@ def _force(force: Any) -> Entry:
 
 
 def _separate(bodies: list[Any], ties: list[Any]) -> tuple[tuple[str, ...], ...]:
-    """Groups of bodies without a path of joints and elements of beams to the ground."""
+    """Groups of bodies without a path of joints and beam elements to the ground; ties: these joints and force elements."""
     group = {body.name: {body.name} for body in bodies} | {"ground": {"ground"}}
     for one, other in (pair for tie in ties for pair in pairwise(frame.body.name for frame in tie.frames)):
         one, other = group[one], group[other]
@@ -143,8 +144,8 @@ def _separate(bodies: list[Any], ties: list[Any]) -> tuple[tuple[str, ...], ...]
             one |= other
             for name in other:
                 group[name] = one
-    apart = {id(members): members for members in group.values() if "ground" not in members}
-    return tuple(tuple(body.name for body in bodies if body.name in members) for members in apart.values())
+    separate = {id(members): members for members in group.values() if "ground" not in members}
+    return tuple(tuple(body.name for body in bodies if body.name in members) for members in separate.values())
 
 
 def _table(title: str, entries: tuple[Entry, ...]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Tangents of the structure stage by design variables: one linearization along all directions together.
+"""Tangents of the structure stage by design variables: one linearization, evaluated along all directions at once.
 
 Checked in tests/multibody/system/test_system.py, tests/sensitivity/test_gradients.py.
 """
@@ -15,7 +15,7 @@ from torchmbd.math.pair import Pair
 
 
 def unit_directions(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """A direction for each entry of the parameters [lanes, ...], of all lanes at once: [n_b, lanes, ...]."""
+    """Unit directions [n_b, lanes, ...], one for each entry of the parameters [lanes, ...], the same in all lanes."""
     sizes = {name: x[0].numel() for name, x in given.items()}
     total, start = sum(sizes.values()), 0
     directions = {}
@@ -28,9 +28,9 @@ def unit_directions(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def tangents_of(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
-    """Values and tangents of the structure stage: one linearization, all design directions together.
+    """Values and tangents of the structure stage by the parameters `given` [lanes, ...], as pairs.
 
-    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
+    A quantity whose tangents are zero in all lanes and directions becomes a plain tensor, which costs less in the steps.
     """
 
     def push(direction: dict[str, Tensor]) -> tuple:

@@ -1,4 +1,4 @@
-"""Reduced dynamics: everything that a motion needs, and nothing of the mesh.
+"""Equations of motion of a batch of designs: the reduced model after the structure stage, without the meshes.
 
     dz/dt = dynamics(t, z)          z = (q, v)
 
@@ -8,8 +8,9 @@ The index-1 form of the constrained equations, with the accelerations from one s
 
 alpha = 1 / `stabilization` time constant. It is zero along an exact motion, so it does not change the solution.
 Redundant constraint rows leave the multipliers undetermined, not the motion: a small -eps in their block of the matrix
-picks one solution, and refinement with the exact matrix removes what eps changes. Rows that only hold together while flexible
-bodies are undeformed are left out (rank.py): nothing but -1e30 on the diagonal.
+picks one solution, and iterative refinement with the exact matrix removes the error of eps. Rows that are consistent with the
+others only while flexible bodies are undeformed are left out (rank.py): their row and column are zero but for -1e30 on the
+diagonal.
 For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
 the residual with accelerations and multipliers held fixed.
 Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
@@ -58,12 +59,12 @@ class Dynamics:
     Called with t [] [s] and z [lanes, n] it is the right-hand side dz/dt for torchdiffeq, from `initial_state()`.
 
     topology       bodies, joints and forces as arrays of indices
-    saddle         the layout of their saddle-point matrix
-    data           name -> tensor or pair [component..., 1, lanes]; a lane axis of one holds for all
-    initial        how joints are closed at the start
+    saddle         assembles the saddle-point matrix of this topology
+    data           name -> tensor or pair [component..., 1, lanes]; a lane axis of length one is the same for all lanes
+    initial        approximate initial state of the bodies and the solver that closes the joints
     stabilization  time constant of the constraint stabilization [s]
-    backend        what makes steps: "eager" or "native" (integrate/native/library.py)
-    statistics     how often it was evaluated
+    backend        "eager" or "native": the code of the steps (integrate/native/library.py)
+    statistics     number of evaluations of the right-hand side
 
     >>> dynamics = mbd.examples.pendulum().dynamics()
     >>> z = dynamics.initial_state()
@@ -77,14 +78,12 @@ class Dynamics:
     initial: Any  # InitialConditions
     stabilization: float = 5e-3
     backend: str = "eager"
-    prepared: Any = field(
-        default=None, init=False, repr=False
-    )  # the start of a motion, once made (integrate/prepared.py)
+    prepared: Any = field(default=None, init=False, repr=False)  # cached initial step data (integrate/prepared.py)
     statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
-    start_errors: dict[int, str] = field(default_factory=dict, init=False, repr=False)  # lanes without a start, and why
+    start_errors: dict[int, str] = field(default_factory=dict, init=False, repr=False)  # lane -> why it has no start
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"prepared": None}  # may have a graph of torch
+        return vars(self) | {"prepared": None}  # may hold an autograd graph, which cannot be pickled
 
     @property
     def lanes(self) -> int:
@@ -99,7 +98,7 @@ class Dynamics:
 
     @cached_property
     def shared_start(self) -> Any:
-        """What this and other designs share that start alike (initial.py); None if the start depends on the design."""
+        """Initial state and ranks that all designs share (initial.py); None if the start depends on the design."""
         return self.initial.shared_start(self)
 
     @cached_property
@@ -109,7 +108,7 @@ class Dynamics:
 
     @cached_property
     def rank(self) -> Rank:
-        """Rank of the constraints at the initial position, of the first lane that has not failed."""
+        """Rank of the constraints at the initial position of the first lane whose data are finite."""
         ranks = {} if self.shared_start is None else self.shared_start.ranks
         if self.topology in ranks:
             return ranks[self.topology]
@@ -120,15 +119,15 @@ class Dynamics:
         q = q[:, 0, min(lane, q.shape[-1] - 1)]
         with torch.no_grad():
             J = jacobians(one, q[None], q.new_zeros(1))[0].numpy()
-            found = confirm_left_out(one, q, rank_of(self.topology, J))
+            rank = confirm_left_out(one, q, rank_of(self.topology, J))
         if self.shared_start is not None and full_rank_undeformed(self.topology, J):
-            ranks[self.topology] = found
-        if found.weak:
+            ranks[self.topology] = rank
+        if rank.weak:
             warn(
-                f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
+                f"{', '.join(rank.weak)}: these rows differ by {100 * rank.share:.1g} % of elastic displacement only, "
                 'which stiffens their body falsely; allowed: reduction="craig-bampton" with the nodes of its joints',
             )
-        return found
+        return rank
 
     @property
     def redundant(self) -> tuple[str, ...]:
@@ -136,22 +135,24 @@ class Dynamics:
         return self.rank.redundant
 
     def evaluate_rank(self) -> None:
-        """Decide now what depends on values: inside a transform of torch.func no tensor shows its values."""
+        """Evaluate and cache the rank now: inside transforms of torch.func tensors have no values to decide by."""
         if self.redundant:
             _ = self.least_norm
 
     @cached_property
     def least_norm(self) -> LeastNorm | None:
-        """Makes undetermined multipliers those of least norm; None if all are determined."""
-        left, found = self.condensed(), self.rank
-        if left is not self and found.redundant:  # left out are the rows that those of what was left say
-            found = replace(found, left_out=tuple(self.initial.condensed.rows[list(left.rank.left_out)].tolist()))
-        return LeastNorm.of(self.topology, found)
+        """Projection of undetermined multipliers to those of least norm; None if all are determined."""
+        condensed, rank = self.condensed(), self.rank
+        if condensed is not self and rank.redundant:  # the steps leave out rows of the condensed system
+            rows = self.initial.condensed.rows[list(condensed.rank.left_out)]
+            rank = replace(rank, left_out=tuple(rows.tolist()))
+        return LeastNorm.of(self.topology, rank)
 
     def diagonal(self, everywhere: bool = False) -> Diagonal | None:
-        """For the saddle-point matrix: row_mask [n], 1 or 0 of rows and columns, and diagonal_shift [n], subtracted.
+        """Regularization of the saddle-point matrix: row_mask [n], factors 1 or 0 of rows and columns, and diagonal_shift [n],
+        which is subtracted from the diagonal. None: the matrix is regular.
 
-        None: the matrix is regular as it is. everywhere: regularized also without redundant rows, near singular positions.
+        everywhere   regularize systems without redundant rows too, as is necessary near singular positions
         """
         if not self.topology.rows or not (self.redundant or everywhere):
             return None
@@ -165,23 +166,23 @@ class Dynamics:
         return row_mask, diagonal_shift
 
     def regularize(self, K: Tensor) -> Tensor:
-        """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without rows left out."""
+        """Saddle-point matrices [lanes, n, n] out of K [lanes, n, n], with the regularization of `diagonal`."""
         return regularized(K, self.diagonal())
 
     def zero_left_out(self, lam: Any) -> Any:
-        """Multipliers [rows, ...] with zeros in rows that are left out."""
+        """Multipliers [rows, ...] with zeros in the rows that are left out of the motion (rank.py)."""
         if not self.rank.left_out:
             return lam
-        gone = torch.tensor(self.rank.left_out)
-        return linear(lambda x: x.index_fill(0, gone, 0.0), lam)
+        rows = torch.tensor(self.rank.left_out)
+        return linear(lambda x: x.index_fill(0, rows, 0.0), lam)
 
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""
         data = {name: value(x) for name, x in self.data.items()}
-        found = Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
-        if "rank" in vars(self):  # of values alone; no transform of torch.func lets it be judged inside
-            vars(found)["rank"] = self.rank
-        return found
+        dynamics = Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
+        if "rank" in vars(self):  # depends on values alone, and cannot be evaluated inside transforms of torch.func
+            vars(dynamics)["rank"] = self.rank
+        return dynamics
 
     def condensed(self) -> Dynamics:
         """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""
@@ -193,7 +194,7 @@ class Dynamics:
         )
 
     def select_lanes(self, lanes: Sequence[int]) -> Dynamics:
-        """The dynamics of some designs of the batch, with what is known of their start; of all designs: itself."""
+        """The dynamics of the designs `lanes` of the batch; itself where these are all of them in their order."""
         if list(lanes) == list(range(self.lanes)):
             return self
         index = torch.tensor(list(lanes))
@@ -241,37 +242,37 @@ class Dynamics:
     def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
         return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
-    def solve_linear(self, residual: Callable[..., Any], t: Tensor, q: Any, *given: Any) -> Any:
-        """x [n_v + rows, ...] with residual(data, placement, q, *given, x) = 0, of coordinates q [n_q, ...] and what is given.
+    def solve_linear(self, residual: Callable[..., Any], t: Tensor, q: Any, *arguments: Any) -> Any:
+        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0 at coordinates q [n_q, ...] and time t.
 
-        The residual is linear in x with the saddle-point matrix. Differentiable in every mode: x is held fixed in the
-        residual, no derivative of the matrix is needed.
+        The residual is linear in x, and its matrix is the saddle-point matrix. Differentiable in every mode: derivatives of x
+        are solutions with the same matrix and the derivatives of the residual at fixed x.
         """
         T, data = self.topology, {name: value(y) for name, y in self.data.items()}
-        qv, plain = value(q), [y if y is None else value(y) for y in given]
-        by = [y for y in (t, qv, *plain, *data.values()) if y is not None and is_differentiated(y)]
+        qv, plain = value(q), [y if y is None else value(y) for y in arguments]
+        inputs = [y for y in (t, qv, *plain, *data.values()) if y is not None and is_differentiated(y)]
         at = equations.placement(T, self.data, q, T.prescribed(t, self.data))
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not by):
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not inputs):
             fixed = at.map(lambda y: value(y).detach())
-            factors = self.saddle.factors(data, fixed, self.diagonal(), by)
-            nothing = qv.new_zeros(T.n_v + T.rows, *qv.shape[1:])
-            x = -factors.solve(residual(data, fixed, qv, *plain, nothing)).detach()
-        if not by and not isinstance(q, Pair):
+            factors = self.saddle.factors(data, fixed, self.diagonal(), inputs)
+            zero = qv.new_zeros(T.n_v + T.rows, *qv.shape[1:])
+            x = -factors.solve(residual(data, fixed, qv, *plain, zero)).detach()
+        if not inputs and not isinstance(q, Pair):
             return x
-        slopes = -factors.solve(variation(residual(self.data, at, q, *given, x)))
+        slopes = -factors.solve(variation(residual(self.data, at, q, *arguments, x)))
         return Pair.of(x, slopes) if isinstance(q, Pair) else x + slopes
 
 
 @dataclass(frozen=True, eq=False)
 class CondensedStart:
-    """Initial conditions of what is left: those of the whole system."""
+    """Initial conditions of a condensed system: the retained part of the start of the whole system."""
 
     whole: Dynamics
     condensation: Condensation
-    condensed: None = None  # nothing more
+    condensed: None = None  # a condensed system is not condensed again
 
     def shared_start(self, dynamics: Dynamics) -> Any:
-        """As of the whole system."""
+        """That of the whole system."""
         return self.whole.shared_start
 
     def solve(self, dynamics: Dynamics):

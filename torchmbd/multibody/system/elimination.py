@@ -1,11 +1,11 @@
-"""Solving with a saddle-point matrix: by its triangular factors, or by those of the bodies' own blocks.
+"""Solving with a saddle-point matrix: by triangular factors, or by block elimination with the inverses of the bodies' blocks.
 
     [ K  B ]^-1   [ X - X B Y C X    X B Y ]       X = K^-1, block by block: one block for each body
     [ C  E ]    = [     Y C X         -Y   ]       Y = (C X B - E)^-1: of the size of the constraints
 
-A mechanism of many bodies has a K of small blocks: what a dense inverse spends on their zeros grows with the cube of
-their number. Block elimination is worth it from some size on (`pays`); a lane with a singular block (a body without
-inertia) goes the dense way. Applied forces couple bodies through their laws, beams through their elements: not for them.
+A mechanism of many bodies has a K of small blocks; the cost of a dense inverse grows with the cube of their number. Block
+elimination is faster for large systems (`pays`). A lane with a singular block (a body without inertia) takes the dense factors.
+Not for systems with applied forces or beams, which couple the blocks of bodies.
 Checked in tests/multibody/system/test_elimination.py: against the dense inverse.
 """
 
@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.multibody.system.topology import Topology
 
-_LARGE, _MANY = 90, 4  # unknowns and bodies from which on it was faster than the dense inverse
+_LARGE, _MANY = 90, 4  # least numbers of unknowns and bodies with which it was faster than the dense inverse
 
 
 def pays(T: Topology) -> bool:
@@ -27,7 +27,7 @@ def pays(T: Topology) -> bool:
 
 
 class Elimination:
-    """Inverses of the matrices of one topology."""
+    """Block elimination for the matrices of one topology."""
 
     def __init__(self, T: Topology):
         self.n_v = T.n_v
@@ -38,7 +38,7 @@ class Elimination:
         self.groups = [torch.tensor(rows, dtype=torch.long) for rows in by_size.values()]  # [bodies, rates of each]
 
     def __call__(self, A: Tensor) -> Eliminated:
-        """Inverses of matrices [lanes, n, n]; a lane whose matrix is singular becomes nan, alone."""
+        """Inverses of matrices [lanes, n, n]; nan in lanes whose matrix is singular."""
         n = self.n_v
         B, C, E = A[:, :n, n:], A[:, n:, :n], A[:, n:, n:]
         X, XB, CX = [], torch.empty_like(B), torch.empty_like(C)
@@ -55,10 +55,11 @@ class Elimination:
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Inverses in parts, to be multiplied: formed, they would cost more than all their parts.
+    """Inverses as products, as a full inverse would cost more to form than all factors.
 
-    X      of each group of bodies [lanes, bodies, k, k]
-    Y, dense  as factors; `lanes` are those that went the dense way
+    groups         rates of the bodies with blocks of the same size [bodies, k]
+    X, XB, CX, Y   of the module header; X for each group [lanes, bodies, k, k]
+    lanes, dense   lanes with a singular block, and the factors of their whole matrices
     """
 
     groups: list[Tensor]
@@ -71,21 +72,21 @@ class Eliminated:
 
     def __matmul__(self, b: Tensor) -> Tensor:
         """The inverses times columns [lanes, n, k]."""
-        b, n = b.contiguous(), self.XB.shape[1]  # in another order torch multiplies lane by lane: many times slower
+        b, n = b.contiguous(), self.XB.shape[1]  # with other strides torch multiplies lane by lane, many times slower
         top, bottom = b[:, :n], b[:, n:]
         below = self.Y @ (self.CX @ top - bottom)
         above = torch.empty_like(top)
         for rows, X in zip(self.groups, self.X, strict=True):
             above[:, rows] = X @ top[:, rows]
-        found = torch.cat([above - self.XB @ below, below], 1)
+        x = torch.cat([above - self.XB @ below, below], 1)
         if len(self.lanes):
-            found[self.lanes] = self.dense @ b[self.lanes]
-        return found
+            x[self.lanes] = self.dense @ b[self.lanes]
+        return x
 
 
 @dataclass(frozen=True)
 class Factored:
-    """Triangular factors of matrices [lanes, n, n]: what is multiplied by their inverses is solved for."""
+    """Triangular factors of matrices [lanes, n, n]; multiplication by the inverses is a solution with the factors."""
 
     LU: Tensor
     pivots: Tensor
@@ -96,28 +97,28 @@ class Factored:
 
 
 def factored(K: Tensor) -> Factored:
-    """Factors of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
+    """Factors of matrices [lanes, n, n]; nan in lanes whose matrix is singular."""
     if K.device.type != "cpu":
-        return _factored_there(K)
+        return _factored_on_device(K)
     LU, pivots, info = torch.linalg.lu_factor_ex(K)
     if bool(info.any()):
         LU = torch.where((info == 0)[:, None, None], LU, torch.nan)
     return Factored(LU, pivots)
 
 
-def _factored_there(K: Tensor) -> Factored:
-    """The same on a device, which would have to stop to tell; its libraries do not say what pivots of nan are."""
-    sound = torch.isfinite(K).all(2).all(1)
-    whole = torch.where(sound[:, None, None], K, torch.eye(K.shape[-1], dtype=K.dtype, device=K.device))
-    LU, pivots, info = torch.linalg.lu_factor_ex(whole)
-    return Factored(torch.where((sound & (info == 0))[:, None, None], LU, torch.nan), pivots)
+def _factored_on_device(K: Tensor) -> Factored:
+    """The same on a device, without a synchronization, and without factoring nan, whose pivots its libraries do not define."""
+    finite = torch.isfinite(K).all(2).all(1)
+    safe = torch.where(finite[:, None, None], K, torch.eye(K.shape[-1], dtype=K.dtype, device=K.device))
+    LU, pivots, info = torch.linalg.lu_factor_ex(safe)
+    return Factored(torch.where((finite & (info == 0))[:, None, None], LU, torch.nan), pivots)
 
 
 def rates_of_bodies(T: Topology) -> list[list[int]]:
-    """Rows of v (independent ones, where a condensation left them) of each body."""
-    whole = [[k * T.bodies + b for k in range(6)] for b in range(T.bodies)]
+    """Rows of v of each body; in a condensed system its independent rates."""
+    rates = [[k * T.bodies + b for k in range(6)] for b in range(T.bodies)]
     for f in range(T.flexible):
-        whole[f] += [6 * T.bodies + a * T.flexible + f for a in range(T.modes)]
+        rates[f] += [6 * T.bodies + a * T.flexible + f for a in range(T.modes)]
     if T.rates is None:
-        return whole
-    return [torch.nonzero((T.rates[rows] != 0).any(0))[:, 0].tolist() for rows in whole]
+        return rates
+    return [torch.nonzero((T.rates[rows] != 0).any(0))[:, 0].tolist() for rows in rates]

@@ -284,7 +284,7 @@ def _with_prescribed(T: Topology, x, dim: int):
     """Append zeros for the prescribed bodies and the ground."""
 
     def zeros(y: Tensor) -> Tensor:
-        return y.new_zeros(*y.shape[:dim], T.known, *y.shape[dim + 1 :])
+        return y.new_zeros(*y.shape[:dim], T.known_bodies, *y.shape[dim + 1 :])
 
     return cat([x, linear(zeros, x)], dim)
 

@@ -4,17 +4,17 @@
 
     dq = -Phi_q^+ Phi + N z,   |N' K N| z = -N' (f + K dq_0)          |A|: symmetric part, eigenvalues taken positive
 
-With positive eigenvalues every step goes downhill in energy, so a conservative mechanism ends at a stable equilibrium
-and not at the nearest extremum (but one that starts exactly at an unstable one stays there, and says so). Steps are
-limited in size. With beams the loads grow in steps (load_steps.py) where the start bears small ones. `unstable` takes the
-eigenvalues as they are, for states that other forces than those of the stiffness hold: a shaft above its critical speed.
+With positive eigenvalues every step decreases the energy, so a conservative mechanism ends at a stable equilibrium and not at
+the nearest extremum; only a start exactly at an unstable equilibrium stays there, and is reported. Steps are limited in size.
+With beams the loads grow in steps (load_steps.py) where the start is stable under small loads. `unstable=True` leaves the signs
+of the eigenvalues, for states that are stable by other forces than those of the stiffness: a shaft above its critical speed.
 
 Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
 
     dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
 
-Drives are held where they are at the time: their rates count for nothing. Where the whole rotates steadily (steady_rotation.py)
-its inertia forces are loads, drives run, and what is found must balance after a turn by one radian as well.
+Drives are fixed at their value at time t; their rates do not matter. In a steady rotation of the whole system
+(steady_rotation.py) inertia forces are loads, drives run, and forces must balance after a turn by one radian too.
 Checked in tests/multibody/system/test_equilibrium.py, tests/sensitivity/test_rest.py.
 """
 
@@ -35,7 +35,10 @@ from torchmbd.multibody.system.load_steps import LoadSteps
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 _STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
-_FORCE, _CLOSED = 1e-10, 1e-11  # forces that remain, of the largest on the way; violation of a joint
+_FORCE, _CLOSED = (
+    1e-10,
+    1e-11,
+)  # largest unbalanced force, as a share of the largest force of all steps; violation of a joint
 _ROUNDING = 1e-14  # of stiffness times coordinates
 _SAME = 1e-6  # of forces, and of joints, after a turn of a steady rotation
 _UNSTEADY = (
@@ -52,12 +55,12 @@ _NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
 
 @dataclass(frozen=True)
 class Balance:
-    """Where one design rests.
+    """Equilibrium of one design.
 
-    q [n_q], lam [rows]   coordinates and least multipliers
-    answer [n_v, n_v + rows]   increment of q that a residual (f, Phi) asks for, but for its sign
-    missing   why there is no equilibrium, else ""; q is then where the search began
-    doubt     what makes it none to start from: a freedom without stiffness, or an unstable one, else ""
+    q [n_q], lam [rows]         coordinates, and multipliers of least norm
+    inverse [n_v, n_v + rows]   derivative of the increment of q by the residual (f, Phi), times -1
+    failure                     why there is no equilibrium, else ""; q is then the start of the search
+    instability                 why no motion should start here: an unstable freedom or one without stiffness, else ""
     """
 
     q: Tensor
@@ -75,41 +78,42 @@ def find_equilibria(
     rotation: SteadyRotation | None = None,
     unstable: bool = False,
 ) -> list[Balance]:
-    """Where the lanes of a whole system rest at time t, near q [n_q, 1, lanes]; follow: each near where the one before does.
+    """Equilibria of all lanes of an uncondensed system at time t, near q [n_q, 1, lanes].
 
-    unstable   the nearest equilibrium, whether it is stable or not
+    follow     search each lane near the equilibrium of the lane before
+    unstable   find the nearest equilibrium, whether it is stable or not
     """
-    start, found = value(q).detach(), []
+    start, balances = value(q).detach(), []
     with torch.no_grad():
         values = dynamics.values()
         for lane in range(dynamics.lanes):
-            near = found[-1].q if follow and found else start[:, 0, min(lane, start.shape[-1] - 1)]
-            found.append(_balanced(values.select_lanes([lane]), near, t, rotation, unstable))
-    return found
+            near = balances[-1].q if follow and balances else start[:, 0, min(lane, start.shape[-1] - 1)]
+            balances.append(_find_equilibrium(values.select_lanes([lane]), near, t, rotation, unstable))
+    return balances
 
 
 def equilibrium_coordinates(
-    dynamics: Any, found: list[Balance], t: Tensor, rotation: SteadyRotation | None = None
+    dynamics: Any, balances: list[Balance], t: Tensor, rotation: SteadyRotation | None = None
 ) -> Any:
-    """Coordinates of rest [n_q, 1, lanes], with derivatives where the data have any and where there is an equilibrium."""
+    """Coordinates of equilibrium [n_q, 1, lanes], with derivatives by the data: a last Newton step that carries them."""
     T, data = dynamics.topology, dynamics.data
-    at, lam = (torch.stack([getattr(x, name) for x in found], -1)[:, None] for name in ("q", "lam"))
-    inverse = torch.stack([x.inverse for x in found])
-    place = equations.placement(T, data, at, T.prescribed(t, data))
-    still = at.new_zeros(T.n_v, 1, at.shape[-1])
-    rates = (still, still) if rotation is None else rotation.rates(T, at)
-    left = equations.dynamic_residual(T, data, place, *rates, lam)
+    q, lam = (torch.stack([getattr(balance, name) for balance in balances], -1)[:, None] for name in ("q", "lam"))
+    inverse = torch.stack([balance.inverse for balance in balances])
+    at = equations.placement(T, data, q, T.prescribed(t, data))
+    still = q.new_zeros(T.n_v, 1, q.shape[-1])
+    rates = (still, still) if rotation is None else rotation.rates(T, q)
+    residual = equations.dynamic_residual(T, data, at, *rates, lam)
     if T.rows:
-        left = cat([left, equations.constraints(T, place)])
+        residual = cat([residual, equations.constraints(T, at)])
 
     def step(x: Tensor) -> Tensor:
         return -(inverse @ x.permute(2, 0, 1)).permute(1, 2, 0)
 
-    return equations.advance(T, at, linear(step, left))
+    return equations.advance(T, q, linear(step, residual))
 
 
 def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None = None) -> Any:
-    """Multipliers [rows, ...] at rest at q [n_q, ...] at time t, drives held; with derivatives as q and the data have."""
+    """Multipliers [rows, ...] of an equilibrium q [n_q, ...] at time t, drives fixed; derivatives as q and the data have."""
     T = dynamics.topology
     still = value(q).new_zeros(T.n_v, 1, value(q).shape[-1])
 
@@ -125,56 +129,55 @@ def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None 
 
 
 def _held(jet: Jet) -> Jet:
-    """A law that stays where it is."""
+    """A law whose value stays constant from now on."""
     return Jet(jet.value, 0.0 * jet.velocity, 0.0 * jet.acceleration)
 
 
 def vibrations(dynamics: Any) -> Vibrations:
-    """Vibrations of one design about its initial position, as if it rested there."""
+    """Vibrations of one design about its initial position, which is taken for an equilibrium."""
     with torch.no_grad():
         q, _ = dynamics.values().initial.solve(dynamics.values())
         return Vibrations.of(Linearization.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
 
 
-def _balanced(
+def _find_equilibrium(
     dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None = None, unstable: bool = False
 ) -> Balance:
-    """Of one lane."""
+    """The equilibrium of dynamics of one lane near start [n_q]."""
     T, q = dynamics.topology, start
     steps = LoadSteps(dynamics, start, t, rotation) if T.beams is not None and not unstable else None
     if steps is not None and steps.stable:
         path = steps.run()
         if path.failure:
-            return _none(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
+            return _failed(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
         q = path.q
     rest, largest = Linearization.of(dynamics, q, t, rotation=rotation), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
-        if _settled(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
+        if _balanced(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
             if _mirrored(T, dynamics.values().data, q, t):
-                return _none(T, start, _MIRRORED)
-            if rotation is not None and not _steady(dynamics, rest, q, t, rotation, largest):
-                return _none(T, start, _UNSTEADY)
-            if (
-                rotation is not None and rest.negative_mass
-            ):  # centrifugal forces are wrong there; at rest masses do not count
-                return _none(T, start, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}")
-            return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
+                return _failed(T, start, _MIRRORED)
+            if rotation is not None:
+                if not _steady(dynamics, rest, q, t, rotation, largest):
+                    return _failed(T, start, _UNSTEADY)
+                if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
+                    return _failed(T, start, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}")
+            return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest))
         if not bool(torch.isfinite(rest.forces).all()):
             break
         q = equations.advance(T, q[:, None, None], _step(rest, unstable)[:, None, None])[:, 0, 0]
         rest = Linearization.of(dynamics, q, t, rotation=rotation)
-    left = rest.unbalanced.abs().nan_to_num(torch.inf)
-    worst = int(rest.active[int(left.argmax())])
-    missing = (
-        f"no static equilibrium in {_STEPS} steps: {float(left.max()):.3g} N or N m remain on {_force(T, worst)}; "
+    forces = rest.unbalanced.abs().nan_to_num(torch.inf)
+    worst = int(rest.active[int(forces.argmax())])
+    failure = (
+        f"no static equilibrium in {_STEPS} steps: {float(forces.max()):.3g} N or N m remain on {_force(T, worst)}; "
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
-    return _none(T, start, missing)
+    return _failed(T, start, failure)
 
 
 def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
-    """Whether an axis stands opposite to its prescribed angle, which the constraint's row does not see."""
+    """Whether an axis is half a turn away from its prescribed angle, where the constraint is satisfied too."""
     at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
     for kind, vectors, drive in zip(T.primitives, at.arguments, at.drives, strict=True):
         if isinstance(kind, Angle) and drive is not None:
@@ -186,27 +189,27 @@ def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
 
 
 def _steady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
-    """Whether joints and forces are the same after a turn by one radian.
+    """Whether joints and all forces are the same after a turn by one radian.
 
-    All forces, not only those that could move the mechanism: others load joints unsteadily, and change the stiffness.
+    Forces that move nothing count too: where they change, the loads of joints and the stiffness are unsteady.
     """
     T = dynamics.topology
     turned = rotation.turned(T, q[:, None, None])[:, 0, 0]
     after = Linearization.of(dynamics, turned, t + rotation.period, rotation=rotation)
     small = _SAME * largest + _ROUNDING * _elastic(T, rest, q)
     change = after.forces - rotation.turned_forces(T, rest.forces)
-    return _settled(after, small, _SAME) and float(change.abs().max()) <= small
+    return _balanced(after, small, _SAME) and float(change.abs().max()) <= small
 
 
-def _none(T: Any, start: Tensor, missing: str) -> Balance:
-    nothing = start.new_zeros(T.n_v, T.n_v + T.rows)
-    return Balance(start, start.new_zeros(T.rows), nothing, missing, "")
+def _failed(T: Any, start: Tensor, failure: str) -> Balance:
+    return Balance(start, start.new_zeros(T.rows), start.new_zeros(T.n_v, T.n_v + T.rows), failure, "")
 
 
-def _settled(rest: Linearization, small: float, gap: float = _CLOSED) -> bool:
-    """Whether joints are closed and what remains is a small force."""
+def _balanced(rest: Linearization, small: float, gap: float = _CLOSED) -> bool:
+    """Whether joints are closed to `gap`, and the forces along all freedoms are at most `small`."""
     closed = not rest.phi.numel() or float(rest.phi.abs().max()) < gap
-    return closed and _largest(rest) <= small
+    free = rest.N.T @ rest.unbalanced
+    return closed and (not free.numel() or float(free.abs().max()) <= small)
 
 
 def _elastic(T: Any, rest: Linearization, q: Tensor) -> float:
@@ -216,16 +219,11 @@ def _elastic(T: Any, rest: Linearization, q: Tensor) -> float:
     return float((rest.K.abs() @ size).max())
 
 
-def _largest(rest: Linearization) -> float:
-    free = rest.N.T @ rest.unbalanced
-    return float(free.abs().max()) if free.numel() else 0.0
-
-
 def _step(rest: Linearization, unstable: bool) -> Tensor:
-    """Increment [n_v] of Newton's method: downhill, or to the nearest equilibrium of any kind."""
-    own, J = rest.active, rest.Phi_q[:, rest.active]
+    """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind."""
+    active, J = rest.active, rest.Phi_q[:, rest.active]
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
-    forces = rest.N.T @ (rest.unbalanced + rest.K[own][:, own] @ close)
+    forces = rest.N.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
     if unstable:
         slide = -torch.linalg.pinv(rest.reduced(rest.K), rtol=_NO_STIFFNESS) @ forces
     else:
@@ -234,7 +232,7 @@ def _step(rest: Linearization, unstable: bool) -> Tensor:
         slide = -vectors @ ((vectors.T @ forces) / values.abs().clamp_min(1e-9 * largest or 1.0))
     total = close + rest.N @ slide
     step = torch.zeros_like(rest.forces)
-    step[own] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
+    step[active] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
     return step
 
 
@@ -245,25 +243,25 @@ def _stiffness(rest: Linearization) -> tuple[Tensor, Tensor]:
     return values, vectors
 
 
-def _answer(rest: Linearization) -> Tensor:
-    """Of `Balance`; freedoms without stiffness stay where they are."""
-    own, n = rest.active, len(rest.forces)
-    close = torch.linalg.pinv(rest.Phi_q[:, own], rtol=1e-9)
+def _inverse(rest: Linearization) -> Tensor:
+    """`Balance.inverse`; freedoms without stiffness do not move."""
+    active, n = rest.active, len(rest.forces)
+    close = torch.linalg.pinv(rest.Phi_q[:, active], rtol=1e-9)
     K = rest.reduced(rest.K)
-    inverse = K
+    flexibility = K
     if len(K):
         values, _ = _stiffness(rest)
         free = bool(values.abs().min() <= _NO_STIFFNESS * values.abs().max())
-        inverse = torch.linalg.pinv(K, rtol=_NO_STIFFNESS) if free else torch.linalg.inv(K)
-    slide = rest.N @ inverse @ rest.N.T
+        flexibility = torch.linalg.pinv(K, rtol=_NO_STIFFNESS) if free else torch.linalg.inv(K)
+    slide = rest.N @ flexibility @ rest.N.T
     inverse = rest.forces.new_zeros(n, n + len(rest.phi))
-    inverse[own[:, None], own] = slide
-    inverse[own, n:] = close - slide @ rest.K[own][:, own] @ close
+    inverse[active[:, None], active] = slide
+    inverse[active, n:] = close - slide @ rest.K[active][:, active] @ close
     return inverse
 
 
-def _doubt(T: Any, rest: Linearization) -> str:
-    """Of `Balance`."""
+def _instability(T: Any, rest: Linearization) -> str:
+    """`Balance.instability`."""
     values, vectors = _stiffness(rest)
     if not len(values) or float(values[0]) > _NO_STIFFNESS * float(values.abs().max()):
         return ""

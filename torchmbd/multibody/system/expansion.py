@@ -1,10 +1,10 @@
-"""The whole system's coordinates and multipliers from those of the system that a condensation left.
+"""Coordinates and multipliers of the whole system from those of its condensed system (condensation.py).
 
-    bodies that were left    their own rows; rates through the constant map of guided bodies
-    prescribed bodies                 known motions: they have no design tangents
-    multipliers of rows that went: reactions.py
+    retained bodies                rows of the condensed system; rates by the constant map `Topology.spread`
+    prescribed bodies              their known motions, which have no design tangents
+    multipliers of removed rows    reactions.py
 
-By rows, on demand: most of a motion is never read.
+Rows are computed on demand, as most of a motion is never read.
 Checked in tests/multibody/system/test_condensation.py.
 """
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -23,56 +24,56 @@ from torchmbd.multibody.system.reactions import multipliers
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Of one motion: `data` of the whole system, output times [times]."""
+    """The expansion of one motion of a condensed system.
+
+    data         data of the whole system
+    times        output times [times]
+    prescribed   number of each prescribed body in the whole system, and its q, v, a [times, components]
+    """
 
     condensation: Condensation
     data: Data
     times: Tensor
-    known: list[
-        tuple[int, tuple[Tensor, ...]]
-    ]  # number of each prescribed body in the whole, and its q, v, a [times, components]
+    prescribed: list[tuple[int, tuple[Tensor, ...]]]
 
     @classmethod
     def of(cls, c: Condensation, data: Data, times: Tensor) -> Expansion:
-        """Asks the laws of the prescribed bodies now: they may be others later."""
-        known = [
-            (c.whole.names.index(prescribed_body.name), prescribed_body.motion(times))
-            for prescribed_body in c.topology.prescribed_bodies
-        ]
-        return cls(c, data, times, known)
+        """The expansion with the present laws of the prescribed bodies, which users may change later."""
+        prescribed = [(c.whole.names.index(body.name), body.motion(times)) for body in c.topology.prescribed_bodies]
+        return cls(c, data, times, prescribed)
 
-    def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, known: bool = True) -> Tensor:
-        """Rows of q (order 0), v (1) or a (2) [times, k, pair, lanes] of the whole out of x of what was left.
+    def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, values: bool = True) -> Tensor:
+        """Rows of q (order 0), v (1) or a (2) [times, k, pair, lanes] of the whole system, from x of the condensed one.
 
-        index   rows of the whole; None: all
-        known   whether the first of the pair axis are values, and the others tangents; False: all are tangents
+        index    rows of the whole system; None: all
+        values   whether the first entry of the pair axis is a value, and the others tangents; False: all are tangents
         """
-        c, each = self.condensation, 6 if order else 7
-        own = component_rows(c.whole, c.bodies, each).tolist()
-        total = each * c.whole.bodies + c.whole.modes * c.whole.flexible
-        wanted = [row % total for row in (range(total) if index is None else index)]
-        place = {row: i for i, row in enumerate(own)}
-        found = [place[row] for row in wanted if row in place]
-        y = _picked(c.topology.spread if order else None, x, found)
-        if len(found) == len(wanted):
+        c, components = self.condensation, 6 if order else 7
+        retained = component_rows(c.whole, c.bodies, components).tolist()
+        total = components * c.whole.bodies + c.whole.modes * c.whole.flexible
+        asked = [row % total for row in (range(total) if index is None else index)]
+        position = {row: i for i, row in enumerate(retained)}
+        positions = [position[row] for row in asked if row in position]
+        y = _map_and_select(c.topology.spread if order else None, x, positions)
+        if len(positions) == len(asked):
             return y
-        result = y.new_zeros(len(x), len(wanted), *x.shape[2:])
-        result[:, [i for i, row in enumerate(wanted) if row in place]] = y
-        for number, motion in self.known if known else ():
-            for i, row in enumerate(wanted):
+        result = y.new_zeros(len(x), len(asked), *x.shape[2:])
+        result[:, [i for i, row in enumerate(asked) if row in position]] = y
+        for number, motion in self.prescribed if values else ():
+            for i, row in enumerate(asked):
                 component, body = divmod(row, c.whole.bodies)
-                if body == number and component < each:
+                if body == number and component < components:
                     result[:, i, 0] = motion[order][:, component, None]
         return result
 
     def multipliers(self, q: Tensor, v: Tensor, a: Tensor, lam: Tensor) -> Tensor:
-        """All multipliers [times, rows, pair, lanes] from q, v, a and multipliers of what was left."""
+        """All multipliers [times, rows, pair, lanes], from q, v, a and lam of the condensed system."""
         q, v, a = (self.rows(order, x) for order, x in enumerate((q, v, a)))
         return multipliers(self.condensation, self.data, self.times, q, v, a, lam)
 
 
-def _picked(spread, x: Tensor, rows: list[int]) -> Tensor:
-    """Rows of x [times, k, pair, lanes], or of what a map makes of it."""
+def _map_and_select(spread: Any, x: Tensor, rows: list[int]) -> Tensor:
+    """Rows of spread x, or of x where spread is None; x [times, k, pair, lanes]."""
     if spread is not None:
         y = spread.select_rows(rows)(x.transpose(0, 1).flatten(1, 2))
         return y.unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)

@@ -1,7 +1,6 @@
-"""Constant maps of columns or rows: sums of groups, and matrices with few entries in a row.
+"""Constant linear maps by index tables: sums of columns by groups, and matrices with few entries in a row.
 
-Sums over attached vectors are gathers from a padded table: one gather and one sum whatever the number of joints, and no
-atomic additions.
+Sums are gathers from a padded table: one gather and one sum whatever the number of joints, and no atomic additions.
 Checked in tests/multibody/system/test_equations.py.
 """
 
@@ -16,7 +15,7 @@ from torchmbd.math.pair import cat, linear
 
 
 class SegmentSum:
-    """Sum columns of a number into groups: [k, n, ...] -> [k, groups, ...]."""
+    """Sums of columns by groups: [k, n, ...] -> [k, groups, ...]; group: of each column, -1: of none."""
 
     def __init__(self, group: Sequence[int], groups: int):
         members: list[list[int]] = [[] for _ in range(groups)]
@@ -43,7 +42,7 @@ class SegmentSum:
 
 
 class SparseMap:
-    """A constant matrix [m, k] with few entries in a row: y = matrix x on numbers [k, ...], one gather."""
+    """A constant matrix [m, k] with few entries in a row: y = matrix x of tensors or pairs x [k, ...], by one gather."""
 
     def __init__(self, matrix: Tensor):
         entries = [[(j, float(c)) for j, c in enumerate(row) if c != 0.0] for row in matrix.tolist()]
@@ -55,7 +54,7 @@ class SparseMap:
         self.matrix = matrix
 
     def select_rows(self, rows: list[int]) -> SparseMap:
-        """The map of some rows."""
+        """The map of some rows of the matrix."""
         return SparseMap(self.matrix[rows])
 
     def __call__(self, x):

@@ -1,27 +1,27 @@
 """Consistent initial conditions: joints closed by Newton's method, then compatible velocities.
 
 Modal coordinates start at zero, undeformed and at rest in their body frames; the rigid coordinates move as little as
-possible (minimum norm) from the given approximate positions and velocities. Velocities g that were given change only where
-those f that were not cannot make up for it; these are as small as possible:
+possible (minimum norm) from the given approximate positions and velocities. Velocities f that were not given are as small as
+possible; velocities g that were given change only where no f would satisfy the constraints:
 
     q <- q o s,  s = -K Phi(q, t0)           repeated until closed; all coordinates are given
     v = v0 + s,  s = -K (J v0 + Phi_t)       v0 = 0 where no velocity was given
 
-    J = G + F     Jacobian Phi_q of the rigid coordinates at the place of the step: columns of g, columns of f
-    B = Q G       Q = 1 - F F+: what f cannot make up for;  + is the pseudo-inverse: redundant and underdetermined
-    K = C + F+ (1 - G C),  C = B+ Q                         mechanisms alike. K = J+ where all, or none, are given
+    J = G + F     Jacobian Phi_q of the rigid coordinates at the current step: columns of g, columns of f
+    B = Q G       Q = 1 - F F+: constraint rates that no f can make;  + is the pseudo-inverse, for redundant and
+    K = C + F+ (1 - G C),  C = B+ Q                         underdetermined mechanisms. K = J+ where all, or none, are given
 
 The derivatives by the design are those of these steps. With the multipliers y = C' s of g, z = F+' s of f,
 
     ds = u - C G u + w - F+ (G (u - C G u) + F w) - K (dPhi + dJ s)     u = dG' y - G' F+' dF' y,  w = dF' z
 
-and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that is not kept gives a warning.
+and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that changes gives a warning.
 
-On pairs, or on tensors that require gradients, every step carries them; a last one the position's at the closed joints.
-What cannot close is named with its residual.
-Of undeformed bodies nothing but the attached points and the laws of drives enters. Where those are no part of the design,
-all designs start alike, and what is found for the first serves all (`Alike`). Positions and velocities that are Parameters of
-bodies are data of a design, "q0" and "v0".
+Pairs, and tensors that require gradients, are carried through every step, and through a last step at the closed joints.
+InputError names the joints that do not close, with their residuals.
+The start of undeformed bodies depends on the attached points and the laws of drives only. Where these do not depend on the
+design, the start of the first design is that of all (`SharedStart`). Positions and velocities that are Parameters of bodies
+are data of a design, "q0" and "v0".
 Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).
 Checked in tests/multibody/system/test_initial.py.
 """
@@ -38,7 +38,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.math.pair import Pair, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
-from torchmbd.multibody.bodies.frame import moves
+from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation, condense
 from torchmbd.multibody.system.rank import Rank
@@ -47,18 +47,15 @@ from torchmbd.multibody.system.topology import Topology
 _CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
 _STEPS = 50
 _RANK = 1e-10  # share of the largest singular value of J that counts as zero
-_KEPT = 1e-6  # share of the largest given velocity by which one may change without a word
-_SHOWN = 4  # velocities that are not kept, the worst first
+_KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
+_SHOWN = 4  # changed velocities in a warning, the worst first
 
 
-START_DATA = (
-    "q0",
-    "v0",
-)  # where approximate initial coordinates and rates are among the data of a design, if these vary
+START_DATA = ("q0", "v0")  # keys of initial coordinates and rates in the data of a design, where these vary
 
 
 def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
-    """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] as bodies were given them, in the order of the topology."""
+    """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] that `bodies` were given, in the order of the topology."""
 
     def rows(*kinds: list[Tensor]) -> Tensor:
         lanes = max((x.shape[0] for kind in kinds for x in kind if x.dim() > 1), default=1)
@@ -66,8 +63,8 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
         return torch.cat(wide, 1).T[:, None]
 
     def modal(name: str) -> list[Tensor]:
-        own = (getattr(b, name) for b in bodies[: T.flexible])
-        return [torch.nn.functional.pad(x, (0, T.modes - x.shape[-1])) for x in own]
+        given = (getattr(b, name) for b in bodies[: T.flexible])
+        return [torch.nn.functional.pad(x, (0, T.modes - x.shape[-1])) for x in given]
 
     q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies], modal("modal"))
     v = rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies], modal("modal_velocity"))
@@ -76,14 +73,14 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
 
 @dataclass(frozen=True, eq=False)
 class SharedStart:
-    """What designs that start alike share.
+    """Initial state of all designs whose start depends on the same inputs.
 
-    seen   attached points, and laws with their slopes at the start
-    q, v   the initial state [n, 1, 1]
-    ranks  of the constraints of a topology, where no mode of a body is needed to tell
+    inputs  attached points, and laws with their slopes at the start
+    q, v    the initial state [n, 1, 1]
+    ranks   topology -> rank of its constraints, where that does not depend on the modes of bodies
     """
 
-    seen: list[Tensor]
+    inputs: list[Tensor]
     q: Tensor
     v: Tensor
     ranks: dict[Topology, Rank]
@@ -91,7 +88,7 @@ class SharedStart:
 
 @dataclass(frozen=True, eq=False)
 class InitialConditions:
-    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies, modes at rest; given: those that were."""
+    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies; given: which velocities users gave [n_v]."""
 
     topology: Topology
     q: Tensor
@@ -100,28 +97,28 @@ class InitialConditions:
     _last: list[SharedStart] = field(default_factory=list, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_last": []}  # what was found for some designs is no part of the model
+        return self.__dict__ | {"_last": []}  # a cache of results, no part of the model
 
     @classmethod
     def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
-        """Collect what the bodies were given; `bodies` in the order of the topology."""
+        """Those of `bodies`, which are in the order of the topology."""
         start = {name: x[:, 0, 0].detach().clone() for name, x in start_of_bodies(topology, bodies).items()}
-        given = torch.tensor([moves(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
+        given = torch.tensor([given_velocities(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
         modal = torch.zeros(topology.n_v - len(given), dtype=torch.bool)
         return cls(topology, start["q0"], start["v0"], torch.cat([given, modal]))
 
     @cached_property
     def condensed(self) -> Condensation | None:
-        """What is left when the joints to the ground are solved for good; None if that is everything."""
+        """The condensation of the joints to the ground; None if there is nothing to condense."""
         return condense(self.topology, self.q) if self.topology.rows else None
 
     def shared_start(self, dynamics: Any) -> SharedStart | None:
-        """What all designs of these data share; None if their starts depend on the design. Raises InputError as `solve`."""
+        """The start of all designs of `dynamics`; None if it depends on the design. Raises InputError as `solve` does."""
         T, x = self.topology, dynamics.data["x"]
         if (
             not T.rows
-            or T.varied
-            or T.placed
+            or T.varying_primitives
+            or T.varying_vectors
             or START_DATA[0] in dynamics.data
             or isinstance(x, Pair)
             or x.requires_grad
@@ -129,73 +126,74 @@ class InitialConditions:
         ):
             return None
         laws = [drive for drive in T.law_jets(x.new_zeros(()), dynamics.data) if drive]
-        seen = [x, *(part for drive in laws for jet in drive for part in jet.parts)]
-        if not self._last or not all(map(torch.equal, seen, self._last[0].seen)):
+        inputs = [x, *(part for drive in laws for jet in drive for part in jet.parts)]
+        if not self._last or not all(map(torch.equal, inputs, self._last[0].inputs)):
             data = {name: value(y).detach()[..., :1] for name, y in dynamics.data.items()}
             data |= {name: torch.zeros_like(data[name]) for name in ("Y", "E") if name in data}
-            self._last[:] = [SharedStart(seen, *self._closed(replace(dynamics, data=data)), {})]
+            self._last[:] = [SharedStart(inputs, *self._solve(replace(dynamics, data=data)), {})]
         return self._last[0]
 
     def solve(self, dynamics: Any):
-        """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs where they depend on data that are.
+        """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes] with closed joints; pairs where they depend on pairs.
 
-        Raises InputError naming the joints that do not close.
+        Raises InputError that names the joints that do not close.
         """
         if dynamics.shared_start is None:
-            return self._closed(dynamics)
+            return self._solve(dynamics)
         return tuple(
             x.expand(-1, 1, dynamics.lanes).contiguous() for x in (dynamics.shared_start.q, dynamics.shared_start.v)
         )
 
-    def _closed(self, dynamics: Any):
+    def _solve(self, dynamics: Any):
         q, v = self.assembled(dynamics)
         return q, self.compatible(dynamics, q, v)
 
     def assembled(self, dynamics: Any):
-        """Positions q that close the joints, and rates v as they were given [n, 1, lanes]; as of `solve`."""
+        """Positions q that close the joints, and the rates v that bodies were given [n, 1, lanes]; pairs as in `solve`."""
         T, data = self.topology, dynamics.data
         device = value(data["x"]).device
         lanes = dynamics.lanes
         t = torch.zeros((), dtype=torch.float64, device=device)
         q, v = (
-            linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), data.get(name, own.to(device)[:, None, None]))
-            for name, own in zip(START_DATA, (self.q, self.v), strict=True)
+            linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), data.get(name, x.to(device)[:, None, None]))
+            for name, x in zip(START_DATA, (self.q, self.v), strict=True)
         )
         if not T.rows:
             return q, v
         for _ in range(_STEPS):
-            tied = _Tied.of(dynamics, q, t)
-            phi = tied.violation()
+            joints = _Joints.of(dynamics, q, t)
+            phi = joints.violation()
             if float(value(phi).detach().abs().max()) < _CLOSED:
                 break
-            s = -tied.least(value(phi).detach())
-            q = equations.advance(T, q, s + tied.turned(s) - tied.least(phi + tied.rates(s) - tied.rates(0.0 * s)))
+            s = -joints.correction(value(phi).detach())
+            residual = phi + joints.rates(s) - joints.rates(0.0 * s)
+            q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
         else:
             self._refuse(value(phi).detach())
-        return equations.advance(T, q, -tied.least(phi)), v
+        return equations.advance(T, q, -joints.correction(phi)), v
 
     def compatible(self, dynamics: Any, q: Any, v: Any):
-        """Rates that the joints allow at closed positions q, nearest to v; all are [n, 1, lanes]."""
+        """Rates [n_v, 1, lanes] that the joints allow at closed positions q [n_q, 1, lanes], nearest to v [n_v, 1, lanes]."""
         if not self.topology.rows:
             return v
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
-        tied = _Tied.of(dynamics, q, t, self.given.to(t.device))
-        s = -tied.least(value(tied.rates(v)).detach())
-        self._tell(value(v).detach()[:, 0], s[:, 0])
-        return v + s + tied.turned(s) - tied.least(tied.rates(v + s))
+        joints = _Joints.of(dynamics, q, t, self.given.to(t.device))
+        s = -joints.correction(value(joints.rates(v)).detach())
+        self._warn_changed(value(v).detach()[:, 0], s[:, 0])
+        return v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s))
 
-    def _tell(self, v: Tensor, s: Tensor) -> None:
-        """Warn of velocities that were given and are not kept [n_v, lanes]."""
-        n, lost = self.topology.bodies, []
+    def _warn_changed(self, v: Tensor, s: Tensor) -> None:
+        """Warn of given velocities v that corrections s change [n_v, lanes]."""
+        n, changed = self.topology.bodies, []
         for k, (kind, unit) in enumerate((("velocity", "m/s"), ("angular velocity", "rad/s"))):
             for i, name in enumerate(self.topology.names):
                 rows = [3 * n * k + n * j + i for j in range(3)]
                 change, lane = s[rows].norm(dim=0).max(0)
                 if self.given[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
-                    own, found = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
-                    lost.append((-float(change), f"{kind} of {name!r} given ({own}), starts with ({found}) {unit}"))
-        if lost:
-            shown, more = [text for _, text in sorted(lost)[:_SHOWN]], len(lost) - _SHOWN
+                    given, new = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
+                    changed.append((-float(change), f"{kind} of {name!r} given ({given}), starts with ({new}) {unit}"))
+        if changed:
+            shown, more = [text for _, text in sorted(changed)[:_SHOWN]], len(changed) - _SHOWN
             warn(
                 f"the joints do not allow the initial velocities that the bodies were given: {'; '.join(shown)}"
                 + (f"; and {more} more" if more > 0 else ""),
@@ -212,39 +210,44 @@ class InitialConditions:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tied:
-    """The joints of all lanes at the coordinates q and the time t."""
+class _Joints:
+    """The joints of all lanes at coordinates q and time t, with the matrices of the module header.
+
+    G, F          [lanes, rows, 6 bodies], zero in the columns of the other; without derivatives, as all that follow
+    C, F_inverse  C and F+ [lanes, 6 bodies, rows]
+    given         columns of G [6 bodies, 1, 1]
+    """
 
     dynamics: Any
     at: equations.Placement
     t: Tensor
-    G: Tensor  # [lanes, rows, 6 bodies], without derivatives, as all that follow: zero but for what is given
-    F: Tensor  # zero for what is given
-    inverse: Tensor  # C [lanes, 6 bodies, rows]
-    inverse_free: Tensor  # F+
-    given: Tensor  # [6 bodies, 1, 1]
+    G: Tensor
+    F: Tensor
+    C: Tensor
+    F_inverse: Tensor
+    given: Tensor
 
     @classmethod
-    def of(cls, dynamics: Any, q, t: Tensor, given: Tensor | None = None) -> _Tied:
-        """given: which of the rigid velocities are; None: all."""
+    def of(cls, dynamics: Any, q, t: Tensor, given: Tensor | None = None) -> _Joints:
+        """given: which of the rigid velocities users gave; None: all."""
         T, data = dynamics.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
         at = equations.placement(T, data, q, T.prescribed(t, data))
         rows, rigid = J.shape[1:]
-        own = torch.ones(rigid, dtype=torch.bool, device=J.device) if given is None else given[:rigid]
-        whole, small = _pseudo_inverse(J)
-        G, F, none = J * own, J * ~own, torch.zeros_like(whole)
-        if bool(own.all()):
-            C, free = whole, none
-        elif not bool(own.any()):
-            C, free = none, whole
+        given = torch.ones(rigid, dtype=torch.bool, device=J.device) if given is None else given[:rigid]
+        J_inverse, small = _pseudo_inverse(J)
+        G, F, zero = J * given, J * ~given, torch.zeros_like(J_inverse)
+        if bool(given.all()):
+            C, F_inverse = J_inverse, zero
+        elif not bool(given.any()):
+            C, F_inverse = zero, J_inverse
         else:
-            free = torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
-            Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ free
+            F_inverse = torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
+            Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ F_inverse
             C = torch.linalg.pinv(Q @ G, atol=small, rtol=torch.zeros_like(small)) @ Q
-        return cls(dynamics, at, t, G, F, C, free, own[:, None, None])
+        return cls(dynamics, at, t, G, F, C, F_inverse, given[:, None, None])
 
     def violation(self):
         """Phi [rows, ...]."""
@@ -255,40 +258,43 @@ class _Tied:
         T, data = self.dynamics.topology, self.dynamics.data
         return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(value(v)), self.t).velocity
 
-    def least(self, x):
+    def correction(self, x):
         """K x [n_v, ...] of x [rows, ...]; modal rows zero."""
 
-        def solved(y: Tensor) -> Tensor:
-            own = _times(self.inverse, y)
-            return self._whole(own + _times(self.inverse_free, y - _times(self.G, own)))
+        def product(y: Tensor) -> Tensor:
+            s = _times(self.C, y)
+            return self._all_rates(s + _times(self.F_inverse, y - _times(self.G, s)))
 
-        return linear(solved, x)
+        return linear(product, x)
 
-    def turned(self, s: Tensor):
-        """What the derivatives of J make of a correction s where its constraints are kept [n_v, ...]: no -K (dPhi + dJ s)."""
+    def jacobian_part(self, s: Tensor):
+        """The terms of ds with u and w [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s."""
         rigid = self.G.shape[2]
-        moved = linear(lambda f: self._of_given(f), self._pulled(_times(self.inverse.mT, s[:rigid])))
+        ds = linear(lambda f: self._u_terms(f), self._constraint_forces(_times(self.C.mT, s[:rigid])))
         if bool(self.F.any()):
-            free = self._pulled(_times(self.inverse_free.mT, s[:rigid]))
-            moved = moved + linear(lambda f: self._of_free(f), free)
-        return moved
+            forces = self._constraint_forces(_times(self.F_inverse.mT, s[:rigid]))
+            ds = ds + linear(lambda f: self._w_terms(f), forces)
+        return ds
 
-    def _pulled(self, y: Tensor):
+    def _constraint_forces(self, y: Tensor):
         """J' y [6 bodies, ...] with the derivatives of J."""
         T, data = self.dynamics.topology, self.dynamics.data
         return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])[: self.G.shape[2]]
 
-    def _of_given(self, f: Tensor) -> Tensor:
-        own = f * self.given
-        u = own - _times(self.G.mT, _times(self.inverse_free.mT, f - own))
-        u = u - _times(self.inverse, _times(self.G, u))
-        return self._whole(u - _times(self.inverse_free, _times(self.G, u)))
+    def _u_terms(self, f: Tensor) -> Tensor:
+        """(1 - F+ G) (u - C G u) of f = dJ' y."""
+        f_given = f * self.given
+        u = f_given - _times(self.G.mT, _times(self.F_inverse.mT, f - f_given))
+        u = u - _times(self.C, _times(self.G, u))
+        return self._all_rates(u - _times(self.F_inverse, _times(self.G, u)))
 
-    def _of_free(self, f: Tensor) -> Tensor:
+    def _w_terms(self, f: Tensor) -> Tensor:
+        """w - F+ F w of f = dJ' z."""
         w = f * ~self.given
-        return self._whole(w - _times(self.inverse_free, _times(self.F, w)))
+        return self._all_rates(w - _times(self.F_inverse, _times(self.F, w)))
 
-    def _whole(self, rigid: Tensor) -> Tensor:
+    def _all_rates(self, rigid: Tensor) -> Tensor:
+        """Rigid rates with zeros for the modes [n_v, ...]."""
         return torch.cat([rigid, rigid.new_zeros(self.dynamics.topology.n_v - len(rigid), *rigid.shape[1:])])
 
 

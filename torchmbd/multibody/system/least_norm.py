@@ -1,11 +1,12 @@
-"""Multipliers of redundant constraint rows: of all that do the same to the bodies, those of least norm.
+"""Multipliers of redundant constraint rows: of all with the same forces on the bodies, those of least norm.
 
-    lam = P lam'        P = J J+                                         J = Phi_q [rows, n_v], lam' any that solves
+    lam = P lam'        P = J J+                                         J = Phi_q [rows, n_v], lam' any solution
     dlam = P dlam' + (1 - P) dJ J+ lam' + J+' dJ' (1 - P) lam'           by the design, at constant rank
 
-The equations of motion leave a part of lam' undetermined, and iterations leave there what they happen to. Of rows in [m]
-the multipliers are forces [N], of rows without a unit torques [N m]: the norm takes both as numbers.
-The rank is that of the start (rank.py), unless rows that depended there have come apart since: a singular position.
+The equations of motion leave a part of lam' undetermined, so its value depends on the iterations. Multipliers of rows in [m]
+are forces [N], of rows without a unit torques [N m]: the norm takes both as numbers.
+The rank is that of the start (rank.py), or larger where the start is a singular position and dependent rows have become
+independent since.
 Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (derivative of P).
 Checked in tests/multibody/system/test_least_norm.py.
 """
@@ -23,19 +24,19 @@ from torchmbd.math.pair import Pair, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
-from torchmbd.multibody.system.reactions import in_chunks, number, repeat_over_times, unit_constraint_forces
+from torchmbd.multibody.system.reactions import flatten_times, in_chunks, repeat_over_times, unit_constraint_forces
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
-_APART = 1e-4  # of the largest singular value: rows that depended at the start and do not any more
+_APART = 1e-4  # share of the largest singular value above which rows that depended at the start are independent
 
 
 @dataclass(frozen=True, eq=False)
 class LeastNorm:
-    """Makes multipliers those of least norm.
+    """Projection of multipliers to those of least norm.
 
-    acting  rows that have multipliers at all, 1 or 0 [rows]
-    rank    number of independent rows among them
+    acting  1 for rows with a multiplier, 0 for those that are left out of the motion [rows]
+    rank    number of independent rows among the acting ones
     """
 
     T: Topology
@@ -44,43 +45,44 @@ class LeastNorm:
 
     @classmethod
     def of(cls, T: Topology, rank: Rank, rows: list[int] | None = None) -> LeastNorm | None:
-        """Of a rank of the rows of T, or of some of its rows; None if the multipliers are determined."""
-        own = list(range(T.rows)) if rows is None else rows
+        """For the rank of some rows of T (None: of all); None if the multipliers are determined."""
+        rows = list(range(T.rows)) if rows is None else rows
         if not rank.redundant:
             return None
         acting = torch.zeros(T.rows, dtype=torch.float64)
-        acting[[row for i, row in enumerate(own) if i not in rank.left_out]] = 1.0
+        acting[[row for i, row in enumerate(rows) if i not in rank.left_out]] = 1.0
         return cls(T, acting, rank.rank)
 
     def at_times(self, data: Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
-        """Multipliers [times, rows, pair, lanes] that act as `lam` does along the motion q [times, n_q, pair, lanes]."""
+        """Multipliers of least norm with the forces of lam [times, rows, pair, lanes], along q [times, n_q, pair, lanes]."""
         return in_chunks(lambda *x: self._chunk(data, *x), times, q, lam)
 
     def _chunk(self, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
         n, lanes = len(times), motion[0].shape[-1]
         wide = {name: repeat_over_times(data[name], n, lanes) for name in equations.ATTACHED if name in data}
-        found = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(number(x) for x in motion))
-        full = found.full if isinstance(found, Pair) else found
+        lam = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(flatten_times(x) for x in motion))
+        full = lam.full if isinstance(lam, Pair) else lam
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 
     def __call__(self, data: Data, given: Prescribed, q: Any, lam: Any) -> Any:
-        """Multipliers [rows, ...] that act as `lam` does at the coordinates q [n_q, ...].
+        """Multipliers [rows, ...] of least norm with the forces of `lam` at the coordinates q [n_q, ...].
 
         Differentiable: pairs, and plain tensors in reverse mode, by the formula above (not through an SVD).
         """
         at, acting = equations.placement(self.T, data, q, given), self.acting[:, None, None]
         with torch.no_grad():
             inverse, P = self._inverses(data, at)
-            own = value(lam).detach()
-            least = _times(P, own)
-            mu, nu = _times(inverse, own), acting * (own - least)
+            values = value(lam).detach()
+            least = _times(P, values)
+            mu, nu = _times(inverse, values), acting * (values - least)
         if not isinstance(lam, Pair) and not torch.is_grad_enabled():
             return least
-        moved, pulls = variation(acting * _rates(self.T, data, at, mu)), variation(_forces(self.T, data, at, nu))
-        slopes = _times(P, variation(lam) - moved) + moved + _times(inverse.mT, pulls)
+        # dJ mu and dJ' nu of the module header
+        dJ_mu, dJt_nu = variation(acting * _rates(self.T, data, at, mu)), variation(_forces(self.T, data, at, nu))
+        slopes = _times(P, variation(lam) - dJ_mu) + dJ_mu + _times(inverse.mT, dJt_nu)
         return Pair.of(least, slopes) if isinstance(lam, Pair) else least + slopes
 
-    def at_own_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:
+    def at_varying_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:
         """The same for one lane at a time t [1, 1] that may depend on the design; derivatives are total."""
         return self(data, _prescribed(self.T, data, t), q, lam)
 
@@ -88,17 +90,17 @@ class LeastNorm:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
         parts = [x.detach() for x in unit_constraint_forces(self.T, data, at, torch.arange(self.T.rows))]
         J = torch.cat([x.flatten(0, 1) for x in parts]).permute(2, 1, 0) * self.acting[:, None]
-        failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes: what they get is nan
+        failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes whose multipliers become nan
         U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)
         kept = s > _APART * s[:, :1]
         kept[:, : self.rank] |= s[:, : self.rank] > 0.0
-        U = U * kept[:, None] * self.acting[:, None]  # rounding put something into rows that do not act
+        U = U * kept[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
         U = torch.where(failed, torch.nan, U)
         return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
 
 
 def _prescribed(T: Topology, data: Data, t: Any) -> Prescribed:
-    """What is known at the time t, whose derivatives by the design move what the laws prescribe."""
+    """Prescribed quantities at the time t; derivatives of laws include those by the design through t."""
     now = value(t)[0, 0]
     given = T.prescribed(now, data)
     if not isinstance(t, Pair):

@@ -20,7 +20,7 @@ from torchmbd.multibody.joints.primitive import slopes_at, values_at
 
 @dataclass(frozen=True)
 class PrescribedBody:
-    """A body that turns about an axis fixed in the ground, by the change of a law since the start.
+    """A body that turns about an axis fixed in the ground, by the angle of a law minus its value at t = 0.
 
     A, r   pose at the start [3, 3], [3]
     spin   skew matrix of the axis, signed [3, 3]; center a point of the axis [3]
@@ -61,11 +61,11 @@ class PrescribedBody:
         p, r = self.turned((angle - self.law(torch.zeros_like(times[0])))[:, 0])
         arm = (r - self.center) @ self.spin.T
         omega = (self.A.T @ _axis(self.spin)).expand(len(times), 3)
-        fast = acceleration * arm + rate.square() * (arm @ self.spin.T)
+        rdd = acceleration * arm + rate.square() * (arm @ self.spin.T)
         return (
             torch.cat([r, p], 1),
             torch.cat([rate * arm, rate * omega], 1),
-            torch.cat([fast, acceleration * omega], 1),
+            torch.cat([rdd, acceleration * omega], 1),
         )
 
 

@@ -2,17 +2,17 @@
 
     Phi_q with rows of length one = U diag(s) V'          rank: singular values above 1e-9 of the largest
 
-A row is redundant if it depends on others: the motion does not need it, its multiplier is not determined (the one of
-least norm is taken). A drive that depends on the rows without a law moves what they hold: an error.
-Two rows that are dependent where a flexible body is undeformed contradict each other where it is not: an edge that twists by
-u gets longer by u^2 / 2L, for elastic displacements are linear, and two hinge points on it hold its length. Such a row is
-left out of the motion, its multiplier is zero; unless it is independent some way along a freedom of the undeformed
-mechanism: then the start is a singular position, and the row is regularized like those of rigid bodies.
-Where such rows differ by a little of elastic displacement, because bending of an unsymmetric laminate stretches it a little,
-they are a *weak* constraint: what would stretch the body is not among its modes of vibration, so bending has to, far too
-much. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes of their own that stretch.
-Near a singular position the last singular value that counts goes to zero; the row combination that is lost then is its
-left vector.
+A row is redundant if it depends on others: the motion does not need it, and its multiplier is not determined (the one of
+least norm is taken). A drive that depends on the rows without a law would move bodies that these hold: an error.
+Rows that are dependent where a flexible body is undeformed may contradict each other where it is deformed: an edge that twists
+by u gets longer by u^2 / 2L, as elastic displacements are linear, but two hinge points on it fix its length. Such a row is left
+out of the motion, and its multiplier is zero. An exception are rows that are independent at a position displaced along a
+freedom of the undeformed mechanism: the start is then a singular position, and the row is regularized as for rigid bodies.
+Dependent rows may also differ by a small elastic displacement, as bending of an unsymmetric laminate stretches it a little.
+They are a *weak* constraint: the stretching that they allow is not among the modes of vibration, so that it takes far too much
+bending. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes that stretch.
+Near a singular position the last nonzero singular value goes to zero; its left vector is the combination of rows that becomes
+dependent.
 Checked in tests/multibody/system/test_rank.py.
 """
 
@@ -33,21 +33,22 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
 
-RELATIVE = 1e-9  # what counts as zero
-_APART = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # what a row adds to those that stay: rows that add most come first
-_WEAK = 0.01  # of the largest elastic part of a row of the same body
-_SHARE = 0.3  # of the largest entry of a left vector: rows that are named
-_WAY = 0.2  # [rad] largest rotation to a position elsewhere
-_STEPS, _CLOSED = 30, 1e-11  # of Newton's method there; [m] or [-]
-_TOGETHER = 2**20  # entries of Jacobians that are made at once
+RELATIVE = 1e-9  # share of the largest singular value, or of the length of a row, that counts as zero
+_PARTS = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # least independent parts of rows in the passes of the elimination
+_WEAK = 0.01  # share of the largest elastic part of a row of the same body
+_SHARE = 0.3  # share of the largest entry of a left vector above which messages name a row
+_TURN = 0.2  # [rad] largest rotation to a displaced position
+_STEPS, _CLOSED = 30, 1e-11  # steps of Newton's method to it; largest violation [m] or [-]
+_ENTRIES = 2**20  # entries of Jacobians in one evaluation
 
 
 @dataclass(frozen=True)
 class Rank:
     """rank of Phi_q, and the names of the rows ("joint: row") that depend on the others.
 
-    left_out   indices of those among them that depend on rows of flexible bodies
-    weak       names of rows that differ from others by a little of elastic displacement only; share: how much at most
+    left_out   indices of those of them that depend on rows of flexible bodies, and are left out of the motion
+    weak       names of rows that differ from others by a small elastic displacement only
+    share      the largest such displacement, as a share of the largest elastic part of a row of the same body
     """
 
     rank: int
@@ -77,10 +78,10 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
 
 
 def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[str, ...], float]:
-    """Names of rows that others leave nothing but a small elastic part, and the largest such part."""
+    """`Rank.weak` and `Rank.share`."""
     n, f = 6 * T.bodies, T.flexible
     if J.shape[1] != T.n_v or T.rates is not None or not f:
-        return (), 1.0  # not for rigid columns alone, or condensed rates
+        return (), 1.0  # unknown from rigid columns alone, and from condensed rates
     kept = np.setdiff1d(np.arange(len(J)), left_out)
     rigid, elastic = J[kept, :n], J[kept, n:].reshape(len(kept), T.modes, f)
     size = np.linalg.norm(elastic, axis=1).max(0, initial=0.0)
@@ -102,7 +103,7 @@ def _driven(T: Topology) -> np.ndarray:
 
 
 def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ...]:
-    """Dependent rows that are combinations of rows of which any is attached to a flexible body."""
+    """Dependent rows that are attached to a flexible body, or depend on a row that is."""
     elastic = _elastic(T)
     if not dependent or not elastic.any():
         return ()
@@ -111,21 +112,21 @@ def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ..
     return tuple(i for k, i in enumerate(dependent) if elastic[i] or elastic[free[share[:, k]]].any())
 
 
-def confirm_left_out(dynamics: Any, q: Tensor, found: Rank) -> Rank:
-    """The rank at the start q [n_q], with rows left out only that depend on others elsewhere as well."""
-    away = displaced_position(dynamics, q) if found.left_out else None
-    if away is None:
-        return found
+def confirm_left_out(dynamics: Any, q: Tensor, rank: Rank) -> Rank:
+    """The rank at the start q [n_q], where `left_out` keeps those rows only that are dependent at a displaced position too."""
+    displaced = displaced_position(dynamics, q) if rank.left_out else None
+    if displaced is None:
+        return rank
     T = dynamics.topology
-    J = jacobians(dynamics, away[None], away.new_zeros(1))[0].cpu().numpy()
-    stay = [i for i in range(T.rows) if i not in found.left_out]
-    Q: Any = scipy.linalg.orth(J[stay].T, rcond=RELATIVE)
-    apart = [np.linalg.norm(J[i] - Q @ (Q.T @ J[i])) for i in found.left_out]
-    return replace(found, left_out=tuple(i for i, x in zip(found.left_out, apart, strict=True) if x < RELATIVE))
+    J = jacobians(dynamics, displaced[None], displaced.new_zeros(1))[0].cpu().numpy()
+    others = [i for i in range(T.rows) if i not in rank.left_out]
+    Q: Any = scipy.linalg.orth(J[others].T, rcond=RELATIVE)
+    parts = [np.linalg.norm(J[i] - Q @ (Q.T @ J[i])) for i in rank.left_out]
+    return replace(rank, left_out=tuple(i for i, x in zip(rank.left_out, parts, strict=True) if x < RELATIVE))
 
 
 def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
-    """An assembled position [n_q] some way from q along a freedom that the rows without a law leave undeformed bodies.
+    """An assembled position [n_q], displaced from q along a freedom that the rows without a law leave undeformed bodies.
 
     None if there is no such freedom, or Newton's method does not close the joints.
     """
@@ -140,53 +141,54 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
     turn = equations.split_v(T, step[:, None, None])[1].abs().max()
     if not float(turn) > RELATIVE:
         return None
-    away = equations.advance(T, q[:, None, None], (_WAY / turn) * step[:, None, None])
+    displaced = equations.advance(T, q[:, None, None], (_TURN / turn) * step[:, None, None])
     for _ in range(_STEPS):
-        at = equations.placement(T, values, away, given)
+        at = equations.placement(T, values, displaced, given)
         phi = equations.constraints(T, at)[rows, 0, 0]
         if float(phi.abs().max()) < _CLOSED:
-            return away[:, 0, 0]
+            return displaced[:, 0, 0]
         J = dynamics.saddle.jacobian(values, at)[0][rows][:, _rigid(T)]
         step = torch.zeros_like(step).index_put((torch.tensor(_rigid(T)),), -torch.linalg.pinv(J, rtol=1e-6) @ phi)
-        away = equations.advance(T, away, step[:, None, None])
+        displaced = equations.advance(T, displaced, step[:, None, None])
     return None
 
 
 def full_rank_undeformed(T: Topology, J: np.ndarray) -> bool:
-    """Whether all rows of a Jacobian [rows, n_v] are independent even of undeformed bodies: so they are for all designs."""
+    """Whether all rows of a Jacobian [rows, n_v] are independent even for undeformed bodies, and so for all designs."""
     return _dependent(_unit(J[:, _rigid(T)]))[0] == T.rows
 
 
 def _unit(J: np.ndarray) -> np.ndarray:
-    """Rows of length one."""
+    """J with rows scaled to length one."""
     return J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
 def _rigid(T: Topology) -> list[int]:
-    """Rates that bend no body."""
+    """Indices of the rates that deform no body."""
     modal = 6 * T.bodies
     return list(range(modal)) if T.rates is None else torch.nonzero((T.rates[modal:] == 0).all(0))[:, 0].tolist()
 
 
 def _elastic(T: Topology) -> np.ndarray:
     """Which rows are attached to a flexible body [rows]."""
-    found = np.zeros(T.rows, dtype=bool)
+    elastic = np.zeros(T.rows, dtype=bool)
     for primitive, rows in T.row_slices():
         vectors = torch.stack(primitive.members)
-        found[rows] = np.tile((vectors < T.attached_flexible).any(0).numpy(), primitive.rows)
-    return found
+        elastic[rows] = np.tile((vectors < T.attached_flexible).any(0).numpy(), primitive.rows)
+    return elastic
 
 
 def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
-    """Rank, and rows that depend on the others; rows of length one.
+    """Rank of J with rows of length one, and the rows that depend on the others.
 
-    Of rows that could stand for each other the first one stays, whatever the rounding: lanes and phases leave out the same.
+    Rows with large independent parts come first, so that of equivalent rows the first one is independent whatever the
+    rounding: lanes and phases leave out the same rows.
     """
     Q, rank, rest = np.zeros_like(J), 0, list(range(len(J)))
-    for least in _APART:
+    for least in _PARTS:
         for i in list(rest):
             x = J[i]
-            for _ in range(2):  # twice is enough
+            for _ in range(2):  # a second projection removes the rounding of the first
                 x = x - Q[:rank].T @ (Q[:rank] @ x)
             size = np.linalg.norm(x)
             if size > least:
@@ -196,30 +198,30 @@ def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
 
 
 def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
-    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design, the first."""
+    """Phi_q with rows of length one [n, rows, n_v] of the first design at positions q [n, n_q] and times [n]."""
     T, saddle = dynamics.topology, dynamics.saddle
     data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
     schedule, parts = T.schedule(times, data), []
-    count = max(1, _TOGETHER // max(1, T.rows * T.n_v))
+    count = max(1, _ENTRIES // max(1, T.rows * T.n_v))
     for start in range(0, len(q), count):
-        some = slice(start, start + count)
-        at = equations.placement(T, data, q[some].T[:, None], as_lanes(schedule[some]).values())
+        chunk = slice(start, start + count)
+        at = equations.placement(T, data, q[chunk].T[:, None], as_lanes(schedule[chunk]).values())
         parts.append(saddle.jacobian(data, at))
     J = torch.cat(parts)
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
 
 
 def first_finite_lane(data: equations.Data) -> int | None:
-    """The first lane whose data are numbers: locks of a phase that it does not reach have no marks. None: there is none."""
-    good = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
+    """The first lane whose data are finite (those of a lock are nan in lanes that do not reach its phase); None: no lane."""
+    finite = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
     for x in data.values():
-        good &= torch.isfinite(value(x)).flatten(0, -2).all(0).cpu()
-    found = torch.nonzero(good)
-    return int(found[0, 0]) if len(found) else None
+        finite &= torch.isfinite(value(x)).flatten(0, -2).all(0).cpu()
+    lanes = torch.nonzero(finite)
+    return int(lanes[0, 0]) if len(lanes) else None
 
 
 def dominant_rows(T: Topology, left: Tensor) -> tuple[str, ...]:
-    """Names of the rows with a large part in a left singular vector [rows], largest first."""
+    """Names of the rows with the largest entries in a left singular vector [rows], largest first."""
     size = left.abs()
     order = torch.argsort(size, descending=True).tolist()
     return tuple(T.row_names[i] for i in order if size[i] > _SHARE * size[order[0]])

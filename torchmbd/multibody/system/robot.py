@@ -1,13 +1,13 @@
-"""A robot of a file (io/robot_file.py) as bodies, joints and forces.
+"""Bodies, joints and forces of a robot file (io/robot_file.py).
 
     revolute, continuous -> Revolute      prismatic -> Prismatic      planar -> Planar      spherical -> Spherical
     floating -> a free body      closures -> Spherical, Fixed between links beside the tree
     fixed -> the child is a part of its parent (its inertia is added), or a Fixed joint beside a flexible body
     limits -> RotationalStop, AxialStop      springs, damping, friction, actuators -> robot_forces.py
 
-A flexible body takes the place of a link: its mesh is in the frame of the link. A joint sits on the node set that has the
-name of the joint, else on the node next to the place that the file says, by a rigid arm.
-Over 300 lines: one builder, from the places of links to their bodies and to what is between them.
+A flexible body can replace a link; its mesh is then in the frame of the link. A joint acts on the node set with the name of the
+joint, else on the node nearest to the joint's position in the file, by a rigid arm.
+Over 300 lines: one builder, from the poses of links to bodies, and to the joints and forces between them.
 Checked in tests/multibody/system/test_robot.py, test_robot_mjcf.py.
 """
 
@@ -24,7 +24,7 @@ from torchmbd.errors import InputError, true_or_false, unknown, warn
 from torchmbd.io.robot_file import IDENTITY, Pose, Robot, RobotJoint, combined_mass
 from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
-from torchmbd.multibody.bodies.frame import put
+from torchmbd.multibody.bodies.frame import set_start
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.contact import MOST_TURN, AxialStop, RotationalStop
 from torchmbd.multibody.forces.force import ForceElement
@@ -32,8 +32,8 @@ from torchmbd.multibody.joints import Drive, Fixed, Planar, Prismatic, Revolute,
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.system.robot_forces import MOVING, actuator_forces, identifier, joint_forces
 
-FAR = 0.2  # of the size of a flexible body: how long the arm to its nearest node may be
-FLAT = 1e-12  # [m2] of inertia over mass: below it a negative principal value is rounding
+FAR = 0.2  # longest arm to the nearest node of a flexible body, as a share of its size
+FLAT = 1e-12  # [m2] inertia over mass below which a negative principal value is rounding
 
 
 class _Placed(NamedTuple):
@@ -45,7 +45,7 @@ class _Placed(NamedTuple):
 
 
 def robot(
-    found: Robot,
+    file: Robot,
     flexible: Mapping[str, FlexibleBody],
     fixed_base: bool = True,
     positions: Mapping[str, float] | None = None,
@@ -58,15 +58,15 @@ def robot(
     controls: Mapping[str, Any] | None = None,
     gravity: Sequence[float] | None = (0.0, 0.0, -9.81),
 ) -> dict[str, Any]:
-    """What a System takes: bodies, joints, forces, free, gravity.
+    """Arguments of a System: bodies, joints, forces, free, gravity.
 
-    positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero, or as the file says
-    drives                 joint name -> law of its coordinate from there on, a function of time as of mbd.Drive: "NAME_drive"
+    positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero, or those of the file
+    drives                 joint name -> law of the change of its coordinate, a function of time as of mbd.Drive: "NAME_drive"
     locked                 names of joints that are fixed at these positions; those that mimic others must be
     stop_stiffness         of the stops at joint limits [N m/rad, N/m]; None: no stops, a start may be beyond limits
     stop_damping           of the stops [s/rad, s/m], as of RotationalStop
     controls               actuator name -> control, a number or a torch function of time; others are zero
-    friction_speed         below it friction falls off [rad/s, m/s]
+    friction_speed         speed below which friction decreases to zero [rad/s, m/s]
     gravity                [m/s2]
     """
     fixed_base = true_or_false("fixed_base", fixed_base)
@@ -80,17 +80,18 @@ def robot(
     for key, given in named.items():
         if given is not None and not isinstance(given, Mapping):
             raise InputError(f"{key} is {given!r}; allowed: names -> values")
-    if isinstance(locked, str) or not all(isinstance(name, str) for name in locked):
+    names = None if isinstance(locked, str) or not isinstance(locked, Iterable) else list(locked)
+    if names is None or not all(isinstance(name, str) for name in names):
         raise InputError(f"locked is {locked!r}; allowed: names of joints")
-    made = _Builder(found, flexible, fixed_base, positions or {}, velocities or {}, drives or {}, set(locked))
+    builder = _Builder(file, flexible, fixed_base, positions or {}, velocities or {}, drives or {}, set(names))
     if stop_stiffness is not None:
         positive("stop_stiffness", stop_stiffness, "N m/rad or N/m")
-        made.check_limits()
-    return made.parts(stop_stiffness, stop_damping, friction_speed, controls or {}) | {"gravity": gravity}
+        builder.check_limits()
+    return builder.parts(stop_stiffness, stop_damping, friction_speed, controls or {}) | {"gravity": gravity}
 
 
 class _Builder:
-    """Bodies of links and what is between them."""
+    """Makes bodies of links, and joints and forces between them."""
 
     def __init__(
         self,
@@ -121,14 +122,15 @@ class _Builder:
         self.q = {name: scalar(f"positions[{name!r}]", x) for name, x in positions.items()}
         self.rate = {name: scalar(f"velocities[{name!r}]", x) for name, x in velocities.items()}
         self.fixed_base = fixed_base
-        self.together = _place(robot.joints, robot.root, {joint.name: joint.start for joint in robot.joints}, {})
-        self.q = {joint.name: joint.start for joint in robot.joints} | self.q
+        start = {joint.name: joint.start for joint in robot.joints}
+        self.closure_poses = _place(robot.joints, robot.root, start, {})  # the file states closures in this position
+        self.q = start | self.q
         self.robot = replace(robot, joints=[self._locked(j) if j.name in locked else j for j in robot.joints])
         if mimics := [joint.name for joint in self.robot.joints if joint.mimics]:
             raise InputError(
                 f"joints {mimics} mimic others; allowed: joints of their own, or locked={mimics}, at positions of their own"
             )
-        self._drop_marks()
+        self._drop_empty_links()
         names: dict[str, str] = {}
         for joint in self.robot.joints:
             if (first := names.setdefault(identifier(joint.name), joint.name)) != joint.name:
@@ -136,26 +138,26 @@ class _Builder:
                     f"joints {first!r} and {joint.name!r} are both {identifier(joint.name)!r}; allowed: names apart"
                 )
         self.placed = _place(self.robot.joints, self.robot.root, self.q, self.rate)
-        self.owner, self.inside = self._owners()
+        self.owner, self.pose_in_owner = self._owners()
         self.bodies = self._bodies()
 
     def _locked(self, joint: RobotJoint) -> RobotJoint:
         origin = joint.origin @ joint.displaced(self.q[joint.name])
         return replace(joint, kind="fixed", origin=origin, limits=None, mimics=False)
 
-    def _drop_marks(self) -> None:
-        """Leave out links without mass and inertia that are fixed at the end of others, such as flanges."""
+    def _drop_empty_links(self) -> None:
+        """Leave out links without mass and inertia that are fixed to others and carry none, such as flanges."""
         kept: list[RobotJoint] = []
         for joint in reversed(self.robot.joints):
             link = self.robot.links[joint.child]
             empty = link.mass == 0.0 and not link.inertia.any()
-            bare = joint.kind == "fixed" and empty and joint.child not in self.flexible
-            if not bare or any(other.parent == joint.child for other in kept):
+            droppable = joint.kind == "fixed" and empty and joint.child not in self.flexible
+            if not droppable or any(other.parent == joint.child for other in kept):
                 kept.append(joint)
         self.robot = replace(self.robot, joints=kept[::-1])
 
     def check_limits(self) -> None:
-        """InputError where joints start beyond their limits: stops would throw them back."""
+        """InputError where joints start beyond their limits, as stops would have large forces there."""
         beyond = {}
         for joint in self.robot.joints:
             q = self.q[joint.name]
@@ -168,18 +170,18 @@ class _Builder:
             )
 
     def _owners(self) -> tuple[dict[str, str], dict[str, Pose]]:
-        """The link that each link is a part of, and its pose there: those fixed to others are parts of them."""
-        owner, inside = {self.robot.root: self.robot.root}, {self.robot.root: IDENTITY}
+        """For each link the link whose body it is a part of, and its pose in that; links fixed to rigid links are parts."""
+        owner, pose = {self.robot.root: self.robot.root}, {self.robot.root: IDENTITY}
         for joint in self.robot.joints:
             parent = owner[joint.parent]
             if joint.kind == "fixed" and not {parent, joint.child} & self.flexible.keys():
-                owner[joint.child], inside[joint.child] = parent, inside[joint.parent] @ joint.origin
+                owner[joint.child], pose[joint.child] = parent, pose[joint.parent] @ joint.origin
             else:
-                owner[joint.child], inside[joint.child] = joint.child, IDENTITY
-        return owner, inside
+                owner[joint.child], pose[joint.child] = joint.child, IDENTITY
+        return owner, pose
 
     def _bodies(self) -> dict[str, Any]:
-        """Bodies by their links; the ground in the place of a root that is fixed."""
+        """Bodies by their links; the ground for a fixed root."""
         bodies: dict[str, Any] = {}
         self.impossible: list[str] = []
         for link in dict.fromkeys(self.owner.values()):
@@ -190,7 +192,7 @@ class _Builder:
                 body = self.flexible[link]
                 arm = at.pose.axes @ body.origin.detach().numpy()
                 velocity = at.velocity + np.cross(at.spin, arm)
-                put(body, (at.pose.position + arm).tolist(), at.pose.axes.tolist())
+                set_start(body, (at.pose.position + arm).tolist(), at.pose.axes.tolist())
                 if self.rate:
                     body.moving(velocity.tolist(), (at.pose.axes.T @ at.spin).tolist())
                 bodies[link] = body
@@ -204,10 +206,11 @@ class _Builder:
         return bodies
 
     def _rigid(self, link: str, at: _Placed) -> RigidBody:
+        """The rigid body of a link and of those that are parts of it."""
         parts = []
-        for name in [name for name, own in self.owner.items() if own == link]:
-            own, pose = self.robot.links[name], self.inside[name]
-            parts.append((own.mass, pose.position + pose.axes @ own.center, pose.axes @ own.inertia @ pose.axes.T))
+        for name in [name for name, owner in self.owner.items() if owner == link]:
+            part, pose = self.robot.links[name], self.pose_in_owner[name]
+            parts.append((part.mass, pose.position + pose.axes @ part.center, pose.axes @ part.inertia @ pose.axes.T))
         mass, center, J = combined_mass(parts)
         if not mass > 0.0:
             raise InputError(f"link {link!r}, with what is fixed to it, has no mass; allowed: a mass > 0 of what moves")
@@ -234,6 +237,7 @@ class _Builder:
     def parts(
         self, stop_stiffness: float | None, stop_damping: float, friction_speed: float, controls: Mapping[str, Any]
     ) -> dict[str, Any]:
+        """Bodies, joints, forces, and the names of free bodies."""
         joints: list[Joint] = []
         forces: list[ForceElement] = []
         root = self.bodies[self.robot.root]
@@ -244,9 +248,9 @@ class _Builder:
             if self.owner[joint.child] != joint.child:
                 continue
             name, axes = identifier(joint.name), _triad(joint.axis)
-            own = Pose(joint.anchor, axes)
-            a = self._frame(joint.parent, joint.name, joint.origin @ own)
-            b = self._frame(joint.child, joint.name, own)
+            pose = Pose(joint.anchor, axes)
+            a = self._frame(joint.parent, joint.name, joint.origin @ pose)
+            b = self._frame(joint.child, joint.name, pose)
             if joint.kind in MOVING:
                 ends[joint.name] = joint, a, b
             if joint.kind in ("revolute", "continuous"):
@@ -278,17 +282,17 @@ class _Builder:
             warn(f"limits of joints {unlimited} are about a turn apart, or more: they are left out")
         forces += actuator_forces(self.robot.actuators, ends, controls)
         for closure in self.robot.closures:
-            first, second = (self.together[link].pose for link in closure.links)
-            own = Pose(closure.position, np.eye(3))
-            poses = own, second.inverse @ first @ own
+            first, second = (self.closure_poses[link].pose for link in closure.links)
+            pose = Pose(closure.position, np.eye(3))
+            poses = pose, second.inverse @ first @ pose
             a, b = (self._frame(*pair) for pair in zip(closure.links, (closure.name,) * 2, poses, strict=True))
             joints.append((Fixed if closure.kind == "fixed" else Spherical)(a, b, name=identifier(closure.name)))
         bodies = [body for body in self.bodies.values() if not isinstance(body, Ground)]
         return {"bodies": bodies, "joints": joints, "forces": forces, "free": free}
 
     def _frame(self, link: str, joint: str, pose: Pose) -> Any:
-        """Frame of a link, also of one that is a part of another, or a flexible body."""
-        pose = self.inside[link] @ pose
+        """The frame of a joint at a pose in a link, on the body that the link is a part of, or on a flexible body."""
+        pose = self.pose_in_owner[link] @ pose
         body = self.bodies[self.owner[link]]
         if not isinstance(body, FlexibleBody):
             x, y, z = pose.position.tolist()
@@ -311,14 +315,14 @@ class _Builder:
 def _place(
     joints: Sequence[RobotJoint], root: str, positions: Mapping[str, float], velocities: Mapping[str, float]
 ) -> dict[str, _Placed]:
-    """Links in space."""
+    """Poses and velocities of all links by name, out of coordinates and rates of the joints."""
     placed = {root: _Placed(IDENTITY, np.zeros(3), np.zeros(3))}
     for joint in joints:
         base, rate = placed[joint.parent], velocities.get(joint.name, 0.0)
-        own = base.pose @ joint.origin
-        axis = own.axes @ joint.axis * rate
+        start = base.pose @ joint.origin
+        axis = start.axes @ joint.axis * rate
         slides = joint.kind == "prismatic"
-        pose = own @ joint.displaced(positions[joint.name])
+        pose = start @ joint.displaced(positions[joint.name])
         spin = base.spin if slides else base.spin + axis
         velocity = base.velocity + np.cross(base.spin, pose.position - base.pose.position)
         velocity += axis if slides else np.cross(axis, -pose.axes @ joint.anchor)
@@ -327,7 +331,7 @@ def _place(
 
 
 def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
-    """An inertia without negative rounding, and whether a mass can have it; InputError where it is negative."""
+    """J without negative principal values by rounding, and whether a mass can have it; InputError where J is negative."""
     values, axes = np.linalg.eigh(J)
     if values[0] < -FLAT * mass - 1e-9 * values[2]:
         raise InputError(f"inertia of link {link!r} has the principal values {values.tolist()}; allowed: none negative")
@@ -338,7 +342,7 @@ def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
 
 
 def _triad(axis: np.ndarray) -> np.ndarray:
-    """Columns of a triad whose z is the axis; the axes of the link where that is its z."""
+    """A triad (columns) whose z is the axis; the axes of the link where the axis is its z."""
     if abs(axis[2] - 1.0) < 1e-12:
         return np.eye(3)
     x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])

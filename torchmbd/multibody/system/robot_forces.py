@@ -28,9 +28,9 @@ MOVING = ("revolute", "continuous", "prismatic")  # joints of one coordinate
 
 
 def identifier(name: str) -> str:
-    """A name of a file as one of a system."""
-    made = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
-    return made if made.isidentifier() else f"_{made}"
+    """A name of a file as a Python identifier, for a System."""
+    cleaned = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
+    return cleaned if cleaned.isidentifier() else f"_{cleaned}"
 
 
 def joint_forces(joint: RobotJoint, a: Any, b: Any, speed: float) -> list[ForceElement]:
@@ -50,39 +50,41 @@ def joint_forces(joint: RobotJoint, a: Any, b: Any, speed: float) -> list[ForceE
 def actuator_forces(
     actuators: Sequence[Actuator], joints: Mapping[str, tuple[RobotJoint, Any, Any]], controls: Mapping[str, Any]
 ) -> list[ForceElement]:
-    """Actuators on joints, which stand with their frames; those without control and bias have no force."""
+    """Forces of actuators; joints: name -> joint and its frames. Actuators without control and bias have no force."""
     names = [actuator.name for actuator in actuators]
     forces: list[ForceElement] = []
     for name in controls:
         if name not in names:
             raise unknown("controls:", name, names)
-    for own in actuators:
-        least, largest = own.limits or (-math.inf, math.inf)
-        given: Any = controls.get(own.name, min(max(0.0, least), largest))
-        if not callable(given) and not least <= (given := scalar(f"controls[{own.name!r}]", given)) <= largest:
-            raise InputError(f"controls[{own.name!r}] is {given:g}; allowed: from {least:g} to {largest:g}")
-        if own.joint in joints and (callable(given) or any((given, *own.bias))):
-            joint, a, b = joints[own.joint]
+    for actuator in actuators:
+        least, largest = actuator.limits or (-math.inf, math.inf)
+        control: Any = controls.get(actuator.name, min(max(0.0, least), largest))  # a number, or a function of time
+        if not callable(control):
+            control = scalar(f"controls[{actuator.name!r}]", control)
+            if not least <= control <= largest:
+                raise InputError(f"controls[{actuator.name!r}] is {control:g}; allowed: from {least:g} to {largest:g}")
+        if actuator.joint in joints and (callable(control) or any((control, *actuator.bias))):
+            joint, a, b = joints[actuator.joint]
             center = 0.5 * sum(joint.limits) if joint.limits else 0.0
-            control: Any = given  # a number, or a function of time
-            law = ActuatorLaw(control, own, center)
-            forces.append(_between(joint, a, b, law, identifier(own.name)))
+            number_or_function: Any = control
+            law = ActuatorLaw(number_or_function, actuator, center)
+            forces.append(_between(joint, a, b, law, identifier(actuator.name)))
     return forces
 
 
 @dataclass(frozen=True)
 class ActuatorLaw:
-    """Force of an actuator by the coordinate of its joint, its rate and time."""
+    """Force of an actuator as a law of the coordinate s of its joint, the rate and time; center: middle of the range of s."""
 
     control: Callable[[Tensor], Tensor] | float
     actuator: Actuator
     center: float = 0.0
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        own = self.actuator
-        u = _limited(self.control(t), own.limits) if callable(self.control) else self.control
-        force = own.gain * u + own.bias[0] + own.gear * (own.bias[1] * s + own.bias[2] * rate)
-        return own.gear * _limited(force, own.forces)
+        x = self.actuator
+        u = _limited(self.control(t), x.limits) if callable(self.control) else self.control
+        force = x.gain * u + x.bias[0] + x.gear * (x.bias[1] * s + x.bias[2] * rate)
+        return x.gear * _limited(force, x.forces)
 
 
 def _limited(x: Tensor, limits: tuple[float, float] | None) -> Tensor:

@@ -29,28 +29,28 @@ from torchmbd.multibody.system.unit_forces import Block, unit_multipliers, unit_
 
 
 class Saddle:
-    """Gathers the blocks of one topology; index tensors made once."""
+    """Assembles the saddle-point matrices of one topology; index tensors are made once."""
 
     def __init__(self, T: Topology):
         self.blocks = SaddleBlocks(T, unit_multipliers(T), unit_strengths(T))
         self.T = T
         shapes = self.blocks.shapes()
         self.names = [name for name, _ in shapes]
-        row, column, place = saddle_entries(T, self.blocks)
+        row, column, entry = saddle_entries(T, self.blocks)
         zero = entry_count(shapes)
-        # With independent rates the matrix is P' K P: sums over the few entries of K that each of its entries has.
+        # With independent rates the matrix is P' K P: each of its entries is a sum over few entries of K.
         index = np.full((T.n_rates + T.rows,) * 2, zero)
-        index[row, column] = place
+        index[row, column] = entry
         self._project = None if T.rates is None else Projection(index, zero, T.rates)
         self._index = torch.from_numpy(index.reshape(-1))
         sparse = T.rates is None and len(index) >= LARGE
-        self.columns = ColumnPattern.of(row, column, place, len(index), zero) if sparse else None
+        self.columns = ColumnPattern.of(row, column, entry, len(index), zero) if sparse else None
         self._beams = None if T.beams is None else _BeamEntries(T, self.blocks)
-        acting = self.blocks.action_shapes()
-        self.action_names = [name for name, _ in acting]
-        rate, action, place = self.blocks.actions.matrix_entries(T, entry_numbers(acting), "action")
-        direction = np.full((T.n_rates, sum(len(a.laws) for a in T.actions)), entry_count(acting))
-        direction[rate, action] = place
+        action_shapes = self.blocks.action_shapes()
+        self.action_names = [name for name, _ in action_shapes]
+        rate, action, entry = self.blocks.actions.matrix_entries(T, entry_numbers(action_shapes), "action")
+        direction = np.full((T.n_rates, sum(len(a.laws) for a in T.actions)), entry_count(action_shapes))
+        direction[rate, action] = entry
         self._directions, self._direction = torch.from_numpy(direction.reshape(-1)), direction.shape
 
     def matrix(
@@ -76,15 +76,15 @@ class Saddle:
         return K
 
     def _entries(self, data: Data, at: Placement, *arguments: Any) -> Tensor:
-        """Entries of all blocks [n + 1, lanes], the last of which is zero."""
+        """Entries of all blocks [n + 1, lanes]; the last one is zero."""
         lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
         return _flat(self.blocks(data, at, *arguments), self.names, lanes)
 
-    def factors(self, data: Data, at: Placement, diagonal: Diagonal | None, by: Sequence[Tensor] = ()) -> Factors:
-        """Of the matrix of the accelerations; diagonal as of Dynamics, by as of Factors."""
+    def factors(self, data: Data, at: Placement, diagonal: Diagonal | None, inputs: Sequence[Tensor] = ()) -> Factors:
+        """Factors of the matrix of the accelerations; diagonal as of `Dynamics.diagonal`, inputs as of `Factors`."""
         if self.columns is None:
-            return Factors(self.matrix(data, at), diagonal, None, by)
-        return Factors(self._entries(data, at)[self.columns.place].T, diagonal, self.columns, by)
+            return Factors(self.matrix(data, at), diagonal, None, inputs)
+        return Factors(self._entries(data, at)[self.columns.entry].T, diagonal, self.columns, inputs)
 
     def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:
         """Derivatives of the applied forces through their laws [lanes, n_v, n_v]."""
@@ -104,78 +104,71 @@ class Saddle:
 
 
 class _BeamEntries:
-    """What beam elements add to the matrix of the rates [lanes, n_v, n_v], from the flat entries of all blocks."""
+    """The part of beam elements in the matrix of the rates [lanes, n_v, n_v], from the entries of all blocks [n, lanes]."""
 
     def __init__(self, T: Topology, blocks: SaddleBlocks):
-        row, column, place = beams.matrix_entries(T, entry_numbers(blocks.shapes())["beam"])
+        row, column, entry = beams.matrix_entries(T, entry_numbers(blocks.shapes())["beam"])
         self.size, self.rates = T.n_rates, T.rates
-        self.to, self.place = torch.from_numpy(row * T.n_rates + column), torch.from_numpy(place)
+        self.position, self.entry = torch.from_numpy(row * T.n_rates + column), torch.from_numpy(entry)
 
     def __call__(self, flat: Tensor) -> Tensor:
-        K = flat.new_zeros(self.size**2, flat.shape[-1]).index_add(0, self.to, flat[self.place])
+        K = flat.new_zeros(self.size**2, flat.shape[-1]).index_add(0, self.position, flat[self.entry])
         K = K.reshape(self.size, self.size, -1).permute(2, 0, 1)
         return K if self.rates is None else self.rates.T @ K @ self.rates
 
 
 def _flat(blocks: dict[str, Tensor], names: list[str], lanes: int) -> Tensor:
-    """Entries of blocks one after another [n + 1, lanes], the last of which is zero."""
+    """Entries of blocks one after another [n + 1, lanes]; the last one is zero."""
     parts = [blocks[name].expand(*blocks[name].shape[:-2], 1, lanes).reshape(-1, lanes) for name in names]
     return torch.cat([*parts, torch.zeros(1, lanes, dtype=torch.float64, device=parts[0].device)])
 
 
 def entry_count(shapes: list[Block]) -> int:
-    """Entries of blocks."""
+    """Number of entries of all blocks."""
     return sum(int(np.prod(shape)) for _, shape in shapes)
 
 
 def entry_numbers(shapes: list[Block]) -> dict[str, np.ndarray]:
-    """Place of every entry of blocks among all of them."""
-    found, start = {}, 0
+    """For each block an array of its shape: the numbers of its entries among the entries of all blocks."""
+    numbers, start = {}, 0
     for name, shape in shapes:
         size = int(np.prod(shape))
-        found[name] = np.arange(start, start + size).reshape(shape)
+        numbers[name] = np.arange(start, start + size).reshape(shape)
         start += size
-    return found
+    return numbers
 
 
 def saddle_entries(T: Topology, blocks: SaddleBlocks) -> np.ndarray:
-    """Row, column (in rates of all bodies and rows) and place among the blocks of every entry of the matrix [3, n]."""
+    """Row, column (rates of all bodies, then constraint rows) and entry number of each nonzero of the matrix [3, n]."""
     n, f, m, nv = T.bodies, T.flexible, T.modes, T.n_rates
     at = entry_numbers(blocks.shapes())
     r = np.arange(3 * n).reshape(3, n)
     om = r + 3 * n
     w = 6 * n + np.arange(m * f).reshape(m, f)
-    found: list[tuple] = [(r[i], r[i], at["mass"]) for i in range(3)]
+    entries: list[tuple] = [(r[i], r[i], at["mass"]) for i in range(3)]
     for i in range(3):
         for j in range(3):
-            found.append((r[i], om[j], at["r_om"][i, j]))
-            found.append((om[j], r[i], at["om_r"][i, j]))
-            found.append((om[i], om[j], at["inertia"][i, j]))
+            entries.append((r[i], om[j], at["r_om"][i, j]))
+            entries.append((om[j], r[i], at["om_r"][i, j]))
+            entries.append((om[i], om[j], at["inertia"][i, j]))
         for a in range(m):
-            found.append((r[i, :f], w[a], at["r_w"][i, a]))
-            found.append((w[a], r[i, :f], at["w_r"][i, a]))
-            found.append((om[i, :f], w[a], at["om_w"][i, a]))
-            found.append((w[a], om[i, :f], at["w_om"][i, a]))
+            entries.append((r[i, :f], w[a], at["r_w"][i, a]))
+            entries.append((w[a], r[i, :f], at["w_r"][i, a]))
+            entries.append((om[i, :f], w[a], at["om_w"][i, a]))
+            entries.append((w[a], om[i, :f], at["w_om"][i, a]))
     for a in range(m):
         for b in range(m):
-            found.append((w[a], w[b], at["modal"][a, b]))
+            entries.append((w[a], w[b], at["modal"][a, b]))
     if T.rows:
-        rate, row, place = blocks.rows.matrix_entries(T, at, "row")
-        found.append((rate, nv + row, place))
-        turning = (rate >= 3 * n) & (rate < 6 * n)
-        back = place + np.where(turning, entries_before(blocks, "row_turn") - entries_before(blocks, "row_torque"), 0)
-        found.append((nv + row, rate, back))
-    return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in found], 1)
-
-
-def entries_before(blocks: SaddleBlocks, name: str) -> int:
-    """Entries of the blocks before one."""
-    shapes = blocks.shapes()
-    return entry_count(shapes[: [n for n, _ in shapes].index(name)])
+        rate, row, entry = blocks.rows.matrix_entries(T, at, "row")
+        entries.append((rate, nv + row, entry))
+        rate, row, entry = blocks.rows.matrix_entries(T, at | {"row_torque": at["row_turn"]}, "row")
+        entries.append((nv + row, rate, entry))
+    return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in entries], 1)
 
 
 class Projection:
-    """P' K P with P = diag(rates, 1), from the flat entries of K's blocks."""
+    """P' K P with P = diag(rates, 1), from the entries of the blocks of K [n + 1, lanes]."""
 
     def __init__(self, index: np.ndarray, zero: int, rates: Tensor):
         N = rates.numpy()
@@ -184,18 +177,18 @@ class Projection:
         i, a = np.nonzero(P)
         factor = P[i, a]
         I, J = (x.ravel() for x in np.meshgrid(np.arange(len(i)), np.arange(len(i)), indexing="ij"))
-        used = index[i[I], i[J]] < zero  # a place that holds zero adds nothing
+        used = index[i[I], i[J]] < zero  # zero is the number of an entry that is always zero
         I, J = I[used], J[used]
         target = a[I] * P.shape[1] + a[J]
         order = np.argsort(target, kind="stable")
         I, J, target = I[order], J[order], target[order]
         first = np.searchsorted(target, target)
-        depth = np.arange(len(target)) - first  # how many entries of the sum came before
+        depth = np.arange(len(target)) - first  # number of earlier terms of the same sum
         self.width, size = int(depth.max()) + 1, P.shape[1] ** 2
         table, weights = np.full((self.width, size), zero), np.zeros((self.width, size))
         table[depth, target], weights[depth, target] = index[i[I], i[J]], factor[I] * factor[J]
         self.table, self.weights = torch.from_numpy(table.ravel()), torch.from_numpy(weights)[..., None]
-        self.plain = self.width == 1 and bool((weights[0][table[0] < zero] == 1.0).all())  # the last place is zero
+        self.plain = self.width == 1 and bool((weights[0][table[0] < zero] == 1.0).all())
 
     def __call__(self, flat: Tensor) -> Tensor:
         entries = flat.index_select(0, self.table)

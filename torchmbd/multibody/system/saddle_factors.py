@@ -1,11 +1,11 @@
-"""Solutions with the saddle-point matrix of the accelerations, a function of positions and data.
+"""Solutions with the saddle-point matrix of the accelerations, which depends on positions and data.
 
-    K x = -R       dx = -K^-1 dR, with x held fixed in the residual R: no derivative of K, and none of its factors
+    K x = -R       dx = -K^-1 dR at fixed x in the residual R: derivatives of K and of its factors are not needed
 
 K [lanes, ...] is symmetric, so cotangents are solved for with the same factors. Small matrices are dense. Large ones are
-sparse: of chains and trees work and memory are linear in the bodies.
-Where rows are redundant the factors are those of a regularized matrix; two steps of refinement with the exact one remove
-what that changes. A lane whose matrix is singular becomes inf or nan, alone.
+sparse: for chains and trees work and memory are linear in the number of bodies.
+Where rows are redundant the factors are those of a regularized matrix; two steps of iterative refinement with the exact matrix
+remove the error. In a lane whose matrix is singular, and only there, the solution is inf or nan.
 Source: Demmel, Eisenstat, Gilbert, Li, Liu, SIAM J. Matrix Anal. Appl. 20 (1999) 720-755 (SuperLU).
 Checked in tests/multibody/system/test_saddle_factors.py: against dense matrices.
 """
@@ -24,40 +24,40 @@ from torch import Tensor
 
 from torchmbd.math.first_derivative import FirstDerivative
 
-LARGE = 150  # unknowns from which on sparse factors were faster, with one lane and with eight
+LARGE = 150  # least number of unknowns with which sparse factors were faster, with one lane and with eight
 REFINEMENTS = 2
 Diagonal = tuple[Tensor, Tensor]  # see Dynamics.diagonal
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnPattern:
-    """Where the entries of a sparse matrix are, column after column; every diagonal entry is one of them.
+    """Pattern of a sparse matrix, column after column, with all diagonal entries.
 
-    place   of each entry among those of the blocks of a saddle (saddle.py), the last of which is zero
+    entry   number of each entry among those of the blocks (saddle.entry_numbers)
     """
 
     rows: np.ndarray
     columns: np.ndarray
     starts: np.ndarray
-    place: Tensor
+    entry: Tensor
 
     @classmethod
-    def of(cls, row: np.ndarray, column: np.ndarray, place: np.ndarray, size: int, zero: int) -> ColumnPattern:
-        """Of entries at (row, column), each once."""
+    def of(cls, row: np.ndarray, column: np.ndarray, entry: np.ndarray, size: int, zero: int) -> ColumnPattern:
+        """The pattern of entries at (row, column), each once; zero: number of an entry that is always zero."""
         missing = np.setdiff1d(np.arange(size), row[row == column])
         row, column = np.concatenate([row, missing]), np.concatenate([column, missing])
-        place = np.concatenate([place, np.full(len(missing), zero)])
+        entry = np.concatenate([entry, np.full(len(missing), zero)])
         order = np.lexsort((row, column))
         starts = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=size))])
-        return cls(row[order], column[order], starts, torch.from_numpy(place[order]))
+        return cls(row[order], column[order], starts, torch.from_numpy(entry[order]))
 
     def matrix(self, entries: np.ndarray) -> scipy.sparse.csc_array:
-        """Of one lane."""
+        """The matrix of one lane out of its entries in the order of the pattern."""
         return scipy.sparse.csc_array((entries, self.rows, self.starts), shape=(len(self.starts) - 1,) * 2)
 
 
 class DenseFactors:
-    """Of matrices [lanes, n, n]."""
+    """Factors of dense matrices K [lanes, n, n]."""
 
     def __init__(self, K: Tensor, diagonal: Diagonal | None):
         self.exact = None if diagonal is None else K
@@ -73,7 +73,7 @@ class DenseFactors:
 
 
 class SparseFactors:
-    """Of matrices with entries [lanes, entry]."""
+    """Factors of sparse matrices with entries K [lanes, entry]."""
 
     def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern):
         entries = np.ascontiguousarray(K.numpy())  # SuperLU takes no strides
@@ -88,22 +88,22 @@ class SparseFactors:
         """K^-1 rhs [n, pair, lanes]."""
         lanes = max(len(self.factors), rhs.shape[-1])
         exact = self.exact or []
-        found = np.full((*rhs.shape[:-1], lanes), np.nan)
+        solution = np.full((*rhs.shape[:-1], lanes), np.nan)
         b = rhs.expand(*rhs.shape[:-1], lanes).numpy()
         for lane in range(lanes):
-            own = lane % len(self.factors)
-            factors, y = self.factors[own], np.ascontiguousarray(b[..., lane])
+            k = lane % len(self.factors)  # one matrix, or one for each lane
+            factors, y = self.factors[k], np.ascontiguousarray(b[..., lane])
             if factors is None:
                 continue
             x = factors.solve(y)
             for _ in range(REFINEMENTS if exact else 0):
-                x += factors.solve(y - exact[own] @ x)
-            found[..., lane] = x
-        return torch.from_numpy(found)
+                x += factors.solve(y - exact[k] @ x)
+            solution[..., lane] = x
+        return torch.from_numpy(solution)
 
 
 def _factors(K: scipy.sparse.csc_array) -> Any:
-    """Of one lane; None: there are none."""
+    """Factors of one lane; None where the matrix is singular or not finite."""
     if not np.isfinite(K.data).all():
         return None
     try:
@@ -115,35 +115,37 @@ def _factors(K: scipy.sparse.csc_array) -> Any:
 
 
 class Factors:
-    """Factors of one batch of matrices K, made once; K may be wrapped by transforms of torch.func.
+    """Factors of one batch of matrices K, computed once; K may be wrapped by transforms of torch.func.
 
-    columns   of sparse matrices; None: they are dense
-    by        what K depends on: second derivatives by these are refused
+    columns   pattern of sparse matrices; None: they are dense
+    inputs    tensors with derivatives that K depends on: second derivatives by these are refused
     """
 
-    def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern | None, by: Sequence[Tensor] = ()):
-        self.K, self.diagonal, self.columns, self.by = K.detach(), diagonal, columns, by
-        self._made: list[tuple[Tensor, Any]] = []
+    def __init__(
+        self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern | None, inputs: Sequence[Tensor] = ()
+    ):
+        self.K, self.diagonal, self.columns, self.inputs = K.detach(), diagonal, columns, inputs
+        self._cache: list[tuple[Tensor, Any]] = []
 
     def solve(self, rhs: Tensor) -> Tensor:
         """K^-1 rhs [n, pair, lanes], differentiable by rhs."""
-        if not self.by:
+        if not self.inputs:
             return self.of(self.K).solve(rhs)
-        return _Solved.apply(self, self.K, rhs, *self.by)  # pyright: ignore[reportReturnType]
+        return _Solve.apply(self, self.K, rhs, *self.inputs)  # pyright: ignore[reportReturnType]
 
     def of(self, K: Tensor) -> DenseFactors | SparseFactors:
-        """Of the plain numbers of K, or of a batch of them."""
-        for known, made in self._made:
+        """Factors of K without wrappers of torch.func, or of a batch of K."""
+        for known, factors in self._cache:
             if known.data_ptr() == K.data_ptr() and known.shape == K.shape:
-                return made
+                return factors
         columns = self.columns
-        made = DenseFactors(K, self.diagonal) if columns is None else SparseFactors(K, self.diagonal, columns)
-        self._made.append((K, made))
-        return made
+        factors = DenseFactors(K, self.diagonal) if columns is None else SparseFactors(K, self.diagonal, columns)
+        self._cache.append((K, factors))
+        return factors
 
 
 def _folded(info: Any, in_dims: tuple, K: Tensor, rhs: Tensor) -> tuple[Tensor, Tensor, bool]:
-    """A batch as more right-hand sides, or as lanes where K is a batch too."""
+    """K and rhs without the batch axis of vmap: as more right-hand sides, or as lanes where K has it too; and which of both."""
     n, k, r = info.batch_size, in_dims[1], in_dims[2]
     b = rhs.expand(n, *rhs.shape) if r is None else rhs.movedim(r, 0)
     if k is None:
@@ -158,11 +160,11 @@ def _unfolded(x: Tensor, batch: int, lanes: bool) -> Tensor:
     return x.unflatten(-1, (batch, -1)).movedim(-2, 0) if lanes else x.unflatten(1, (batch, -1)).movedim(1, 0)
 
 
-class _Solved(torch.autograd.Function):
-    """(factors, K, rhs, what K depends on) -> K^-1 rhs; differentiated by rhs only."""
+class _Solve(torch.autograd.Function):
+    """(factors, K, rhs, inputs of K) -> K^-1 rhs; differentiated by rhs only."""
 
     @staticmethod
-    def forward(factors: Factors, K: Tensor, rhs: Tensor, *by: Tensor) -> Tensor:
+    def forward(factors: Factors, K: Tensor, rhs: Tensor, *inputs: Tensor) -> Tensor:
         return factors.of(K).solve(rhs)
 
     @staticmethod
@@ -172,41 +174,45 @@ class _Solved(torch.autograd.Function):
         ctx.save_for_forward(*tensors)
 
     @staticmethod
-    def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
-        K, rhs, *by = ctx.saved_tensors
-        found: Any = _Slope.apply(ctx.factors, K, bars[0], *by)
-        if rhs.shape[-1] < found.shape[-1]:
-            found = found.sum(-1, keepdim=True)
-        return None, None, found, *(None for _ in by)
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
+        K, rhs, *inputs = ctx.saved_tensors
+        by_rhs: Any = _SolveDerivative.apply(ctx.factors, K, cotangents[0], *inputs)
+        if rhs.shape[-1] < by_rhs.shape[-1]:
+            by_rhs = by_rhs.sum(-1, keepdim=True)
+        return None, None, by_rhs, *(None for _ in inputs)
 
     @staticmethod
-    def jvp(ctx: Any, _: None, dK: Any, moved: Tensor | None, *__: Any) -> Any:
-        K, rhs, *by = ctx.saved_tensors
-        return _Slope.apply(ctx.factors, K, torch.zeros_like(rhs) if moved is None else moved, *by)
+    def jvp(ctx: Any, _: None, dK: Any, drhs: Tensor | None, *__: Any) -> Any:
+        K, rhs, *inputs = ctx.saved_tensors
+        return _SolveDerivative.apply(ctx.factors, K, torch.zeros_like(rhs) if drhs is None else drhs, *inputs)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, factors: Factors, K: Tensor, rhs: Tensor, *by: Tensor) -> tuple[Tensor, int]:
+    def vmap(
+        info: Any, in_dims: tuple, factors: Factors, K: Tensor, rhs: Tensor, *inputs: Tensor
+    ) -> tuple[Tensor, int]:
         K, rhs, lanes = _folded(info, in_dims, K, rhs)
-        return _unfolded(_Solved.apply(factors, K, rhs, *by), info.batch_size, lanes), 0  # pyright: ignore[reportArgumentType]
+        return _unfolded(_Solve.apply(factors, K, rhs, *inputs), info.batch_size, lanes), 0  # pyright: ignore[reportArgumentType]
 
 
-class _Slope(FirstDerivative):
-    """The same of derivatives."""
+class _SolveDerivative(FirstDerivative):
+    """K^-1 rhs for derivatives rhs; has no derivative itself."""
 
     of = "accelerations"
 
     @staticmethod
-    def forward(factors: Factors, K: Tensor, rhs: Tensor, *by: Tensor) -> Tensor:
+    def forward(factors: Factors, K: Tensor, rhs: Tensor, *inputs: Tensor) -> Tensor:
         return factors.of(K).solve(rhs)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, factors: Factors, K: Tensor, rhs: Tensor, *by: Tensor) -> tuple[Tensor, int]:
+    def vmap(
+        info: Any, in_dims: tuple, factors: Factors, K: Tensor, rhs: Tensor, *inputs: Tensor
+    ) -> tuple[Tensor, int]:
         K, rhs, lanes = _folded(info, in_dims, K, rhs)
-        return _unfolded(_Slope.apply(factors, K, rhs, *by), info.batch_size, lanes), 0  # pyright: ignore[reportArgumentType]
+        return _unfolded(_SolveDerivative.apply(factors, K, rhs, *inputs), info.batch_size, lanes), 0  # pyright: ignore[reportArgumentType]
 
 
 def regularized(K: Tensor, diagonal: Diagonal | None) -> Tensor:
-    """Matrices K [lanes, n, n] with the changes of Dynamics.diagonal."""
+    """Matrices K [lanes, n, n] with the regularization of `Dynamics.diagonal`."""
     if diagonal is None:
         return K
     row_mask, diagonal_shift = diagonal

@@ -1,9 +1,9 @@
-"""A beam as a chain of flexible bodies, each with its own floating frame: large bending out of small displacements.
+"""A beam as a chain of flexible bodies, each with its own floating frame: large bending by small displacements of each body.
 
-Every piece is fixed to the end of the piece before it. Displacements in its frame fall with its length, and so does what
-linear elasticity leaves out. What is left out at the interfaces adds up along the chain: a triad that turns by 1 + ~phi alone
-is wrong by 1/2 phi x (phi x e), so n pieces that bend in two planes or twist are wrong by n (1/n)^2. Pieces have stiffening,
-whose second order turns triads by 1 + ~phi + 1/2 ~phi ~phi and shortens lines (bodies/stiffening.py): errors fall with 1/n^2.
+Every piece is fixed to the end of the piece before it. Displacements in its frame, and the errors of linear elasticity, fall
+with its length. Errors at the interfaces add up along the chain: a triad that turns by 1 + ~phi has the error
+1/2 phi x (phi x e), so n pieces that bend in two planes or twist have n (1/n)^2. Pieces therefore have stiffening, whose second
+order turns triads by 1 + ~phi + 1/2 ~phi ~phi and shortens lines (bodies/stiffening.py): errors fall with 1/n^2.
 Checked in tests/convergence/test_split.py.
 """
 
@@ -21,7 +21,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine, Beams
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.bodies import FlexibleBody
-from torchmbd.multibody.bodies.frame import Frame, moves
+from torchmbd.multibody.bodies.frame import Frame, given_velocities
 from torchmbd.multibody.bodies.interpolation import node_indices
 from torchmbd.multibody.joints import Fixed
 
@@ -30,9 +30,9 @@ from torchmbd.multibody.joints import Fixed
 class Chain:
     """The result of `split`.
 
-    bodies   the pieces from the start of the line to its end; they share sections, with parameters of the first one's name
-    joints   that hold them together
-    starts   nodes of the whole line where pieces begin
+    bodies   the pieces from the start of the line to its end; they share sections, whose parameters have the first piece's name
+    joints   fixed joints between neighboring pieces
+    starts   first node of each piece in the whole line
     line     the whole line
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
@@ -51,23 +51,23 @@ class Chain:
     def at(
         self, node: str | int, axes: Sequence | Tensor | None = None, offset: Sequence[float] | Tensor = (0.0, 0.0, 0.0)
     ) -> Frame:
-        """Frame on a node of the whole line, as of `FlexibleBody.at`; where two pieces meet, on the first."""
-        own = node_indices(self.line, node)
-        if len(own) != 1:
-            raise InputError(f"node is {node!r}, {len(own)} nodes of a chain; allowed: one node")
-        piece = max(k for k, first in enumerate(self.starts) if k == 0 or first < own[0])
-        return self.bodies[piece].at(own[0] - self.starts[piece], axes, offset)
+        """Frame on a node of the whole line, as of `FlexibleBody.at`; where two pieces meet, on the first of them."""
+        nodes = node_indices(self.line, node)
+        if len(nodes) != 1:
+            raise InputError(f"node is {node!r}, {len(nodes)} nodes of a chain; allowed: one node")
+        piece = max(k for k, first in enumerate(self.starts) if k == 0 or first < nodes[0])
+        return self.bodies[piece].at(nodes[0] - self.starts[piece], axes, offset)
 
 
 def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Sequence[str | int] = ()) -> Chain:
-    """A beam as a chain of n flexible bodies of about as many elements each: it may bend far.
+    """A beam as a chain of n flexible bodies with about equal numbers of elements, for large bending.
 
-    body        made by `FlexibleBody.beam` of one line without branches; its position, axes and damping are kept. Joints and
-                forces act on the pieces: `chain.at("end")`
+    body        made by `FlexibleBody.beam` of one line without branches; the chain has its position, axes and damping. Joints
+                and forces act on the pieces: `chain.at("end")`
     n           number of pieces, at most one for each element
     modes       of each piece, besides the six constraint modes of its end; fewer where its elements have no more
     interface   other nodes of the line that joints or forces act on: six constraint modes each
-    Displacements converge with 1/n^2. Raises InputError where the body is another.
+    Displacements converge with 1/n^2. Raises InputError for other bodies.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
@@ -87,19 +87,19 @@ def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Seq
     bounds = [round(k * count / n) for k in range(n + 1)]
     nodes = interface if isinstance(interface, (list, tuple)) else [interface]
     kept = {k for node in nodes for k in node_indices(line, node)}
-    pieces = tuple(_piece(body, line, k, modes, span, kept) for k, span in enumerate(pairwise(bounds)))
+    pieces = tuple(_piece(body, line, k, modes, ends, kept) for k, ends in enumerate(pairwise(bounds)))
     joints = tuple(Fixed(a.at("end"), b.at("start")) for a, b in pairwise(pieces))
     return Chain(pieces, joints, tuple(bounds[:-1]), line)
 
 
 def _line(body: Any) -> BeamLine:
-    """The line of a body that can be split; InputError for others."""
+    """The line of a body; InputError for a body that cannot be split."""
     allowed = "a body of FlexibleBody.beam, before it is moved or bent"
     if not isinstance(body, FlexibleBody):
         raise InputError(f"body of split is {body!r}; allowed: {allowed}")
     if not all(isinstance(part, Beams) for part in body.parts.values()) or not body.parts or body.links:
         raise InputError(f"body {body.name!r} of split is no beam; allowed: {allowed}")
-    if any(moves(body)) or body.bends or isinstance(body.position, nn.Parameter):
+    if any(given_velocities(body)) or body.has_modal_start or isinstance(body.position, nn.Parameter):
         raise InputError(f"body {body.name!r} of split has motion or position of its own; allowed: {allowed}")
     if any(body.damping.ratios):
         raise InputError(
@@ -115,36 +115,34 @@ def _line(body: Any) -> BeamLine:
 
 
 def _piece(
-    body: FlexibleBody, line: BeamLine, k: int, modes: int, span: tuple[int, int], kept: set[int]
+    body: FlexibleBody, line: BeamLine, k: int, modes: int, ends: tuple[int, int], kept: set[int]
 ) -> FlexibleBody:
-    """Elements span[0] ... span[1] - 1 as a body, held at its first node."""
-    first, last = span
-    own = range(first, last)
+    """Piece k: the elements between two end nodes as a body whose frame is fixed to the first; kept: interface nodes."""
+    first, last = ends
     sets = {
         name: [i - first for i in members if first <= i <= last]
         for name, members in line.node_sets.items()
         if name not in ("start", "end")
     }
-    ends = {"start": [0], "end": [last - first]}
+    sets = {name: members for name, members in sets.items() if members} | {"start": [0], "end": [last - first]}
     middles = None if line.middles is None else line.middles[first:last]
     pairs = torch.stack([torch.arange(last - first), torch.arange(1, last - first + 1)], 1)
-    some = {name: members for name, members in sets.items() if members}
-    mesh = BeamLine(line.nodes[first : last + 1], pairs, some | ends, middles)
-    parts = {key: part.on_line(mesh, own) for key, part in body.beams.items()}
-    place = body.position + body.axes @ (line.nodes[first] - body.origin)
+    mesh = BeamLine(line.nodes[first : last + 1], pairs, sets, middles)
+    parts = {key: part.on_line(mesh, range(first, last)) for key, part in body.beams.items()}
+    position = body.position + body.axes @ (line.nodes[first] - body.origin)
     inner = sorted(i - first for i in kept if first < i < last)
     free = 6 * (last - first - 1 - len(inner))
     modes, reduction = (
         (min(modes, free), {"reduction": "craig-bampton", "interface": (*inner, "end")})
         if free
-        else (6 * (last - first), {})  # all that there are
+        else (6 * (last - first), {})  # all vibration modes: there are no other freedoms than those of the interface
     )
     return FlexibleBody(
         f"{body.name}_{k}",
         mesh,
         {key: part for key, part in parts.items() if part is not None},
         modes,
-        place,
+        position,
         body.axes,
         reference="start",
         damping=body.damping.time,

@@ -1,11 +1,12 @@
-"""Where a motion starts: as the bodies were given, as a caller says, or at rest in static equilibrium.
+"""The initial state of a motion: that of the bodies, numbers of the caller, or a static equilibrium.
 
-    "assembled"     positions, rates and modal coordinates of the bodies, joints closed (initial.py)
-    "equilibrium"   from there to where all forces balance (equilibrium.py); rates as given, drives at their values at t = 0
-    given           numbers for some bodies, or a whole state
+    "assembled"     positions, rates and modal coordinates that the bodies were given, joints closed (initial.py)
+    "equilibrium"   the static equilibrium near these positions (equilibrium.py); the same rates, drives as at t = 0
+    a mapping       numbers for some bodies in the place of those that they were given
+    a state         the last one of another motion
 
-Whatever is given is projected: joints are closed by the smallest rigid displacement, rates made compatible. Modal
-coordinates stay as they are given. Derivatives by the design and by given tensors go along.
+Joints are then closed by the smallest rigid displacement, and rates made compatible; modal coordinates do not change.
+Differentiable by the design and by the tensors of a mapping or a state.
 Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
 """
 
@@ -33,34 +34,33 @@ _TURNED = 1e-9  # |A'A - 1| of a rotation
 
 @dataclass(frozen=True, eq=False)
 class EquilibriumConditions(InitialConditions):
-    """At rest where all forces balance; a lane that has no such place is noted in `Dynamics.faults`."""
+    """Initial conditions in static equilibrium; `Dynamics.start_errors` names the lanes that have none."""
 
     def shared_start(self, dynamics: Any) -> None:
-        """Nothing: bodies sag as their designs make them."""
+        """None: an equilibrium depends on the stiffness and mass of the design."""
 
     def solve(self, dynamics: Any):
-        """As of InitialConditions."""
+        """As `InitialConditions.solve`."""
         q, v = self.assembled(dynamics)
         q = self.equilibrium_near(dynamics, q)
         return q, self.compatible(dynamics, q, v)
 
     def equilibrium_near(self, dynamics: Any, q: Any):
-        """Rest near closed positions q [n_q, 1, lanes]."""
+        """Coordinates of equilibrium [n_q, 1, lanes] near coordinates q [n_q, 1, lanes] with closed joints."""
         t = torch.zeros((), dtype=torch.float64)
-        found = find_equilibria(dynamics, q, t)
-        dynamics.start_errors.update(
-            {i: x.failure or x.instability for i, x in enumerate(found) if x.failure or x.instability}
-        )
-        return equilibrium_coordinates(dynamics, found, t)
+        balances = find_equilibria(dynamics, q, t)
+        errors = {lane: balance.failure or balance.instability for lane, balance in enumerate(balances)}
+        dynamics.start_errors.update({lane: error for lane, error in errors.items() if error})
+        return equilibrium_coordinates(dynamics, balances, t)
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where motions of a system start, checked.
+    """The start of the motions of a system, checked.
 
-    rests   whether in equilibrium
-    given   "body.quantity" -> numbers [...] or [lanes, ...]
-    state   q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
+    in_equilibrium   whether it is the static equilibrium
+    given            "body.quantity" -> numbers [...] or [lanes, ...]
+    state            q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
     """
 
     in_equilibrium: bool = False
@@ -69,7 +69,7 @@ class Start:
 
     @classmethod
     def of(cls, system: Any, start: Any) -> Start:
-        """Of what `simulate` takes but a motion; InputError says what is allowed."""
+        """The start of the argument `start` of `simulate`, a word or a mapping; InputError says what is allowed."""
         if isinstance(start, str) and start in STARTS:
             return cls(in_equilibrium=start == "equilibrium")
         if not isinstance(start, Mapping):
@@ -81,7 +81,7 @@ class Start:
 
     @classmethod
     def of_motion(cls, system: Any, q: Tensor, v: Tensor) -> Start:
-        """The state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies and modes."""
+        """The start in a state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies and modes."""
         T = system.topology
         if q.shape[1:] != (T.n_q,) or v.shape[1:] != (T.n_v,):
             raise InputError(
@@ -93,17 +93,17 @@ class Start:
 
     @property
     def tensors(self) -> list[Tensor]:
-        """All that is given."""
+        """The tensors of the mapping, or of the state."""
         return [*self.given.values(), *(self.state or ())]
 
     @property
     def watched(self) -> bool:
-        """Whether derivatives by what is given are wanted."""
+        """Whether one of these tensors requires a gradient."""
         return any(map(is_differentiated, self.tensors))
 
     @property
     def lanes(self) -> int:
-        """How many designs have starts of their own."""
+        """Number of lanes of these tensors."""
         counts = [len(x) for x in self.state or ()]
         counts += [len(x) for name, x in self.given.items() if x.dim() > _rank(name)]
         if not {1, max(counts, default=1)}.issuperset(counts):
@@ -111,30 +111,30 @@ class Start:
         return max(counts, default=1)
 
     def conditions(self, T: Topology, bodies: list[Any]) -> InitialConditions:
-        """For a system with these bodies, in the order of its topology."""
-        made = (EquilibriumConditions if self.in_equilibrium else InitialConditions).of(T, bodies)
-        given = torch.zeros_like(made.given) if self.state is not None else made.given.clone()
+        """Initial conditions of a system with these bodies, in the order of its topology."""
+        conditions = (EquilibriumConditions if self.in_equilibrium else InitialConditions).of(T, bodies)
+        given = torch.zeros_like(conditions.given) if self.state is not None else conditions.given.clone()
         for i, body in enumerate(bodies):
             for k, name in enumerate(VELOCITIES):
                 if f"{body.name}.{name}" in self.given:
                     given[[3 * T.bodies * k + T.bodies * j + i for j in range(3)]] = True
-        return replace(made, given=given)
+        return replace(conditions, given=given)
 
-    def data(self, T: Topology, bodies: list[Any], own: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Initial coordinates and rates as data of a design; own: those of the bodies (initial.given_start)."""
+    def data(self, T: Topology, bodies: list[Any], of_bodies: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Initial coordinates and rates as data of a design; of_bodies: those of initial.start_of_bodies."""
         if self.state is not None:
             return {name: x.T[:, None] for name, x in zip(START_DATA, self.state, strict=True)}
         if not self.given:
             return {}
-        q, v = (own[name] for name in START_DATA)
+        q, v = (of_bodies[name] for name in START_DATA)
         for i, body in enumerate(bodies):
             for name in (*POSE, *VELOCITIES, *MODAL):
                 x = self.given.get(f"{body.name}.{name}")
                 if x is None:
                     continue
                 x = _parameters_of(x) if name == "axes" else x
-                rows, late = _rows(T, i, name), name in (*VELOCITIES, MODAL[1])
-                q, v = (q, _put(v, rows, x)) if late else (_put(q, rows, x), v)
+                rows, is_rate = _rows(T, i, name), name in (*VELOCITIES, MODAL[1])
+                q, v = (q, _replace_rows(v, rows, x)) if is_rate else (_replace_rows(q, rows, x), v)
         return dict(zip(START_DATA, (q, v), strict=True))
 
 
@@ -156,8 +156,8 @@ def _parameters_of(A: Tensor) -> Tensor:
     return euler_parameters(A) if A.dim() == 2 else torch.stack([euler_parameters(x) for x in A])
 
 
-def _put(x: Tensor, rows: list[int], y: Tensor) -> Tensor:
-    """Rows of x [n, 1, lanes] replaced by y [..., k]."""
+def _replace_rows(x: Tensor, rows: list[int], y: Tensor) -> Tensor:
+    """x [n, 1, lanes] with the k `rows` replaced by y [k] or [lanes, k]."""
     new = y.T[:, None] if y.dim() == 2 else y[:, None, None]
     lanes = max(x.shape[-1], new.shape[-1])
     x, new = (z.expand(*z.shape[:-1], lanes) for z in (x, new))
@@ -168,8 +168,7 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     """Numbers of one quantity of a body [...] or [lanes, ...]; InputError says what is wrong."""
     quantities = {}
     for body in system.bodies:
-        own = [*POSE, *VELOCITIES, *(MODAL if hasattr(body, "mesh") else ())]
-        for quantity in own:
+        for quantity in (*POSE, *VELOCITIES, *(MODAL if hasattr(body, "mesh") else ())):
             sizes = (3, 3) if quantity == "axes" else (body.modes,) if quantity in MODAL else (3,)
             quantities[f"{body.name}.{quantity}"] = sizes
     if name not in quantities:

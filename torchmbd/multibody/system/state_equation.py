@@ -8,8 +8,8 @@ Its parameters are those of the system, by the same names, so every tool that ta
     y = torchdiffeq.odeint(f, f.initial_state(), t)            or odeint_adjoint
     torch.func.functional_call(f, {"rod.laminate.angles": x}, (t, y0))
 
-The structure stage runs once for each set of values of the parameters, not at each call. Its graph of torch is kept: one
-backward pass after another may go through it, as `odeint_adjoint` makes one at each of its evaluations.
+The structure stage runs once for each set of values of the parameters, not at each call. Its autograd graph is kept for any
+number of backward passes: `odeint_adjoint` makes one at each of its evaluations.
 Computed in float64 on the CPU; anything else is refused.
 Checked in tests/multibody/system/test_state_equation.py.
 """
@@ -28,10 +28,10 @@ from torchmbd.multibody.system.dynamics import Dynamics
 
 
 class StateEquation(nn.Module):
-    """f(t, y) of one design: that of the parameters as they are when it is called.
+    """f(t, y) of one design, whose parameters have their values at each call.
 
     modules   children of the system, by name
-    reduce    runs the structure stage of these
+    reduce    runs the structure stage of the system
     """
 
     def __init__(self, modules: dict[str, nn.Module], reduce: Callable[[], Dynamics]):
@@ -39,8 +39,8 @@ class StateEquation(nn.Module):
         for name, module in modules.items():
             self.add_module(name, module)
         self._reduce = reduce
-        # For each grad mode: tensors with their numbers then, and what came of them.
-        self._kept: dict[bool, tuple[list[tuple[Tensor, Tensor]], Dynamics]] = {}
+        # For each grad mode: tensors and copies of their values, and the dynamics of these values.
+        self._cache: dict[bool, tuple[list[tuple[Tensor, Tensor]], Dynamics]] = {}
 
     def forward(self, t: Tensor | float, y: Tensor) -> Tensor:
         """dy/dt of states y [lanes, n_q + n_v] or [n_q + n_v] at time t [s]; the same shape."""
@@ -52,40 +52,40 @@ class StateEquation(nn.Module):
 
     @property
     def dynamics(self) -> Dynamics:
-        """The equations of the parameters as they are."""
-        grad, own = torch.is_grad_enabled(), [*self.parameters(), *self.buffers()]
-        for x in own:
+        """The equations of motion with the present values of the parameters."""
+        grad, tensors = torch.is_grad_enabled(), [*self.parameters(), *self.buffers()]
+        for x in tensors:
             if x.is_floating_point() and (x.dtype != torch.float64 or x.device.type != "cpu"):
                 raise InputError(f"the system was moved to {x.dtype} on {x.device}; allowed: torch.float64 on cpu")
-        if grad not in self._kept or not _same(self._kept[grad][0], own):
-            found = self._reduce()
-            if grad and not any(map(in_transform, own)):
-                found.data = _linked(found.data, [x for x in self.parameters() if x.requires_grad])
-            self._kept[grad] = [(x, x.detach().clone()) for x in own], found
-        return self._kept[grad][1]
+        if grad not in self._cache or not _unchanged(self._cache[grad][0], tensors):
+            dynamics = self._reduce()
+            if grad and not any(map(in_transform, tensors)):
+                dynamics.data = _with_kept_graph(dynamics.data, [x for x in self.parameters() if x.requires_grad])
+            self._cache[grad] = [(x, x.detach().clone()) for x in tensors], dynamics
+        return self._cache[grad][1]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what was computed."""
-        return vars(self) | {"_kept": {}}
+        """The attributes without the cache."""
+        return vars(self) | {"_cache": {}}
 
 
-def _same(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
+def _unchanged(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
     if len(before) != len(now) or any(x is not y for (x, _), y in zip(before, now, strict=True)):
         return False
     return all(in_transform(x) or torch.equal(x, then) for x, then in before)
 
 
-def _linked(data: dict[str, Any], parameters: list[Tensor]) -> dict[str, Any]:
-    """The same data, whose graph bears any number of backward passes."""
-    moving = {name: x for name, x in data.items() if x.requires_grad}
-    if not moving:
+def _with_kept_graph(data: dict[str, Any], parameters: list[Tensor]) -> dict[str, Any]:
+    """The same data with a graph that permits any number of backward passes."""
+    varying = {name: x for name, x in data.items() if x.requires_grad}
+    if not varying:
         return data
-    outputs: Any = _Kept.apply(list(moving.values()), *parameters)
-    return data | dict(zip(moving, outputs, strict=True))
+    outputs: Any = _KeptGraph.apply(list(varying.values()), *parameters)
+    return data | dict(zip(varying, outputs, strict=True))
 
 
-class _Kept(torch.autograd.Function):
-    """Tensors as a function of parameters; the graph from these stays where it is."""
+class _KeptGraph(torch.autograd.Function):
+    """Tensors as a function of parameters; backward passes retain the graph between them."""
 
     @staticmethod
     def forward(ctx: Any, outputs: list[Tensor], *parameters: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -95,8 +95,8 @@ class _Kept(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *bars: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        used = [(y, bar) for y, bar in zip(ctx.outputs, bars, strict=True) if bar is not None]
+    def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        used = [(y, x) for y, x in zip(ctx.outputs, cotangents, strict=True) if x is not None]
         if not used:
             return (None,) * (1 + len(ctx.parameters))
         outputs, weights = zip(*used, strict=True)

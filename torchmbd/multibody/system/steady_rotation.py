@@ -1,10 +1,10 @@
-"""Steady rotation of a whole system about an axis of the ground: its rates, and what the turning adds to small vibrations.
+"""Steady rotation of a whole system about an axis of the ground: its rates, and the terms that it adds to small vibrations.
 
-    q(t) = exp(~s t) o (q0 o exp(x))         s: angular velocity, x: increments that a turning observer sees
+    q(t) = exp(~s t) o (q0 o exp(x))         s: angular velocity, x: increments in the rotating axes
     r' = s x (r - c) + x_r'                  omega = A's + x_th'
-    r'' = s x (s x (r - c)) + 2 s x x_r'     omega' = A's x x_th'          to first order in x', their second rates apart
+    r'' = s x (s x (r - c)) + 2 s x x_r'     omega' = A's x x_th'          to first order in x', without x''
 
-So a steady state solves the equations of motion with these rates, and its vibrations are those of a constant matrix.
+So a steady state solves the equations of motion with these rates, and the matrices of its vibrations are constant.
 Checked in tests/multibody/system/test_steady_rotation.py.
 """
 
@@ -35,18 +35,19 @@ class SteadyRotation:
 
     @classmethod
     def of(cls, spin: Sequence[float] | Tensor | None, center: Sequence[float] | Tensor) -> SteadyRotation | None:
-        """None without a spin. Raises InputError for anything but three finite numbers, and for a center without a spin."""
+        """The rotation of two arguments; None without a spin. InputError for anything but three finite numbers, and for a
+        center without a spin."""
         if spin is None:
             if reals("center", center).any():
                 raise InputError(f"center is {center!r} without a spin; allowed: with spin=(...)")
             return None
-        found = []
+        vectors = []
         for name, given in (("spin", spin), ("center", center)):
             x = reals(name, given)
             if x.shape != (3,) or not bool(torch.isfinite(x).all()):
                 raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
-            found.append(x.detach())
-        return cls(*found) if bool(found[0].any()) else None
+            vectors.append(x.detach())
+        return cls(*vectors) if bool(vectors[0].any()) else None
 
     @property
     def period(self) -> float:
@@ -64,7 +65,7 @@ class SteadyRotation:
         return v, cat([x.flatten(0, 1) for x in (cross(spin, velocity), 0.0 * omega, still)])
 
     def accelerations(self, T: Topology, q: Tensor, rates: Any) -> Any:
-        """v' [n_v, ...] that rates x' [n_v, ...] add."""
+        """The part of v' [n_v, ...] that rates x' [n_v, ...] in the rotating axes add."""
         _, p, _ = equations.split_q(T, q)
         dr, dth, dw = equations.split_v(T, rates)
         spin = self.spin[:, None, None, None]
@@ -76,17 +77,17 @@ class SteadyRotation:
         r, p, w = equations.split_q(T, q)
         axis = (self.spin / self.spin.norm())[:, None, None, None]
         arm = r - self.center[:, None, None, None]
-        step = [_after(axis, arm) - arm, matvec_t(rotation_matrix(p), axis), 0.0 * w]
+        step = [_turned_one_radian(axis, arm) - arm, matvec_t(rotation_matrix(p), axis), 0.0 * w]
         return equations.advance(T, q, cat([x.flatten(0, 1) for x in step]))
 
     def turned_forces(self, T: Topology, forces: Tensor) -> Tensor:
-        """Forces [n_v] after that turn: those in ground axes turn, torques in body axes and forces on modes stay."""
+        """Forces [n_v] after a turn by one radian: those in ground axes turn, torques in body axes and modal forces stay."""
         n = 3 * T.bodies
         axis = (self.spin / self.spin.norm())[:, None]
-        return torch.cat([_after(axis, forces[:n].reshape(3, -1)).flatten(), forces[n:]])
+        return torch.cat([_turned_one_radian(axis, forces[:n].reshape(3, -1)).flatten(), forces[n:]])
 
 
-def _after(axis: Tensor, x: Tensor) -> Tensor:
-    """Vectors [3, ...] after a turn by one radian."""
+def _turned_one_radian(axis: Tensor, x: Tensor) -> Tensor:
+    """Vectors x [3, ...] turned by one radian about an axis."""
     once, one = cross(axis, x), torch.ones((), dtype=x.dtype)
     return x + one.sin() * once + (1.0 - one.cos()) * cross(axis, once)

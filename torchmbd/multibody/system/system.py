@@ -50,10 +50,9 @@ from torchmbd.multibody.system.start import Start
 from torchmbd.multibody.system.state_equation import StateEquation
 from torchmbd.multibody.system.truncation import StaticTruncation, static_truncation
 
-# Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
-_CONSTANTS = ("gravity", "axes")
-_OF_START = ("position", *VELOCITIES, *MODAL)
-_VARIABLES = ("mass", "center", "inertia", *_OF_START)
+_CONSTANTS = ("gravity", "axes")  # numbers of a system and its bodies that cannot be design variables
+_START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # those of the initial state that can
+_VARIABLES = ("mass", "center", "inertia", *_START_VARIABLES)  # all that can, as Parameters of bodies
 
 
 class System(nn.Module):
@@ -66,7 +65,7 @@ class System(nn.Module):
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
     truncation     share of stiffness that retained modes may have too much at joints and forces before the first motion warns
-                   of it, 0 to 1 (`static_truncation`); None: it is not looked at
+                   of it, 0 to 1 (`static_truncation`); None: no check
 
     >>> ground, bob = mbd.Ground(), mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, -1, 0))
     >>> hinge = mbd.Revolute(ground.at(), bob.at(0, 1, 0), axis="z", name="hinge")
@@ -101,7 +100,7 @@ class System(nn.Module):
         )
         if not bodies:
             raise InputError("bodies is empty; allowed: at least one body")
-        # Bodies and forces of another system hold the nodes and the elements of its beams: the first node stands for its beam.
+        # Bodies and forces of another system may be given, with the nodes and elements of its beams: a first node is its beam.
         bodies = [
             body.beam if isinstance(body, BeamNode) else body
             for body in bodies
@@ -110,7 +109,7 @@ class System(nn.Module):
         forces = [force for force in forces if not (isinstance(force, BeamChain) and force.beam in bodies)]
         self.beams = [body for body in bodies if isinstance(body, FlexibleBeam)]
         check_connected(bodies, joints, forces, free)
-        bodies = [one for body in bodies for one in (body.node_bodies if isinstance(body, FlexibleBeam) else [body])]
+        bodies = [part for body in bodies for part in (body.node_bodies if isinstance(body, FlexibleBeam) else [body])]
         forces = [*forces, *map(BeamChain, self.beams)]
         names = [body.name for body in (*bodies, *self.beams)]
         for name in names:
@@ -128,7 +127,7 @@ class System(nn.Module):
         for body in self.bodies:
             self.add_module(body.name, body)
         self._add_laws()
-        self.register_load_state_dict_post_hook(_joined_anew)
+        self.register_load_state_dict_post_hook(_rebuild_topology)
 
     @classmethod
     def from_urdf(cls, path: str | Path, flexible: Any = None, fixed_base: bool = True, **options: Any) -> Self:
@@ -152,13 +151,15 @@ class System(nn.Module):
         return cls(**robot(found, flexible or {}, **options))
 
     def _add_laws(self) -> None:
-        """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""
+        """Register the modules with the design variables of joints and forces, by the names of these and of their frames."""
         elements = [*self.joints, *self.forces]
         names = [element.name for element in elements]
         for element in elements:
-            own = {f"{element.name}_{side}": frame.place for side, frame in zip("ab", element.frames, strict=False)}
-            own |= {element.name: None if element.variables is None else element.variables.module}
-            for name, module in own.items():
+            modules = {
+                f"{element.name}_{side}": frame.varying_point for side, frame in zip("ab", element.frames, strict=False)
+            }
+            modules |= {element.name: None if element.variables is None else element.variables.module}
+            for name, module in modules.items():
                 if module is None:
                     continue
                 taken = names.count(element.name) > 1 or hasattr(self, name) or hasattr(StateEquation, name)
@@ -205,9 +206,8 @@ class System(nn.Module):
 
     @exclusive
     def static_truncation(self) -> StaticTruncation | None:
-        """What the retained modes leave out of the flexibility at joints and forces, in the present design (truncation.py).
-
-        None: no joint and no force acts on a flexible body whose stiffness is known.
+        """The largest lack of flexibility at joints and forces that the retained modes cause in the present design
+        (truncation.py); None where no joint and no force acts on a flexible body of known stiffness.
 
         >>> found = mbd.examples.arm().static_truncation()
         >>> found.share < 0.02, found.body  # of the stiffness in the first vibrations
@@ -225,15 +225,16 @@ class System(nn.Module):
 
     @exclusive
     def forward(self, part: str | None = None) -> Any:
-        """The equations of motion as a module (state_equation.py); a call takes the parameters as they are then.
+        """The equations of motion as a module (state_equation.py).
 
-        For part="data" the tensors that the structure stage makes of them; for "stages" these and the structures of all
-        flexible bodies; for the name of one its structure.
+        For module_call.call_module, which calls the system with given parameters, also results of the structure stage:
+        part="data": the data of the motion; "stages": these, and the structures of all flexible bodies by name; the name of a
+        flexible body or beam: its structure.
         """
         if part is None:
-            made = StateEquation(dict(self.named_children()), self._own)
-            made.register_load_state_dict_post_hook(functools.partial(_joined_with, self))
-            return made
+            equation = StateEquation(dict(self.named_children()), self._own_dynamics)
+            equation.register_load_state_dict_post_hook(functools.partial(_rebuild_topology_of, self))
+            return equation
         if part not in ("data", "stages"):
             return self.body(part).structure()
         structures = self._structures()
@@ -241,10 +242,10 @@ class System(nn.Module):
         return data if part == "data" else (data, structures)
 
     @exclusive
-    def _own(self) -> Dynamics:
-        """Structure stage of the module's own parameters: one design."""
+    def _own_dynamics(self) -> Dynamics:
+        """Structure stage of the present parameters: one design."""
         self._refuse_lost()
-        return self._made(self._data(list(self._structures().values())))
+        return self._dynamics(self._data(list(self._structures().values())))
 
     @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
@@ -256,17 +257,18 @@ class System(nn.Module):
         """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
         self._refuse_lost()
         data, structures = call_module(self, parameters, "stages")
-        return self._made(_of_all(data, parameters)), {name: made["psi"] for name, made in structures.items()}
+        shapes = {name: structure["psi"] for name, structure in structures.items()}
+        return self._dynamics(_for_all_lanes(data, parameters)), shapes
 
-    def _made(self, data: dict[str, Any]) -> Dynamics:
+    def _dynamics(self, data: dict[str, Any]) -> Dynamics:
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
 
     @exclusive
     def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: Sequence[str] = ()) -> Dynamics:
         """Structure stage of a batch of designs.
 
-        parameters  name -> values [lanes, ...]; others keep their own
-        tangents    names among them: carry the derivatives by every entry of these, in this order, flattened
+        parameters  name -> values [lanes, ...]; others keep their present values
+        tangents    names among them: the data carry derivatives by all entries of these, flattened in this order
         """
         self._refuse_lost()
         own = dict(self.named_parameters())
@@ -290,7 +292,7 @@ class System(nn.Module):
                 raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
-            return _of_all(call_module(self, values, "data"), values)
+            return _for_all_lanes(call_module(self, values, "data"), values)
 
         with torch.no_grad():
             if tangents:
@@ -298,10 +300,10 @@ class System(nn.Module):
                 data = tangents_of(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
             else:
                 data = stage(given)
-        return self._made(data)
+        return self._dynamics(data)
 
     def _refuse_lost(self) -> None:
-        """InputError for numbers that would be differentiated, but are constants of the system, its bodies and laws."""
+        """InputError for numbers of the system, its bodies and laws that require a gradient and cannot have one."""
         for owner in (self, *self.bodies):
             for name in (*_CONSTANTS, *_VARIABLES):
                 x = owner._buffers.get(name, owner._parameters.get(name) if name in _CONSTANTS else None)
@@ -322,17 +324,19 @@ class System(nn.Module):
             refuse_lost_gradients(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
 
     def _structures(self) -> dict[str, dict[str, Tensor]]:
+        """Structure stage of all flexible bodies, by name in the order of the topology."""
         T = self.topology
         return {name: self.body(name).structure(frame_nodes(T, i)) for i, name in enumerate(T.names[: T.flexible])}
 
     def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
+        """Data of the motion (`Dynamics.data`), out of the structures of the flexible bodies."""
         T = self.topology
         flexible = [self.body(name) for name in T.names[: T.flexible]]
         rigid = [self.body(name) for name in T.names[T.flexible :]]
-        spans = {beam.name: beam.structure() for beam in self.beams}
+        beams = {beam.name: beam.structure() for beam in self.beams}
         inertia = [
             *stages,
-            *(spans[b.beam.name].inertia(b.index) if isinstance(b, BeamNode) else b.invariants() for b in rigid),
+            *(beams[b.beam.name].inertia(b.index) if isinstance(b, BeamNode) else b.invariants() for b in rigid),
         ]
         data = {key: stack_bodies([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
@@ -345,34 +349,35 @@ class System(nn.Module):
         x = [attached.now() for attached in T.attached]
         data["x"] = stack_bodies(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
-            if element.variables is not None and getattr(element, "of_law", True):
+            if element.variables is not None and getattr(element, "variables_in_laws", True):
                 data[law_key(element.name)] = element.variables.flat()
         if (
-            any(body.bends for body in flexible)
-            or any(name in body._parameters for body in self.bodies for name in _OF_START)
+            any(body.has_modal_start for body in flexible)
+            or any(name in body._parameters for body in self.bodies for name in _START_VARIABLES)
             or self._start.tensors
         ):
             data |= start_of_bodies(T, [*flexible, *rigid])
             data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START_DATA})
         if T.beams is not None:
-            own = [force for force in self.forces if force.beams(AttachmentTable())]
-            data |= beam_data([spans[f.name].data if isinstance(f, BeamChain) else f.beam_data() for f in own])
+            forces = [force for force in self.forces if force.beams(AttachmentTable())]
+            data |= beam_data([beams[f.name].data if isinstance(f, BeamChain) else f.beam_data() for f in forces])
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data
 
 
-def _joined_anew(system: System, _: Any) -> None:
-    """After loading other numbers: places may have changed. A function of the module, so that a system can be pickled."""
+def _rebuild_topology(system: System, _: Any) -> None:
+    """Hook after loading a state dict: positions may have changed. No method, as a hook must be picklable."""
     system._join(system.joints)
 
 
-def _joined_with(system: System, *_: Any) -> None:
+def _rebuild_topology_of(system: System, *_: Any) -> None:
+    """The same for the StateEquation of a system."""
     system._join(system.joints)
 
 
-def _of_all(data: dict[str, Tensor], designs: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Data of as many lanes as there are designs, also where these differ in nothing that moves, as in strengths."""
+def _for_all_lanes(data: dict[str, Tensor], designs: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Data with as many lanes as there are designs, even where no data depend on the design, as with strengths of plies."""
     lanes = max((x.shape[0] for x in designs.values()), default=1)
     mass = data["mass"]
     return data if mass.shape[-1] == lanes else data | {"mass": mass.expand(*mass.shape[:-1], lanes)}

@@ -1,4 +1,5 @@
-"""The topology of a system: who is attached to what, as index tensors. Constants of the model, no numbers of a design.
+"""The topology of a system: the bodies of attached vectors, the vectors of joints and forces, as index tensors. It is constant
+for all designs.
 
 Order of the unknowns (flexible bodies come first):
 
@@ -7,10 +8,9 @@ Order of the unknowns (flexible bodies come first):
     lam: rows of the primitives, kind by kind (multibody/joints/primitive.py)
 
 `modes` is the largest number of modes; bodies with fewer are padded with modes that never move.
-Prescribed bodies are bodies whose motion is known: the ground, and before it those that a condensation took out
-(prescribed_body.py).
-They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
-independent ones; v and a then hold the independent ones, which only `split_v` and `dynamic_residual` know.
+Known bodies, whose motion is known, follow the bodies in `vector_body`: the prescribed bodies of a condensation
+(prescribed_body.py), and the ground last. `rates`, in a condensed system, gives the rates of all bodies from independent ones;
+v and a then hold the independent ones, and only `split_v` and `dynamic_residual` treat the two cases apart.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from torchmbd.multibody.system.prescribed_body import PrescribedBody
 
 
 class Prescribed(NamedTuple):
-    """What is known at a time: what the laws prescribe for each kind of primitive, and where the prescribed bodies are."""
+    """Prescribed quantities at one time: values of laws for each kind of primitive, and poses of the known bodies."""
 
     laws: list[tuple | None]
-    A: Tensor  # rotations [3, 3, prescribed bodies, 1, 1], the ground last
-    r: Tensor  # origins [3, prescribed bodies, 1, 1]
+    A: Tensor  # rotations [3, 3, known bodies, 1, 1], the ground last
+    r: Tensor  # origins [3, known bodies, 1, 1]
     t: Any  # the time [1, 1] or []
 
-    def shared(self, varied: Sequence[int]) -> Prescribed:
-        """The same without the laws of some kinds, those with design variables: what is equal in all lanes."""
-        return self._replace(laws=[() if i in varied else law for i, law in enumerate(self.laws)])
+    def without_laws(self, kinds: Sequence[int]) -> Prescribed:
+        """The same without the laws of some kinds of primitives. Without those with design variables all lanes are equal."""
+        return self._replace(laws=[() if i in kinds else law for i, law in enumerate(self.laws)])
 
     def values(self) -> Prescribed:
         """The same without tangents."""
@@ -77,12 +77,12 @@ class Topology:
     beams: Beams | None = None  # elements of beams between rigid bodies
     prescribed_bodies: tuple[PrescribedBody, ...] = ()
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
-    spread: SparseMap | None = None  # the same
-    gather: SparseMap | None = None  # its transpose
+    spread: SparseMap | None = None  # `rates` as a map: independent rates -> rates of all bodies
+    gather: SparseMap | None = None  # its transpose: forces on all bodies -> forces on independent rates
 
     @cached_property
     def links(self) -> Links:
-        """The controllers among the actions."""
+        """The controllers, with the actions that they read and set."""
         return Links([law for action in self.actions for law in action.laws])
 
     @property
@@ -108,8 +108,8 @@ class Topology:
         return len(self.attached)
 
     @property
-    def known(self) -> int:
-        """How many bodies have a known motion: the prescribed ones and the ground."""
+    def known_bodies(self) -> int:
+        """Number of bodies with a known motion: the prescribed ones and the ground."""
         return 1 + len(self.prescribed_bodies)
 
     @property
@@ -125,28 +125,28 @@ class Topology:
         return _arguments(g.index_select(1, self.action_vectors), self.actions)
 
     @property
-    def placed(self) -> set[int]:
+    def varying_vectors(self) -> set[int]:
         """Attached vectors that vary with the design."""
         return {i for i, attached in enumerate(self.attached) if attached.varies}
 
     @property
-    def varied(self) -> list[int]:
+    def varying_primitives(self) -> list[int]:
         """Kinds of primitives with laws that have design variables."""
         return [i for i, p in enumerate(self.primitives) if p.varies]
 
     def law_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> list[tuple | None]:
-        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive.
+        """Values of the laws of driven primitives at time t, with time derivatives, for each kind of primitive.
 
-        data: of the designs; without, design variables of laws have their own values.
+        data   data of the designs; None: design variables of laws have the values of their Parameters
         """
         return [p.prescribed_jets(t, data) if p.driven else None for p in self.primitives]
 
     def prescribed(self, t: Tensor, data: Mapping[str, Any] | None = None) -> Prescribed:
-        """What is known at time t; data as of `law_jets`."""
+        """Prescribed quantities at time t; data as of `law_jets`."""
         return self.schedule(t[None], data)[0]
 
     def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
-        """What is known at times [n], for each of them; data as of `law_jets`."""
+        """Prescribed quantities at each of the times [n]; data as of `law_jets`."""
         n = len(times)
         laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
         poses = [prescribed_body.poses(times) for prescribed_body in self.prescribed_bodies]

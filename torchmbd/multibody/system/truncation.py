@@ -1,4 +1,4 @@
-"""What the retained modes of flexible bodies leave out of their flexibility at joints and forces: a body is too stiff there.
+"""Static truncation: flexibility that the retained modes of flexible bodies lack at joints and forces.
 
     R = F' K^-1 F - (Psi' F)' Kr^-1 (Psi' F)          residual flexibility under unit loads F at the frames of a body
     C = sum over bodies W' R W                        W: loads on its frames of unit multipliers
@@ -33,24 +33,26 @@ from torchmbd.multibody.joints.joint import Attached
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
 
-_NEAR = 2.0  # times the first elastic frequency: vibrations that are looked at
-LARGEST = 300  # rates of a system whose vibrations are looked at: dense methods
-_LOOKED_AT: WeakSet[Any] = WeakSet()  # bodies; no attribute of a system, which is what it is made of (math/digest.py)
-_REGULAR = 1e-12  # of the largest flexibility in the joints: redundant rows are determined by it
+_NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
+LARGEST = 300  # most rates of a system whose vibrations are compared, as the methods are dense
+_CHECKED: WeakSet[Any] = (
+    WeakSet()
+)  # bodies that were checked; not in a System, whose attributes are hashed (math/digest.py)
+_REGULAR = 1e-12  # share of the largest flexibility in the joints that is added, so that redundant rows are determined
 _SHOWN = 4  # nodes in a message
-_ELASTIC = 0.2  # of the energy of a vibration that is elastic
-_RIGID = 1e-5  # of the highest frequency: freedoms without stiffness are below
-_SHIFT = 1e-2  # of the first elastic frequency: a stiffness that makes these regular
+_ELASTIC = 0.2  # least share of the energy of a vibration in the modal coordinates that makes it elastic
+_RIGID = 1e-5  # share of the highest frequency below which a freedom has no stiffness
+_SHIFT = 1e-2  # share of the first elastic frequency: a stiffness that makes these freedoms regular
 
 
 @dataclass(frozen=True)
 class StaticTruncation:
-    """What is left out in one system.
+    """The largest effect of static truncation in one system.
 
-    share         of the stiffness that is too much, 0 to 1: of a vibration, or of the deflection under a force
-    frequencies   of the vibration as it is and with the residual flexibility [Hz]; None: of a force
-    body, where   the body with most of it, and its frame
-    advice        the better setting
+    share         of the stiffness of a vibration that is too much, or of the deflection under a force that is missing, 0 to 1
+    frequencies   of the vibration without and with the residual flexibility [Hz]; None: the share is that of a force
+    body, where   the body with the largest part of the residual flexibility, and its frame
+    advice        a setting without this truncation
     """
 
     share: float
@@ -72,7 +74,12 @@ class StaticTruncation:
 
 @dataclass(frozen=True)
 class _Residual:
-    """Of a body: its mounts, G and R of unit forces and moments at these [6 mounts, 6 mounts]."""
+    """Residual flexibility of one body.
+
+    number   of the body among the flexible bodies
+    mounts   node sets of its frames, without those of its reference
+    G, R     flexibility and residual flexibility under unit forces and moments at these [6 mounts, 6 mounts]
+    """
 
     body: Any
     number: int
@@ -82,7 +89,7 @@ class _Residual:
 
 
 def static_truncation(system: Any) -> StaticTruncation | None:
-    """The largest share of a system; None: none of its joints and forces acts on a flexible body with a stiffness."""
+    """The largest truncation of a system; None where no joint and no force acts on a flexible body of known stiffness."""
     T = system.topology
     if not T.attached_flexible:
         return None
@@ -93,40 +100,39 @@ def static_truncation(system: Any) -> StaticTruncation | None:
         q, v = dynamics.start
         t = q.new_zeros(())
         at = equations.placement(T, dynamics.data, q, T.prescribed(t, dynamics.data))
-        found = [_of_forces(residual, T, _action_loads(dynamics, at, v)) for residual in residuals if T.actions]
+        truncations = [_of_forces(residual, T, _action_loads(dynamics, at, v)) for residual in residuals if T.actions]
         if T.rows and T.n_v <= LARGEST and residuals:
-            loads = equations.force_on_vectors(T, at, torch.eye(T.rows, dtype=q.dtype)[:, None])
-            found.append(_of_joints(residuals, T, Linearization.of(dynamics, q[:, 0, 0], t), _local(T, at, loads)))
-    return max((x for x in found if x is not None), key=lambda x: x.share, default=None)
+            loads = _local(T, at, equations.force_on_vectors(T, at, torch.eye(T.rows, dtype=q.dtype)[:, None]))
+            rest = Linearization.of(dynamics, q[:, 0, 0], t)
+            truncations.append(_of_joints(residuals, T, rest, loads))
+    return max((x for x in truncations if x is not None), key=lambda x: x.share, default=None)
 
 
 def warn_static_truncation(system: Any) -> None:
-    """Warn where the share exceeds the system's limit; each body is looked at once."""
+    """Warn where the share exceeds `system.truncation`; each body is checked once."""
     bodies = [system.body(name) for name in system.topology.names[: system.topology.flexible]]
-    if system.truncation is None or all(body in _LOOKED_AT for body in bodies):
+    if system.truncation is None or all(body in _CHECKED for body in bodies):
         return
-    _LOOKED_AT.update(bodies)
+    _CHECKED.update(bodies)
     try:
-        found = outside_transforms(lambda: static_truncation(system))
-    except (
-        MbdError,
-        RuntimeError,
-    ):  # what is wrong with the present design, the simulation of the others need not have
+        truncation = outside_transforms(lambda: static_truncation(system))
+    except (MbdError, RuntimeError):  # the designs to be simulated need not have the errors of the present one
         return
-    if found is not None and found.share > system.truncation:
-        warn(f"{found}. System(..., truncation=None) does not look")
+    if truncation is not None and truncation.share > system.truncation:
+        warn(f"{truncation}. System(..., truncation=None) does not look")
 
 
 def _residual(system: Any, dynamics: Any, stages: dict[str, Tensor], k: int) -> _Residual | None:
+    """The residual flexibility of flexible body k; None without a known stiffness, or frames beside the reference."""
     T = dynamics.topology
     body, n = system.body(T.names[k]), T.own_modes[k]
-    found = body.flexibility()
-    own = [T.attached[i] for i in range(T.attached_flexible) if int(T.vector_flexible[i]) == k]
-    mounts = [x.interpolation for x in own if x.interpolation is not None]
+    flexibility = body.flexibility()
+    attached = [T.attached[i] for i in range(T.attached_flexible) if int(T.vector_flexible[i]) == k]
+    mounts = [x.interpolation for x in attached if x.interpolation is not None]
     mounts = [mount for mount in dict.fromkeys(mounts) if not set(mount.nodes) <= set(body.reference)]
-    if found is None or not mounts:
+    if flexibility is None or not mounts:
         return None
-    K, expand = found
+    K, expand = flexibility
     x = body.mesh.nodes - body.origin
     F = _unit_loads(x, mounts, expand, K.size)
     G = F.T @ StaticLoads(K.pattern)(K, F)
@@ -137,7 +143,7 @@ def _residual(system: Any, dynamics: Any, stages: dict[str, Tensor], k: int) -> 
 
 
 def _unit_loads(x: Tensor, mounts: Sequence[InterpolationConstraint], expand: Any, size: int) -> Tensor:
-    """Loads on the free freedoms [size, 6 mounts] of unit forces and moments: the transpose of the motion of the mounts."""
+    """Loads on the free freedoms [size, 6 mounts] of unit forces and moments at the mounts: the transpose of their motion."""
     with torch.enable_grad():
         u = torch.zeros(size, 1, dtype=x.dtype, requires_grad=True)
         psi = expand(u)
@@ -152,7 +158,7 @@ def _local(T: Any, at: Any, forces: Tensor) -> Tensor:
 
 
 def _action_loads(dynamics: Any, at: Any, v: Tensor) -> Tensor:
-    """Of unit strengths of the actions [actions, vectors, 3]."""
+    """Forces on vectors, in axes of flexible bodies, of unit strengths of the actions [actions, vectors, 3]."""
     T = dynamics.topology
     count, start, strengths = sum(len(action.members[0]) for action in T.actions), 0, []
     for action, (_, _, direction) in zip(T.actions, equations.action_states(T, dynamics.data, at, v), strict=True):
@@ -164,9 +170,9 @@ def _action_loads(dynamics: Any, at: Any, v: Tensor) -> Tensor:
 
 
 def _wrenches(residual: _Residual, T: Any, loads: Tensor) -> Tensor:
-    """Forces and moments on the mounts of a body [columns, 6 mounts] of loads on vectors [columns, vectors, 3]."""
+    """Forces and moments on the mounts of a body [columns, 6 mounts], out of forces on vectors [columns, vectors, 3]."""
     x, mounts = residual.body.mesh.nodes - residual.body.origin, residual.mounts
-    found = loads.new_zeros(len(loads), len(mounts), 6)
+    wrenches = loads.new_zeros(len(loads), len(mounts), 6)
     for i in range(T.attached_flexible):
         attached: Attached = T.attached[i]
         if int(T.vector_flexible[i]) != residual.number or attached.interpolation not in mounts:
@@ -175,13 +181,13 @@ def _wrenches(residual: _Residual, T: Any, loads: Tensor) -> Tensor:
         lever = attached.vector
         if attached.is_point:
             lever = lever - attached.interpolation.center(x)
-            found[:, k, :3] += force
-        found[:, k, 3:] += torch.linalg.cross(lever.expand_as(force), force)
-    return found.flatten(1)
+            wrenches[:, k, :3] += force
+        wrenches[:, k, 3:] += torch.linalg.cross(lever.expand_as(force), force)
+    return wrenches.flatten(1)
 
 
 def _of_forces(residual: _Residual, T: Any, loads: Tensor) -> StaticTruncation | None:
-    """Of the forces on a body: each beside the most flexible direction of its frame."""
+    """Truncation under the forces on a body, each compared with the flexibility of its frame in the most flexible direction."""
     shares = []
     for w in _wrenches(residual, T, loads):
         if not bool(w.any()):
@@ -196,50 +202,50 @@ def _of_forces(residual: _Residual, T: Any, loads: Tensor) -> StaticTruncation |
     if not shares:
         return None
     share, k = max(shares)
-    return StaticTruncation(share, None, *_said(residual, k))
+    return StaticTruncation(share, None, *_texts(residual, k))
 
 
 def _of_joints(residuals: list[_Residual], T: Any, rest: Linearization, loads: Tensor) -> StaticTruncation | None:
-    """Of the lowest elastic vibrations of the system."""
+    """Truncation in the lowest elastic vibrations of the system."""
     W = [_wrenches(residual, T, loads) for residual in residuals]
     C = torch.stack([w @ x.R @ w.T for w, x in zip(W, residuals, strict=True)]).sum(0)
-    looked_at = _elastic(T, rest)
-    if not bool(C.any()) or not looked_at:
+    vibrations = Vibrations.of(rest)
+    elastic = _elastic(T, rest, vibrations)
+    if not bool(C.any()) or not elastic:
         return None
-    before = Vibrations.of(rest).frequencies[looked_at]
-    squares, multipliers = _softer(rest, C, (2.0 * math.pi * _SHIFT * float(before[0])) ** 2)
-    after = squares[looked_at].clamp_min(0.0).sqrt() / (2.0 * math.pi)
+    before = vibrations.frequencies[elastic]
+    squares, multipliers = _flexible_joints(rest, C, (2.0 * math.pi * _SHIFT * float(before[0])) ** 2)
+    after = squares[elastic].clamp_min(0.0).sqrt() / (2.0 * math.pi)
     shares = 1.0 - (after / before).square()
     worst = int(shares.argmax())
-    lam = multipliers[:, looked_at[worst]]
+    lam = multipliers[:, elastic[worst]]
     parts = [(w.T @ lam) * (x.R @ (w.T @ lam)) for w, x in zip(W, residuals, strict=True)]
     energies = [part.reshape(-1, 6).sum(1) for part in parts]
     k = max(range(len(parts)), key=lambda k: float(energies[k].sum()))
-    said = _said(residuals[k], int(energies[k].argmax()))
-    return StaticTruncation(float(shares[worst]), (float(before[worst]), float(after[worst])), *said)
+    texts = _texts(residuals[k], int(energies[k].argmax()))
+    return StaticTruncation(float(shares[worst]), (float(before[worst]), float(after[worst])), *texts)
 
 
-def _elastic(T: Any, rest: Linearization) -> list[int]:
-    """The first vibration whose energy is in modal coordinates, for a good part, and those near it."""
-    found = Vibrations.of(rest)
-    w = found.shapes[6 * T.bodies :]
+def _elastic(T: Any, rest: Linearization, vibrations: Vibrations) -> list[int]:
+    """Numbers of the first elastic vibration and of those up to twice as fast; elastic: with energy in modal coordinates."""
+    frequencies, w = vibrations.frequencies, vibrations.shapes[6 * T.bodies :]
     energy = (w * (rest.K[6 * T.bodies :, 6 * T.bodies :] @ w)).sum(0)
-    elastic = energy > _ELASTIC * (2.0 * math.pi * found.frequencies).square()
-    elastic &= found.frequencies > _RIGID * found.frequencies.nan_to_num(0.0).max()
+    elastic = energy > _ELASTIC * (2.0 * math.pi * frequencies).square()
+    elastic &= frequencies > _RIGID * frequencies.nan_to_num(0.0).max()
     first = elastic.nonzero()[:1, 0]
-    return (elastic & (found.frequencies <= _NEAR * found.frequencies[first].sum())).nonzero()[:, 0].tolist()
+    return (elastic & (frequencies <= _NEAR * frequencies[first].sum())).nonzero()[:, 0].tolist()
 
 
-def _softer(rest: Linearization, C: Tensor, rigid: float) -> tuple[Tensor, Tensor]:
-    """Squares of angular frequencies, rising, and multipliers [rows, n] of vibrations with flexibility C in the joints.
+def _flexible_joints(rest: Linearization, C: Tensor, small: float) -> tuple[Tensor, Tensor]:
+    """Squares of angular frequencies, ascending, and multipliers [rows, n] of vibrations with flexibility C in the joints.
 
-    rigid: square of an angular frequency below those that count, which makes the stiffness regular
+    small   square of an angular frequency below all elastic ones: a shift that makes the stiffness regular
     """
-    own, J = rest.active, rest.Phi_q[:, rest.active]
-    K, M = (0.5 * (x + x.T) for x in (rest.K[own][:, own], rest.M[own][:, own]))
-    shift = rigid + 2.0 * max(0.0, -float(_squares(rest.reduced(rest.K), rest.reduced(rest.M))[0]))
-    small = _REGULAR * C.diagonal().max() * torch.eye(len(C), dtype=C.dtype)
-    saddle = torch.cat([torch.cat([K + shift * M, J.T], 1), torch.cat([J, -C - small], 1)])
+    active, J = rest.active, rest.Phi_q[:, rest.active]
+    K, M = (0.5 * (x + x.T) for x in (rest.K[active][:, active], rest.M[active][:, active]))
+    shift = small + 2.0 * max(0.0, -float(_squares(rest.reduced(rest.K), rest.reduced(rest.M))[0]))
+    regular = _REGULAR * C.diagonal().max() * torch.eye(len(C), dtype=C.dtype)
+    saddle = torch.cat([torch.cat([K + shift * M, J.T], 1), torch.cat([J, -C - regular], 1)])
     inverse = torch.linalg.inv(saddle)[:, : len(M)]
     masses, axes = torch.linalg.eigh(M)
     L = axes * masses.clamp_min(0.0).sqrt()
@@ -250,13 +256,13 @@ def _softer(rest: Linearization, C: Tensor, rigid: float) -> tuple[Tensor, Tenso
 
 
 def _squares(K: Tensor, M: Tensor) -> Tensor:
-    """Eigenvalues of K x = s M x, rising."""
+    """Eigenvalues s of K x = s M x, ascending."""
     inverse = torch.linalg.inv(torch.linalg.cholesky(0.5 * (M + M.T)))
     return torch.linalg.eigvalsh(inverse @ (0.5 * (K + K.T)) @ inverse.T)
 
 
-def _said(residual: _Residual, k: int) -> tuple[str, str, str]:
-    """Body, frame and advice."""
+def _texts(residual: _Residual, k: int) -> tuple[str, str, str]:
+    """`body`, `where` and `advice` of StaticTruncation for mount k."""
     mesh = residual.body.mesh
     names = [_named(mesh, mount) for mount in residual.mounts]
     kept = [f"mbd.Interface({n})" if len(m.nodes) > 1 else n for n, m in zip(names, residual.mounts, strict=True)]
@@ -265,7 +271,7 @@ def _said(residual: _Residual, k: int) -> tuple[str, str, str]:
 
 
 def _named(mesh: Any, mount: InterpolationConstraint) -> str:
-    """What the caller of `body.at` calls the nodes."""
+    """The argument of `body.at` for a mount: the name of its node set, or its nodes."""
     for name, members in mesh.node_sets.items():
         if sorted(int(i) for i in members) == sorted(mount.nodes):
             return repr(name)

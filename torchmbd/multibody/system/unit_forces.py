@@ -1,7 +1,6 @@
-"""What unit multipliers, or unit strengths of applied forces, do to the bodies: columns of Phi_q' and of force directions.
+"""Generalized forces of unit multipliers (columns of Phi_q') and of unit strengths of actions (their directions).
 
-A column acts on the vectors of its arguments, on each with a force. Forces of one column on one body are added up: they
-are a pair (column, body).
+A column has a force on each vector of its arguments. The forces of one column on one body are added up: a pair (column, body).
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ Block = tuple[str, tuple[int, ...]]  # name and shape
 class UnitForces:
     """Index tensors of the columns of one topology.
 
-    argument_pair    pair of each argument
-    point_pair       the same of arguments that are points, or -1
-    flexible_pair    pair of each argument on a flexible body, among such pairs
-    members   of each kind: the vectors of each argument [n], and the columns of each component [components, n]
+    members          for each kind the vectors of each argument [n], and the columns of each component [components, n]
+    argument_pair    pair of each argument, -1 on known bodies
+    point_pair       the same for arguments that are points, else -1
+    flexible_pair    pair of each argument on a flexible body, counted among the pairs of flexible bodies
     """
 
     def __init__(self, T: Topology, members: Sequence[tuple[Sequence[torch.Tensor], np.ndarray]]):
@@ -38,8 +37,8 @@ class UnitForces:
         body = T.vector_body.tolist()
         arguments = list(zip(argument_column, argument_vector, strict=True))
         self.pairs = sorted({(c, body[v]) for c, v in arguments if body[v] < T.bodies})
-        place = {key: i for i, key in enumerate(self.pairs)}
-        pair_of = [place.get((c, body[v]), -1) for c, v in arguments]
+        position = {key: i for i, key in enumerate(self.pairs)}
+        pair_of = [position.get((c, body[v]), -1) for c, v in arguments]
         points = [pair if T.attached[v].is_point else -1 for pair, v in zip(pair_of, argument_vector, strict=True)]
         self.pair_body = torch.tensor([b for _, b in self.pairs], dtype=torch.long)
         self.argument_vector = torch.tensor(argument_vector, dtype=torch.long)
@@ -54,7 +53,8 @@ class UnitForces:
         self.modal_sum = SegmentSum(self.flexible_pair, len(bent))
 
     def blocks(self, data: Any, at: Any, force: Any, name: str) -> dict[str, Any]:
-        """Forces, torques [3, pairs], modal forces [modes, flexible pairs] of forces on the arguments [3, arguments, ...]."""
+        """Forces, torques [3, pairs] and modal forces [modes, flexible pairs], out of forces on the arguments
+        [3, arguments, ...]."""
         local = matvec_t(at.A_of.index_select(2, self.argument_vector), force)
         blocks = {
             f"{name}_force": self.force_sum(force),
@@ -75,27 +75,27 @@ class UnitForces:
         ]
 
     def matrix_entries(self, T: Topology, blocks: dict[str, np.ndarray], name: str) -> np.ndarray:
-        """Rate, column and place [3, n] of each entry, out of the places of blocks."""
-        n, found = T.bodies, []
+        """Rate, column and entry number of each entry of the blocks [3, n]; blocks: entry numbers by saddle.entry_numbers."""
+        n, entries = T.bodies, []
         column, body = np.array(self.pairs, dtype=int).reshape(-1, 2).T
         for i in range(3):
-            found.append((i * n + body, column, blocks[f"{name}_force"][i]))
-            found.append(((3 + i) * n + body, column, blocks[f"{name}_torque"][i]))
+            entries.append((i * n + body, column, blocks[f"{name}_force"][i]))
+            entries.append(((3 + i) * n + body, column, blocks[f"{name}_torque"][i]))
         column, body = np.array(self.flexible_pairs, dtype=int).reshape(-1, 2).T
         for a in range(T.modes if self.flexible_pairs else 0):
-            found.append((6 * n + a * T.flexible + body, column, blocks[f"{name}_modal"][a]))
-        return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in found], 1)
+            entries.append((6 * n + a * T.flexible + body, column, blocks[f"{name}_modal"][a]))
+        return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in entries], 1)
 
 
 def unit_multipliers(T: Topology) -> UnitForces:
-    """Of unit multipliers."""
+    """Forces of unit multipliers of all constraint rows."""
     return UnitForces(
         T, [(p.members, np.arange(rows.start, rows.stop).reshape(p.rows, -1)) for p, rows in T.row_slices()]
     )
 
 
 def unit_strengths(T: Topology) -> UnitForces:
-    """Of unit strengths of the actions, counted kind by kind."""
+    """Forces of unit strengths of all actions, which are counted kind by kind."""
     members, start = [], 0
     for action in T.actions:
         n = len(action.members[0])
