@@ -147,7 +147,7 @@ def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
         first[0, 0, ..., lane : lane + 1] = True  # smaller batches, as of the estimate of truncation, do not have it
         return own(data | {"Kr": linear(lambda x: torch.where(first, torch.nan, x), data["Kr"])})
 
-    monkeypatch.setattr(system, "_made", made)
+    monkeypatch.setattr(system, "_dynamics", made)
 
 
 def sprung(law: Any = None, kind: str = "quad") -> mbd.System:

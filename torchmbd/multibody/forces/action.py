@@ -4,7 +4,7 @@ An action has a coordinate s of the vectors attached to its bodies and a law f(s
 
     force on each vector = f ds/dvector          power = f s'
 
-so what it does to the bodies is derived as for a constraint, momentum is kept, and energy is what the law says.
+so its forces on bodies follow as those of a constraint, momentum is conserved, and its power is that of the law.
 
     kind      coordinate                                  arguments                   unit of f
     Length    |g_b - g_a|                                 point, point                N
@@ -16,14 +16,14 @@ so what it does to the bodies is derived as for a constraint, momentum is kept, 
 
 The contract of a kind:
 
-    direction(vectors)   what f = 1 does to each argument [3, n, ...]; the gradient of s where there is one
-    measure(vectors)     s [n, ...]; kinds without one see s = s' = 0, and Spin s = 0: its rate is that of no coordinate
+    direction(vectors)   force of f = 1 on each argument [3, n, ...]; the gradient of s where there is an s
+    measure(vectors)     s [n, ...]; laws of kinds without s get s = s' = 0, those of Spin s = 0, as its rate has no coordinate
 
-Nothing else is written for a force: design tangents come from pairs, the iteration matrix from the slopes of the law.
-`Turn` measures within half a turn around the `center` of its law (0 by default).
-A law is elementwise: it sees s and s' of shape [1, 1, lanes] and returns that shape. It may state its own derivatives by s
-and s' (`slopes`, as the laws of laws.py do); otherwise they come from forward mode, and the step is not compiled.
-The law of an action that a controller reads or sets is a Port: what that does is added to all strengths (feedback.py).
+No other code is needed for a force: design tangents follow from pairs, the iteration matrix from the slopes of the law.
+The angle of `Turn` is within half a turn of the `center` of its law (0 by default).
+A law is elementwise: its arguments s and s' have the shape [1, 1, lanes], and so has its result. It may state its derivatives
+by s and s' (`slopes`, as the laws of laws.py do); otherwise they follow by forward mode.
+The law of an action that a controller reads or sets is a Port; forces of controllers are added to all strengths (feedback.py).
 Checked in tests/contracts/test_actions.py: direction against autograd, momentum, slopes of laws.
 """
 
@@ -60,7 +60,7 @@ class Action:
     arguments: ClassVar[tuple[str, ...]]
 
     def direction(self, vectors) -> list:
-        """What a unit generalized force does to each argument [3, n, ...], in ground axes."""
+        """Force of a unit generalized force on each argument [3, n, ...], in ground axes."""
         raise NotImplementedError
 
     def measure(self, vectors):
@@ -83,7 +83,7 @@ class Action:
         return cat([_force(_of(law, data), s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
 
     def slopes(self, s: Tensor, rate: Tensor, t: Any, data: Data) -> tuple[Tensor, Tensor]:
-        """df/ds and df/ds' [n, ...] of plain numbers."""
+        """df/ds and df/ds' [n, ...] of values without tangents."""
         if len(self.laws) == 1:
             return law_slopes(_of(self.laws[0], data), s, rate, value(t))
         parts = [law_slopes(_of(law, data), s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
@@ -178,14 +178,14 @@ class Spin(Action):
 
 
 def _of(law: Law, data: Data) -> Law:
-    """The law of a design."""
+    """The law with the values of the data, if it has design variables."""
     return law.at(data) if isinstance(law, ParametricLaw) else law
 
 
 def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
-    """A law applied; one that states its slopes needs no differentiation, which could not be compiled."""
+    """The force of a law at tensors or pairs s, rate; where the law states its slopes, without automatic differentiation."""
     if isinstance(law, Spring):
-        return law(s, rate, t)  # numbers themselves
+        return law(s, rate, t)  # takes pairs
     if isinstance(law, Port):
         return linear(torch.zeros_like, s)
     if isinstance(law, Scaled):
@@ -197,7 +197,7 @@ def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
 
 
 def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """df/ds and df/ds' of plain numbers."""
+    """df/ds and df/ds' of values without tangents."""
     if isinstance(law, Scaled):
         by_s, by_rate = law_slopes(law.law, s, rate, t)
         return by_s * law.factor, by_rate * law.factor
@@ -209,7 +209,7 @@ def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Te
 
 
 def _angle(s: Any, c: Any, center: float) -> Any:
-    """The angle of (c, s) within half a turn of a center."""
+    """The angle of the point (c, s) within half a turn of a center."""
     c0, s0 = math.cos(center), math.sin(center)
 
     def angle(s: Tensor, c: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torchmbd.multibody.joints.joint import AttachmentTable
 
 
 class BeamChain(ForceElement):
-    """Of one beam; made by the System."""
+    """All elements of one FlexibleBeam; made by the System."""
 
     variables_in_laws: ClassVar[bool] = False
 
@@ -26,18 +26,18 @@ class BeamChain(ForceElement):
 
     @property
     def variables(self) -> ParameterVector | None:
-        """Those of the beam."""
+        """The parameters of the beam."""
         return ParameterVector.of(self.beam)
 
     def actions(self, attachments: AttachmentTable) -> list[Any]:
-        """None: these are elements of beams."""
+        """No actions: the forces are those of beam elements."""
         return []
 
     def beams(self, attachments: AttachmentTable) -> list[tuple[int, int]]:
-        """Nodes of the elements."""
+        """Attached points at both ends of each element."""
         points = [attachments.point(frame) for frame in self.frames]
         return [(points[i], points[j]) for i, j in self.beam.mesh.elements.tolist()]
 
     def beam_data(self) -> dict[str, Tensor]:
-        """Of `FlexibleBeam.structure`."""
+        """The data of `FlexibleBeam.structure`."""
         return self.beam.structure().data

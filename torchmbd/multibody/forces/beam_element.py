@@ -53,14 +53,13 @@ class BeamElement(ForceElement):
         super().__init__((a, b), name)
         for frame in self.frames:
             _check(self.name, frame)
-        given = f"stiffness of {self.name!r}"
-        own = nn.ParameterDict()
+        label = f"stiffness of {self.name!r}"
+        self._variables = nn.ParameterDict()
         if isinstance(stiffness, nn.Parameter):
-            own["stiffness"] = parameter(given, stiffness)
-        K = reals(given, stiffness.detach() if isinstance(stiffness, Tensor) else stiffness)
-        check_stiffness(given, K)
-        self.stiffness: Tensor = own["stiffness"] if len(own) else K
-        self._own = own
+            self._variables["stiffness"] = parameter(label, stiffness)
+        K = reals(label, stiffness.detach() if isinstance(stiffness, Tensor) else stiffness)
+        _check_stiffness(label, K)
+        self.stiffness: Tensor = self._variables["stiffness"] if len(self._variables) else K
         self.damping = nonnegative(f"damping of {self.name!r}", damping, "s")
         self.rest = _screw(a, b)
         if float(self.rest[3:].norm()) > LARGEST:
@@ -69,32 +68,29 @@ class BeamElement(ForceElement):
     @property
     def variables(self) -> ParameterVector | None:
         """The stiffness, if it varies."""
-        return ParameterVector.of(self._own)
+        return ParameterVector.of(self._variables)
 
     def actions(self, attachments: AttachmentTable) -> list:
-        """None: it is an element of a beam."""
+        """No actions: the force is that of a beam element."""
         return []
 
     def beams(self, attachments: AttachmentTable) -> list[tuple[int, int]]:
-        """Its two points."""
+        """Attached points at its two ends."""
         a, b = self.frames
         return [(attachments.point(a), attachments.point(b))]
 
     def beam_data(self) -> dict[str, Tensor]:
-        """Of one element; the stiffness is made symmetric, as its energy sees it."""
-        K = self._own["stiffness"] if len(self._own) else self.stiffness
+        """Data of one element; only the symmetric part of the stiffness counts, as in the energy."""
+        K = self._variables["stiffness"] if len(self._variables) else self.stiffness
         a, b = self.frames
-        found = {"beam_stiffness": 0.5 * (K + K.mT)[..., None, :, :], "beam_rest": self.rest[None]}
-        found |= {"beam_start": a.axes[None], "beam_end": b.axes[None]}
-        return found | damping_data(self.damping, 1)
+        data = {"beam_stiffness": 0.5 * (K + K.mT)[..., None, :, :], "beam_rest": self.rest[None]}
+        data |= {"beam_start": a.axes[None], "beam_end": b.axes[None]}
+        if self.damping:
+            data["beam_damping"] = torch.full((1,), self.damping, dtype=torch.float64)
+        return data
 
 
-def damping_data(time: float, count: int) -> dict[str, Tensor]:
-    """Of so many elements; empty without dampers."""
-    return {"beam_damping": torch.full((count,), time, dtype=torch.float64)} if time else {}
-
-
-def check_stiffness(name: str, K: Tensor) -> None:
+def _check_stiffness(name: str, K: Tensor) -> None:
     """InputError for anything but a symmetric positive definite matrix [6, 6]."""
     allowed = "a symmetric, positive definite matrix [6, 6]"
     if K.shape != (6, 6) or not bool(torch.isfinite(K).all()):
@@ -115,7 +111,7 @@ def _check(name: str, frame: Frame) -> None:
 
 
 def _screw(a: Frame, b: Frame) -> Tensor:
-    """From a to b at the given initial positions [6]."""
+    """Relative screw of frame b from a at the given initial positions [6]."""
     x, y = (frame.body.position + frame.body.axes @ frame.point for frame in (a, b))
     A, B = (frame.body.axes @ frame.axes for frame in (a, b))
     return logarithm(A.T @ (y - x), A.T @ B)

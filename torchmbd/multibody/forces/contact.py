@@ -1,7 +1,7 @@
 """Contact: stops of a joint's coordinate, with clearance, and a point or a sphere of a body above a plane.
 
-A penalty law (contact_law.py) presses bodies apart where they overlap, and never pulls.
-A plane has no edges. Contact between surfaces, meshes, edges, or of a body with itself is not there.
+A penalty law (contact_law.py) pushes overlapping bodies apart, and never pulls.
+Planes have no edges. Contact between surfaces, meshes or edges, and of a body with itself, is not implemented.
 Checked in tests/multibody/forces/test_contact.py, tests/contracts/test_actions.py.
 """
 
@@ -22,11 +22,11 @@ from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
-MOST_TURN = 2.0 * math.pi - 0.2  # [rad] between the limits of an angle, which is known up to a turn
+MOST_TURN = 2.0 * math.pi - 0.2  # [rad] largest difference of the limits of an angle, which is known up to a turn
 
 
 class _Contact(ForceElement):
-    """Of two frames, with a control as its law."""
+    """Contact between two frames, whose law is a controller."""
 
     control: ContactControl
 
@@ -36,12 +36,12 @@ class _Contact(ForceElement):
 
     @property
     def between(self) -> str:
-        """The bodies, for messages."""
+        """The names of both bodies, for messages."""
         return " and ".join(repr(frame.body.name) for frame in self.frames)
 
 
 class _Stop(_Contact):
-    """lower, upper: limits of the coordinate, None: there is none; others as described by each kind."""
+    """Stops of a coordinate. lower, upper: its limits, None: no limit; others as in the docstring of each kind."""
 
     def __init__(
         self,
@@ -63,10 +63,12 @@ class _Stop(_Contact):
             raise InputError(f"{self.name!r} has neither lower nor upper; allowed: at least one of them")
         given = limits | {"stiffness": stiffness, "damping": damping, "exponent": exponent}
         module = ContactNumbers(self.name, given)
-        own = [float(number(getattr(module, side))) for side in limits]
-        if own != sorted(own):
-            raise InputError(f"lower of {self.name!r} is {own[0]:g}, upper {own[1]:g}; allowed: lower below upper")
-        self.width, self.middle = own[-1] - own[0], 0.5 * (own[0] + own[-1])
+        values = [float(number(getattr(module, side))) for side in limits]
+        if values != sorted(values):
+            raise InputError(
+                f"lower of {self.name!r} is {values[0]:g}, upper {values[1]:g}; allowed: lower below upper"
+            )
+        self.width, self.middle = values[-1] - values[0], 0.5 * (values[0] + values[-1])
         self.control = StopControl(self.name, module, list(limits), self.between)
 
     def _port(self, center: float = 0.0) -> Port:
@@ -131,7 +133,7 @@ class RotationalStop(_Stop):
 
 
 class PlaneContact(_Contact):
-    """A point of a body, or a sphere about it, above a plane of another body or of the ground: it presses and rubs.
+    """Contact of a point of a body, or a sphere about it, with a plane of another body or the ground, with friction.
 
     plane      frame whose origin is on the plane
     point      frame of the body whose point touches, or is the center of the sphere
@@ -141,7 +143,7 @@ class PlaneContact(_Contact):
     damping    c [s/m]; the force never pulls
     exponent   n, 1 or more: 1.5 for a sphere by Hertz
     friction   coefficient mu of the force mu N tanh(|u| / speed) against sliding; 0: none
-    speed      u0 [m/s], below which friction falls off: there bodies creep in place of sticking
+    speed      u0 [m/s], below which friction decreases to zero: bodies creep instead of sticking
     name       of the element, and of its design variables, which all these numbers may be: "floor.stiffness"
 
     Both bodies get the force at the point where they touch, a sphere also its moment: it rolls. The plane has no edge, and
@@ -197,5 +199,5 @@ class PlaneContact(_Contact):
 
 
 def _zero(x: Any) -> bool:
-    """Whether a number is zero and no variable."""
+    """Whether x is the number zero, and no design variable."""
     return not isinstance(x, Tensor) and x == 0.0

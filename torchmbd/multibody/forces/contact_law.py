@@ -1,16 +1,16 @@
-"""Laws of contact: a pressure that never pulls, and friction in the plane of contact.
+"""Laws of contact: a normal force that never pulls, and friction in the plane of contact.
 
     N = k d^n max(0, 1 + c d')          penetration d > 0, its rate d'; zero where d <= 0
     T = -mu N tanh(|u| / u0) u / |u|    of the velocity u of sliding [2]
 
-Damping c of this kind (Hunt and Crossley) begins and ends at zero force, so that bodies do not stick to each other. Without
-other forces a mass that hits at v leaves at w, whatever its mass and k, n:
+With damping c of this kind (Hunt and Crossley) contact begins and ends at zero force, so bodies do not stick to each other.
+Without other forces a mass that hits at speed v leaves at speed w, for any mass, k and n:
 
     c v - ln(1 + c v) = -c w - ln(1 - c w)        e = w / v = 1 - 2/3 c v for small c v
 
-Friction is regularized: below u0 bodies creep in place of sticking.
-N has a continuous derivative by d for n > 1; for n = 1 it jumps where bodies touch, and derivatives of a motion are those
-of both sides as long as no step ends there exactly.
+Friction is regularized: below u0 bodies creep instead of sticking.
+N has a continuous derivative by d for n > 1; for n = 1 it jumps where bodies touch, and derivatives of a motion are valid
+unless a step ends there exactly.
 Laws are controls (feedback.py): their numbers may be design variables, and native code calls them back.
 Source: Hunt, Crossley, J. Appl. Mech. 42 (1975) 440-445. Checked in tests/multibody/forces/test_contact.py.
 """
@@ -32,11 +32,11 @@ from torchmbd.multibody.joints.laws import finite
 
 _POSITIVE = ("stiffness", "speed")
 _LEAST = {"exponent": 1.0, "damping": 0.0, "friction": 0.0, "radius": 0.0}
-_STILL = 1e-9  # of the speed of friction: sliding slower than this has no direction
+_STILL = 1e-9  # share of the speed of friction below which sliding has no direction
 
 
 class NormalForce(NamedTuple):
-    """The force of contact, and its derivatives by penetration and rate of penetration."""
+    """The normal force N, and its derivatives by penetration and rate of penetration."""
 
     force: Tensor
     by_depth: Tensor
@@ -44,19 +44,19 @@ class NormalForce(NamedTuple):
 
 
 def normal_force(p: Mapping[str, Any], depth: Tensor, rate: Tensor) -> NormalForce:
-    """By stiffness, exponent and damping."""
+    """N of penetrations and their rates; p: stiffness, exponent and damping."""
     k, n, c = p["stiffness"], p["exponent"], p["damping"]
     inside = depth > 0.0
     d = torch.where(inside, depth, 1.0)  # powers of zero have no derivative by the exponent
     spring = torch.where(inside, k * d**n, 0.0)
-    share = 1.0 + c * rate
-    loss = torch.clamp_min(share, 0.0)
-    by_depth = torch.where(inside, k * n * d ** (n - 1.0), 0.0) * loss
-    return NormalForce(spring * loss, by_depth, torch.where(share > 0.0, spring * c, torch.zeros_like(spring)))
+    damping = 1.0 + c * rate
+    factor = torch.clamp_min(damping, 0.0)
+    by_depth = torch.where(inside, k * n * d ** (n - 1.0), 0.0) * factor
+    return NormalForce(spring * factor, by_depth, torch.where(damping > 0.0, spring * c, torch.zeros_like(spring)))
 
 
 class ContactNumbers(nn.Module):
-    """Numbers of a law by name, checked; those that are variables are its parameters. owner: name of the element."""
+    """Checked numbers of a law by name; design variables are parameters of the module. owner: name of the element."""
 
     def __init__(self, owner: str, given: Mapping[str, Any]):
         super().__init__()
@@ -75,15 +75,15 @@ class ContactNumbers(nn.Module):
                 setattr(self, name, x)
 
     def forward(self) -> dict[str, Any]:
-        """By name."""
+        """The numbers by name."""
         return {name: getattr(self, name) for name in self.names}
 
 
 class ContactControl(Control):
-    """A law of contact as if it were a controller; all lanes at once.
+    """A law of contact as a controller that is evaluated for all lanes at once.
 
     what    the bodies that touch, for messages
-    count   number of its gaps
+    count   number of gaps
     """
 
     def __init__(self, name: str, module: ContactNumbers, inputs: int, outputs: int, what: str, count: int = 1):
@@ -95,9 +95,9 @@ class ContactControl(Control):
         return f"contact {self.name!r}"
 
     def numbers(self, p: Tensor) -> dict[str, Any]:
-        """By name, of parameters [k, lanes or 1]; k = 0: its own."""
-        own = self.module()
-        return own | self.variables.named(p) if self.variables is not None and len(p) else own
+        """The numbers of the law by name, with parameters p [k, lanes or 1]; k = 0: those that the module has."""
+        numbers = self.module()
+        return numbers | self.variables.named(p) if self.variables is not None and len(p) else numbers
 
     @abstractmethod
     def strengths(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
@@ -109,7 +109,7 @@ class ContactControl(Control):
 
     @abstractmethod
     def gaps(self, p: Mapping[str, Any], x: Tensor) -> tuple[Tensor, Tensor]:
-        """Distances between what may touch, and their rates [gaps, lanes]."""
+        """Distances between the surfaces that may touch, and their rates [gaps, lanes]."""
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
         """As of Control."""
@@ -126,7 +126,7 @@ class ContactControl(Control):
         return self.strengths(numbers, x), slopes
 
     def _apart(self, numbers: Mapping[str, Any], x: Tensor) -> bool:
-        """Whether nothing touches and no derivative by the numbers is recorded: mostly so, at a tenth of the law's cost."""
+        """Whether nothing touches and no derivative by the numbers is recorded. This test costs a tenth of the law."""
         recorded = self.variables is not None and torch.is_grad_enabled()
         return not recorded and bool((self.gaps(numbers, x)[0] > 0.0).all())
 
@@ -134,12 +134,12 @@ class ContactControl(Control):
         """As of Control."""
         return self.slopes(self.numbers(self._parameters(x, data)[:, 0]), x[:, 0]).movedim(-1, 0)
 
-    def _over_lanes(self, t: Any, one: Any = None) -> Any:
+    def _over_lanes(self, t: Any, f: Any = None) -> Any:
         return lambda p, x: self.strengths(self.numbers(p), x)
 
 
 class StopControl(ContactControl):
-    """Of one coordinate between limits: (s, s') -> f. sides: which limits there are, "lower", "upper"."""
+    """Contact of one coordinate with its limits: (s, s') -> f. sides: the limits that it has, "lower", "upper"."""
 
     def __init__(self, name: str, module: ContactNumbers, sides: Sequence[str], what: str):
         super().__init__(name, module, 2, 1, what, len(sides))
@@ -168,7 +168,7 @@ class StopControl(ContactControl):
 
 
 class PlaneControl(ContactControl):
-    """Of a point, or a sphere, above a plane; friction acts where it touches the plane.
+    """Contact of a point, or a sphere, with a plane; friction acts at the point of contact.
 
     inputs    s, s'; with friction velocities of the point along two axes of the plane, of a sphere also the spins about these
     outputs   force along the normal; with friction forces along the axes, of a sphere also torques about them
@@ -213,7 +213,7 @@ class PlaneControl(ContactControl):
         return (x[0] - p["radius"])[None], x[1][None]
 
     def _sliding(self, p: Mapping[str, Any], x: Tensor) -> list[Tensor]:
-        """Velocity of the material that touches, along the two axes."""
+        """Velocity of the touching material along the two axes."""
         if not self.rolls:
             return [x[2], x[3]]
         return [x[2] - p["radius"] * x[5], x[3] + p["radius"] * x[4]]

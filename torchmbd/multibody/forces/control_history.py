@@ -1,4 +1,5 @@
-"""Control histories: numbers at equal times as parameters, in between linear or held; the module of a Controller of time."""
+"""Control histories: parameters are values at equidistant times, with linear or constant values between them; a module for a
+Controller whose input is the time."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter, positive
 
 _KINDS = ("linear", "hold")
-_EARLY = 1e-9  # of an interval: a time that rounding puts before its node is the node
+_EARLY = 1e-9  # share of an interval by which rounding may put a time before the start of its interval
 
 
 class ControlHistory(nn.Module):

@@ -26,7 +26,7 @@ from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.signals import Actuator, Coordinate, Signal
 from torchmbd.multibody.joints.joint import AttachmentTable
 
-# How a controller may vary with the design.
+# What of a controller may be a design variable; part of messages.
 VARIABLES = "parameters of the module; constant tensors"
 
 
@@ -70,12 +70,12 @@ class Controller(ForceElement):
         return self.control.variables
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
-        read: dict[tuple, list[tuple[int, bool]]] = {}
-        found = [one for x in self.inputs for one in x.coordinates(attachments)]
-        for row, x in enumerate(found):
+        reads: dict[tuple, list[tuple[int, bool]]] = {}
+        coordinates = [x for signal in self.inputs for x in signal.coordinates(attachments)]
+        for row, x in enumerate(coordinates):
             if isinstance(x, Coordinate):
-                read.setdefault((x.kind, x.vectors, x.center), []).append((row, x.rate))
-        for (kind, vectors, center), rows in read.items():
+                reads.setdefault((x.kind, x.vectors, x.center), []).append((row, x.rate))
+        for (kind, vectors, center), rows in reads.items():
             yield Applied(kind, vectors, Port(self.control, reads=tuple(rows), center=center))
         for k, x in enumerate(self.outputs):
             for kind, vectors, sign in x.efforts(attachments):
@@ -108,11 +108,11 @@ def _check(control: Control) -> None:
 def _check_gradients(control: Control, x: Tensor) -> None:
     x = x.requires_grad_()
     u = _called(control, x)
-    wanted = {name: p for name, p in control.module.named_parameters() if p.requires_grad}
-    by: Any = [None] * (1 + len(wanted))
+    parameters = {name: p for name, p in control.module.named_parameters() if p.requires_grad}
+    by: Any = [None] * (1 + len(parameters))
     if u.requires_grad:
-        by = torch.autograd.grad(u.sum(), [x, *wanted.values()], allow_unused=True)
-    lost = [name for name, slope in zip(wanted, by[1:], strict=True) if slope is None]
+        by = torch.autograd.grad(u.sum(), [x, *parameters.values()], allow_unused=True)
+    lost = [name for name, slope in zip(parameters, by[1:], strict=True) if slope is None]
     if lost:
         raise InputError(
             f"{control.label} gives its parameters {', '.join(map(repr, lost))} no gradient: its output at t = 0 is detached "
@@ -127,7 +127,7 @@ def _check_gradients(control: Control, x: Tensor) -> None:
 def _called(control: Control, x: Tensor) -> Tensor:
     try:
         u = control.module(x)
-    except Exception as error:  # it may do anything
+    except Exception as error:  # a module of users may raise any error
         raise InputError(
             f"{control.label} raises {error!r} for x {list(x.shape)}; allowed: x [lanes, inputs] -> [lanes, outputs]"
         ) from error

@@ -2,10 +2,10 @@
 
     u = module(x)      x [lanes, inputs]: s and s' of coordinates, and the time;  u [lanes, outputs]: generalized forces
 
-What a controller reads, and what it sets, are actions of the usual kinds (action.py): their law is a `Port`, which has no
-force of its own. `Links` adds the u of all controllers to the strengths of all actions. So design tangents, the adjoint and
-the iteration matrix come from the directions of the kinds and from derivatives of the module.
-The module sees one lane at a time, under torch.func.vmap where there are several: lanes cannot mix.
+The signals that a controller reads, and the forces that it sets, are actions of the usual kinds (action.py) whose law is a
+`Port`, which has no force itself. `Links` adds the u of all controllers to the strengths of all actions. So design tangents,
+the adjoint and the iteration matrix follow from the directions of the kinds and the derivatives of the module.
+The module is called with one lane, under torch.func.vmap if there are several, so that it cannot mix lanes.
 `data["law NAME"]` holds the parameters of the controller NAME, flat [k, pair, lanes].
 Checked in tests/multibody/forces/test_controller.py, tests/multibody/forces/test_controller_refusals.py.
 """
@@ -29,7 +29,7 @@ R = TypeVar("R")
 
 
 class Control:
-    """The module of the controller `name`, as a function of numbers with tangents; it has so many inputs and outputs."""
+    """The module of the controller `name` as a function of tensors and pairs, with its numbers of inputs and outputs."""
 
     def __init__(self, name: str, module: nn.Module, inputs: int, outputs: int):
         self.name, self.module, self.inputs, self.outputs = name, module, inputs, outputs
@@ -41,79 +41,79 @@ class Control:
 
     def __call__(self, x: Any, t: Any, data: Mapping[str, Any]) -> Any:
         """u [outputs, pair, lanes] of x [inputs, pair, lanes] at time t."""
-        both = [self._parameters(x, data), x]
-        plain = [value(y)[:, 0] for y in both]
-        every = self._over_lanes(t)
-        found = every(*plain)
-        self.check_attached(found, plain[0], t)
-        moving = [i for i, y in enumerate(both) if isinstance(y, Pair) and len(plain[i])]
-        if not moving:
-            return found[:, None]
+        arguments = [self._parameters(x, data), x]
+        values = [value(y)[:, 0] for y in arguments]
+        u_of = self._over_lanes(t)
+        u = u_of(*values)
+        self.check_attached(u, values[0], t)
+        varying = [i for i, y in enumerate(arguments) if isinstance(y, Pair) and len(values[i])]
+        if not varying:
+            return u[:, None]
 
-        def moved(*some: Tensor) -> Tensor:
-            full = dict(zip(moving, some, strict=True))
-            return every(*(full.get(i, y) for i, y in enumerate(plain)))
+        def u_of_varying(*varied: Tensor) -> Tensor:
+            given = dict(zip(varying, varied, strict=True))
+            return u_of(*(given.get(i, y) for i, y in enumerate(values)))
 
         def push(*directions: Tensor) -> Any:
-            return torch.func.jvp(moved, tuple(plain[i] for i in moving), directions)[1]
+            return torch.func.jvp(u_of_varying, tuple(values[i] for i in varying), directions)[1]
 
-        tangents: Any = torch.func.vmap(push, 1, 1)(*(both[i].tangent for i in moving))
-        return Pair.of(found[:, None], tangents)
+        tangents: Any = torch.func.vmap(push, 1, 1)(*(arguments[i].tangent for i in varying))
+        return Pair.of(u[:, None], tangents)
 
     def holding(self, p: Tensor, run: Callable[[], R]) -> R:
-        """run(), in which the module has the parameters [k, 1], and is called without any."""
+        """run(), while the module has the parameters p [k, 1]; run calls it without parameters."""
         return run_with_parameters(self.module, self.variables.named(p[:, 0]), run) if self.variables else run()
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
-        """u [outputs, lanes] of parameters [k, lanes or 1], k = 0: its own, and x [inputs, lanes]."""
+        """u [outputs, lanes] of parameters p [k, lanes or 1] (k = 0: those that the module has) and x [inputs, lanes]."""
         return self._over_lanes(t)(p, x)
 
     @torch.enable_grad()
     def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
-        """The same with the graph of the parameters, and du/dx [outputs, inputs, lanes]."""
+        """u as of `at`, with its autograd graph, and du/dx [outputs, inputs, lanes]."""
         x = x.detach().clone().requires_grad_()
         u = self.at(p, x, t)
         return u, torch.stack([derivative(y, x) for y in u])
 
     def check_attached(self, u: Tensor, p: Tensor, t: Any) -> None:
-        """InputError where the output does not depend on parameters by which derivatives are wanted."""
+        """InputError where parameters require a gradient and the output u has none."""
         if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
             raise InputError(
                 f"{self.label} gives a detached tensor{_at(t)}; allowed: one that depends on its parameters"
             )
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
-        """du/dx [lanes or 1, outputs, inputs] of plain numbers."""
-        every = self._over_lanes(t, torch.func.jacfwd(self._one_lane(t), argnums=1))
-        return every(self._parameters(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
+        """du/dx [lanes or 1, outputs, inputs] of values x [inputs, 1, lanes] and data without tangents."""
+        du_dx = self._over_lanes(t, torch.func.jacfwd(self._one_lane(t), argnums=1))
+        return du_dx(self._parameters(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
 
     def _parameters(self, x: Any, data: Mapping[str, Any]) -> Any:
-        """Parameters [k, pair, lanes]; k = 0 of a module without."""
+        """Parameters [k, pair, lanes]; k = 0 for a module without any."""
         return x[:0] if self.variables is None else data[law_key(self.name)]
 
     def _one_lane(self, t: Any) -> Callable[[Tensor, Tensor], Tensor]:
-        """u [outputs] of one lane: parameters [k] and x [inputs]."""
+        """The function of one lane: parameters p [k] and x [inputs] -> u [outputs]."""
 
-        def one(p: Tensor, x: Tensor) -> Tensor:
-            given = {} if self.variables is None or not len(p) else self.variables.named(p)
-            u = call_module(self.module, given, x[None]) if given else self.module(x[None])
+        def u_of(p: Tensor, x: Tensor) -> Tensor:
+            parameters = {} if self.variables is None or not len(p) else self.variables.named(p)
+            u = call_module(self.module, parameters, x[None]) if parameters else self.module(x[None])
             self.check(u, 1, t)
             return u[0]
 
-        return one
+        return u_of
 
-    def _over_lanes(self, t: Any, one: Any = None) -> Callable[[Tensor, Tensor], Tensor]:
-        """A function of one lane on parameters [k, lanes] and x [inputs, lanes]; one lane holds for all."""
-        one = one or self._one_lane(t)
+    def _over_lanes(self, t: Any, f: Any = None) -> Callable[[Tensor, Tensor], Tensor]:
+        """A function of one lane (None: that of `_one_lane`) as one of all: p [k, lanes or 1], x [inputs, lanes or 1]."""
+        of_lane = f or self._one_lane(t)
 
-        def every(p: Tensor, x: Tensor) -> Tensor:
+        def of_lanes(p: Tensor, x: Tensor) -> Tensor:
             if p.shape[1] == x.shape[1] == 1:
-                return one(p[:, 0], x[:, 0])[..., None]
+                return of_lane(p[:, 0], x[:, 0])[..., None]
             dims = tuple(None if y.shape[1] == 1 else 1 for y in (p, x))
-            given = (y[:, 0] if y.shape[1] == 1 else y for y in (p, x))
-            return torch.func.vmap(one, dims, -1)(*given)
+            arguments = (y[:, 0] if y.shape[1] == 1 else y for y in (p, x))
+            return torch.func.vmap(of_lane, dims, -1)(*arguments)
 
-        return every
+        return of_lanes
 
     def check(self, u: Any, lanes: int, t: Any) -> None:
         """InputError where the module returns anything but float64 [lanes, outputs]."""
@@ -125,7 +125,7 @@ class Control:
 
 
 def derivative(y: Tensor, by: Tensor) -> Tensor:
-    """Of sum(y), like `by`; zero where y does not depend on it."""
+    """Derivative of sum(y) by `by`, of the same shape; zero where y does not depend on it."""
     options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
     return torch.autograd.grad(y.sum(), by, **options)[0] if y.requires_grad else torch.zeros_like(by)
 
@@ -136,11 +136,11 @@ def _at(t: Any) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Port:
-    """The law of an action that a controller reads or sets; no force of its own.
+    """The law of an action that a controller reads or sets; it has no force itself.
 
-    reads    pairs (number of an input, whether it is s' instead of s)
-    writes   number of the output that is its strength, times `sign`; None: it is only read
-    center   where the range of an angle has its middle
+    reads    for each input that reads the action: its number, and whether it is s' and not s
+    writes   number of the output that, times `sign`, is the strength of the action; None: the action is only read
+    center   middle of the range of an angle
     """
 
     control: Control
@@ -153,16 +153,17 @@ class Port:
         return torch.zeros_like(s)
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives by s and s': none of its own."""
+        """Derivatives by s and s': zero."""
         return torch.zeros_like(s), torch.zeros_like(s)
 
 
 class _Link(NamedTuple):
-    """One controller among all actions.
+    """One controller, with its inputs and outputs among n actions.
 
-    read     of each input its place among s | s' | t of all actions [inputs]
-    rates    1 where that is a rate [inputs];  coordinates: 1 where that is s or s' of an action [inputs, actions]
-    writes   what an output adds to the strengths [actions, outputs]
+    read          index of each input in s | s' | t of all actions [inputs]
+    rates         1 for inputs that are rates, else 0 [inputs]
+    coordinates   1 where an input is s or s' of an action [inputs, n]
+    writes        factors of the outputs in the strengths of the actions [n, outputs]
     """
 
     control: Control
@@ -181,10 +182,10 @@ class Links:
         for i, law in enumerate(laws):
             if isinstance(law, Port):
                 ports.setdefault(law.control, []).append((i, law))
-        self.each = [_link(control, total, mine) for control, mine in ports.items()]
+        self.each = [_link(control, total, own_ports) for control, own_ports in ports.items()]
 
     def strengths(self, states: Sequence[tuple], own: Sequence[Any], t: Any, data: Mapping[str, Any]) -> list[Any]:
-        """Strengths of the actions [n, ...], kind by kind, from those of their own laws and from the controllers."""
+        """Strengths of the actions [n, ...], kind by kind: those of their laws (own) plus those of the controllers."""
         if not self.each:
             return list(own)
         x, total = self._signals(states, t), cat(own)
@@ -199,7 +200,7 @@ class Links:
     def slopes(
         self, states: Sequence[tuple], t: Any, data: Mapping[str, Any], stiffness: float, damping: float
     ) -> Tensor | None:
-        """stiffness df/ds + damping df/ds' [lanes or 1, actions, actions] by the controllers; None without any."""
+        """stiffness df/ds + damping df/ds' of the controllers [lanes or 1, actions, actions]; None without controllers."""
         if not self.each:
             return None
         x = self._signals(states, t)

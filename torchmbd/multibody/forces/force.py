@@ -1,7 +1,7 @@
-"""What a force element is: a list of actions between frames, as a joint is a list of primitives.
+"""The base class of force elements: a force element is a list of actions between frames, as a joint is one of primitives.
 
     class SpringDamper(ForceElement):
-        def actions(self, scribe): yield Applied(Length, (scribe.point(a), scribe.point(b)), law)
+        def actions(self, attachments): yield Applied(Length, (attachments.point(a), attachments.point(b)), law)
 
 A new force element is one small file and one line in the registry.
 Checked in tests/contracts/test_actions.py.
@@ -33,7 +33,7 @@ class Applied(NamedTuple):
 class ForceElement:
     """Base of all force elements: the frames that it acts on, and a name.
 
-    of_law   whether its design variables are numbers of laws, data under its name
+    variables_in_laws   whether its design variables are numbers of laws, which are data of the motion: data["law NAME"]
     """
 
     variables_in_laws: ClassVar[bool] = True
@@ -50,7 +50,7 @@ class ForceElement:
         if name is not None and not isinstance(name, str):
             raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
         self.frames: tuple[Frame, ...] = frames
-        self.measured: tuple[Frame, ...] = ()  # frames that it reads only
+        self.measured: tuple[Frame, ...] = ()  # frames without a force whose motion is read
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
         self.law_variables = LawVariables(self.name)
 
@@ -64,7 +64,7 @@ class ForceElement:
         raise NotImplementedError(type(self).__name__)
 
     def beams(self, attachments: AttachmentTable) -> list[tuple[int, int]]:
-        """Points of the starts and ends of its beam elements, whose numbers are `beam_data` (system/beams.py)."""
+        """Attached points at the start and the end of each of its beam elements (system/beams.py), which have `beam_data`."""
         return []
 
     def beam_data(self) -> dict[str, Tensor]:

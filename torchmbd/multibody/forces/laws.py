@@ -7,10 +7,10 @@
     Friction   f = -f0 tanh(s' / v0)
     Scaled     f = factor g(s, s', t), g any law
 
-Numbers of Spring and the factor of Scaled, whose law g may be one of time alone where OfTime is one, may be design
-variables: `Spring(mbd.variable(2e3))` (parametric_law.py).
-Any torch function of (s, s', t) that works elementwise is a law as well. `center`: where the range of an angle, half a
-turn to both sides, has its middle.
+Numbers of Spring, and the factor of Scaled, may be design variables: `Spring(mbd.variable(2e3))` (parametric_law.py). Where a
+force is a function of time alone, the law g of Scaled is g(t).
+Any elementwise torch function of (s, s', t) is a law as well. `center`: middle of the range of an angle, half a turn to both
+sides.
 Checked in tests/multibody/forces/test_laws.py.
 """
 
@@ -167,7 +167,7 @@ class OfTime:
         return self.factor * f + torch.zeros_like(s)
 
     def _at_each(self, t: Tensor) -> Tensor:
-        """The force at many times, in the place of lanes; the function takes one."""
+        """The forces at times t [lanes], by one call of the function for each."""
         assert callable(self.law)
         return torch.stack([self.law(x) for x in t])
 
@@ -220,7 +220,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Friction:
-    """Dry friction, smoothed: f = -force tanh(s' / speed). Slower than `speed` it creeps in place of sticking."""
+    """Dry friction, smoothed: f = -force tanh(s' / speed). Below `speed` bodies creep instead of sticking."""
 
     force: float
     speed: float
@@ -240,7 +240,7 @@ class Friction:
         return torch.zeros_like(s), -self.force / self.speed * (1.0 - share * share)
 
 
-# How a law of a force may vary with the design.
+# What of a law of a force may be a design variable; part of messages.
 VARIABLES = (
     "numbers of a Spring and the factor of Scaled, given to a force element as mbd.variable(...); constant tensors"
 )
@@ -249,34 +249,34 @@ LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 
 
 def check_law(name: str, law: object) -> object:
-    """The law, tried once; InputError names its force element."""
+    """The law as it is, after one evaluation at zero; InputError names its force element."""
     if not callable(law):
         raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
-    found = evaluate_law(name, law, zero, zero, zero[0, 0, 0])
-    if not isinstance(found, Tensor) or found.shape != zero.shape or not bool(torch.isfinite(found).all()):
+    f = evaluate_law(name, law, zero, zero, zero[0, 0, 0])
+    if not isinstance(f, Tensor) or f.shape != zero.shape or not bool(torch.isfinite(f).all()):
         raise InputError(
-            f"law of {name!r} gives {found!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
+            f"law of {name!r} gives {f!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
         )
     return law
 
 
 def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
-    """What a law of the user gives; InputError where it raises, or has variables that would not be differentiated."""
+    """The value of a law at some arguments; InputError where it raises, or has parameters without a gradient."""
     refuse_lost_gradients(f"law of {name!r}", law, VARIABLES)
     try:
         with torch.enable_grad():
-            found = law(*at)
-    except Exception as error:  # it may do anything
+            f = law(*at)
+    except Exception as error:  # a function of users may raise any error
         raise InputError(f"law of {name!r} raises {error!r}; allowed: a torch function of {len(at)} tensors") from error
-    refuse_gradients(f"what the law of {name!r} returns", found, VARIABLES)
-    return found
+    refuse_gradients(f"what the law of {name!r} returns", f, VARIABLES)
+    return f
 
 
 def expand_numbers(name: str, x: Any, count: int) -> list[Any]:
-    """`count` finite numbers, or one for all; any may be a design variable."""
-    one = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
-    given: Any = [x] * count if one else x
+    """The argument x, `count` finite numbers or one for all, as a list; each may be a design variable."""
+    single = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
+    given: Any = [x] * count if single else x
     try:
         values = [finite(name, y) for y in given]
     except (TypeError, InputError):

@@ -1,4 +1,4 @@
-"""Forces and torques on a frame that do not depend on the motion: constant or functions of time."""
+"""Forces and torques on a frame that are constant or functions of time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
 
 
 class _Load(ForceElement):
-    """axes: "ground" keeps the direction, "frame" follows the frame; name: of the element, and of its design variables."""
+    """Three laws of time along the axes of the ground, or of the frame; arguments as of Force."""
 
     def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
         super().__init__((frame,), name)
@@ -38,7 +38,7 @@ class _Load(ForceElement):
 
 
 def _parts(name: str, vector: Any) -> list[Any]:
-    """The three components of a vector of numbers, of a function of time, or of Scaled of one."""
+    """The three components of a vector of numbers, of a function of time, or of Scaled of a function."""
     given: Any = vector.law if isinstance(vector, Scaled) else vector
     if not callable(given):
         return expand_numbers(f"vector of {name!r}", given, 3)

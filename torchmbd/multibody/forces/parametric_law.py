@@ -1,9 +1,9 @@
-"""Laws of forces with design variables: numbers of a law that are taken from the data of a design.
+"""Laws of forces with design variables: the values of some fields of a law are data of a design.
 
-    f(s, s', t; b)     the law with its numbers [1, pair, lanes] in the places of its fields
+    f(s, s', t; b)     the law with tensors or pairs [1, pair, lanes] as fields
 
-`data["law NAME"]` holds those of the force NAME, flat [k, pair, lanes]. Such a law is evaluated on values and tangents
-together, so it is compiled like any other.
+`data["law NAME"]` holds those of the force NAME, flat [k, pair, lanes]. Such a law is evaluated on values and tangents at once,
+so it is compiled like any other.
 Checked in tests/sensitivity/test_law_variables.py: against central differences, on both routes.
 """
 
@@ -25,7 +25,7 @@ _KINDS = (Spring, Scaled)
 
 @dataclass(frozen=True)
 class ParametricLaw:
-    """A law, and which of its fields is which row of the data."""
+    """A law whose fields, or some of them, are rows of the data `key`: pairs (name of the field, row)."""
 
     key: str
     rows: tuple[tuple[str, int], ...]
@@ -36,34 +36,34 @@ class ParametricLaw:
         return self.law.center
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        """As it was given."""
+        """The law with the values that its fields were given."""
         return self.law(s, rate, t)
 
     def at(self, data: Mapping[str, Any]) -> Any:
-        """The law of a design."""
+        """The law with the values of the data."""
         numbers = data[self.key]
         return replace(self.law, **{field: numbers[i : i + 1] for field, i in self.rows})
 
 
 class LawVariables:
-    """The numbers that vary in the laws of the force `name`."""
+    """The design variables in the laws of the force `name`."""
 
     def __init__(self, name: str):
         self.name = name
         self._numbers = nn.ParameterDict()
 
     def law(self, law: Any, **names: str) -> Any:
-        """The law with its numbers checked; those that vary are called as its fields, or by `names`."""
+        """The law with its numbers checked; design variables get the names of their fields, or those of field -> name."""
         if not isinstance(law, _KINDS):
             return law
-        called = {f.name: names.get(f.name, f.name) for f in fields(law) if f.name != "law"}
-        own = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in called.items()}
-        rows = tuple((field, self._row(called[field], x)) for field, x in own.items() if is_variable(x))
-        law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in own.items()})
+        labels = {f.name: names.get(f.name, f.name) for f in fields(law) if f.name != "law"}
+        numbers = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in labels.items()}
+        rows = tuple((field, self._row(labels[field], x)) for field, x in numbers.items() if is_variable(x))
+        law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in numbers.items()})
         return ParametricLaw(law_key(self.name), rows, law) if rows else law
 
     def law_of_time(self, x: Any, label: str, size: float = 1.0) -> Any:
-        """The law size x(t) of a number, a variable called `label`, a function of time, or Scaled of one."""
+        """The law f = size x(t); x: a number, a design variable of the name `label`, a function of time, or Scaled of one."""
         if isinstance(x, Scaled):
             return self.law(Scaled(x.factor, OfTime(x.law, size)))
         if callable(x):
@@ -73,7 +73,7 @@ class LawVariables:
         return self.law(Scaled(x, OfTime(1.0, size)), factor=label) if is_variable(x) else OfTime(x, size)
 
     def _row(self, label: str, x: nn.Parameter) -> int:
-        """Row of a variable among the data; one that comes again is the same."""
+        """Row of a design variable in the data; a Parameter that is given twice has one row."""
         for row, known in enumerate(self._numbers.values()):
             if known is x:
                 return row
@@ -82,5 +82,5 @@ class LawVariables:
 
     @cached_property
     def variables(self) -> ParameterVector | None:
-        """All of them when the force is complete, with the shapes of one design; None: there are none."""
+        """All design variables of the completed force, with the shapes of one design; None: there are none."""
         return ParameterVector.of(self._numbers)

@@ -3,9 +3,9 @@
     f_k = p a_k        a_k = sum over the triangles at node k of a third of their (directed) area; of
                            quadrilaterals the mean of both ways to cut them (mesh.py)
 
-Along the normals the load follows the body: with N_i = sum of the i-th components of one sign, the forces of its nodes in
-direction i act as one force p N_i on their mean motion (multibody/bodies/interpolation.py), so neither resultant, moment
-about the undeformed nodes nor modal forces are simplified. Normals turn with that mean, not one by one.
+Along the normals the load follows the body. The forces on nodes along axis i of the body, of one sign, act as one force p N_i,
+N_i the sum of their areas, on the mean motion of the nodes (multibody/bodies/interpolation.py). So the resultant, the moment
+about the undeformed nodes and the modal forces are exact; normals turn with that mean, not one by one.
 Checked in tests/multibody/forces/test_pressure.py.
 """
 
@@ -26,7 +26,7 @@ from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Scaled, check_law
 from torchmbd.multibody.joints.joint import AttachmentTable
 
-_NOTHING = 1e-12  # share of the largest component of area
+_ZERO = 1e-12  # share of the largest component of area that counts as none
 
 
 class Pressure(ForceElement):
@@ -73,35 +73,35 @@ class Pressure(ForceElement):
             yield Applied(Push, (attachments.point(frame), along), law)
 
 
-Part = tuple[Frame, str, float]  # on the nodes that take a part of the load, its axis, the area [m2] directed along it
+Part = tuple[Frame, str, float]  # of the load: frame on its nodes, axis, and area along the axis [m2]
 
 
 def _following(body: Any, area: Tensor) -> Iterator[Part]:
-    """Along the axes of the body, of the directed areas of the mesh's pieces [m, 3]."""
-    own = _at_nodes(body, area)
-    nothing = _NOTHING * float(own.abs().sum(0).max())
-    for axis, column in zip("xyz", own.T, strict=True):
+    """Parts along the axes of the body, out of the directed areas of the mesh's pieces [m, 3]."""
+    nodal = _at_nodes(body, area)
+    small = _ZERO * float(nodal.abs().sum(0).max())
+    for axis, column in zip("xyz", nodal.T, strict=True):
         for sign in (1.0, -1.0):
-            nodes = torch.nonzero(sign * column > nothing)[:, 0].tolist()
+            nodes = torch.nonzero(sign * column > small)[:, 0].tolist()
             if nodes:
                 weights = (sign * column[nodes]).tolist()
                 yield body.at(nodes, weights=weights), axis, sign * sum(weights)
 
 
 def _fixed(body: Any, area: Tensor, direction: Sequence[float] | Tensor) -> Iterator[Part]:
-    """Along the axes of the ground."""
-    towards = vector("direction", direction)
-    if not bool(towards.any()):
+    """Parts along the axes of the ground."""
+    u = vector("direction", direction)
+    if not bool(u.any()):
         raise InputError(f"direction is {direction!r}; allowed: three numbers that are not all zero")
-    own = _at_nodes(body, area.norm(dim=1, keepdim=True))[:, 0]
-    nodes = torch.nonzero(own)[:, 0].tolist()
-    frame = body.at(nodes, weights=own[nodes].tolist())
-    for axis, share in zip("xyz", (towards / towards.norm()).tolist(), strict=True):
+    nodal = _at_nodes(body, area.norm(dim=1, keepdim=True))[:, 0]
+    nodes = torch.nonzero(nodal)[:, 0].tolist()
+    frame = body.at(nodes, weights=nodal[nodes].tolist())
+    for axis, share in zip("xyz", (u / u.norm()).tolist(), strict=True):
         if share:
-            yield frame, axis, share * float(own.sum())
+            yield frame, axis, share * float(nodal.sum())
 
 
 def _at_nodes(body: Any, area: Tensor) -> Tensor:
-    """A third of the area [m, k] of its pieces for every node [n, k]."""
-    own = area.new_zeros(len(body.mesh.nodes), area.shape[1])
-    return own.index_add(0, body.mesh.covering_triangles.nodes.T.flatten(), (area / 3.0).repeat(3, 1))
+    """Areas of nodes [n, k]: a third of the areas [m, k] of the pieces around each."""
+    nodal = area.new_zeros(len(body.mesh.nodes), area.shape[1])
+    return nodal.index_add(0, body.mesh.covering_triangles.nodes.T.flatten(), (area / 3.0).repeat(3, 1))

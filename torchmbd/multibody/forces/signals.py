@@ -4,7 +4,7 @@
     outputs    JointTorque, JointForce, TorqueOn, ForceOn
 
 Angles and travels of joints are measured from the given initial positions, angles within half a turn of their `center`.
-Positions and velocities are in ground axes. Each input or output is one action, or some, of the kinds of action.py.
+Positions and velocities are in ground axes. Each input or output is one or several actions of the kinds of action.py.
 
 >>> [hinge] = mbd.examples.pendulum().joints
 >>> inputs, outputs = [mbd.signals.JointAngle(hinge), mbd.signals.Time()], [mbd.signals.JointTorque(hinge)]
@@ -31,7 +31,7 @@ from torchmbd.multibody.joints.revolute import Revolute
 
 
 class Coordinate(NamedTuple):
-    """What an input reads: s of an action, or its rate s'."""
+    """A number of an input: s of an action, or its rate s'."""
 
     kind: type
     vectors: tuple[int, ...]
@@ -40,7 +40,7 @@ class Coordinate(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """What an output sets: the strength of an action, times a sign."""
+    """An action of an output: the output times a sign is its strength."""
 
     kind: type
     vectors: tuple[int, ...]
@@ -48,13 +48,13 @@ class Effort(NamedTuple):
 
 
 class Signal:
-    """An input of a controller: some numbers of the motion."""
+    """An input of a controller: `size` numbers of the motion."""
 
     size = 1
     frames: tuple[Frame, ...] = ()
 
     def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
-        """Of each of its numbers; None is the time."""
+        """The coordinate of each of its numbers; None is the time."""
         raise NotImplementedError(type(self).__name__)
 
 
@@ -70,7 +70,7 @@ class _OfJoint(Signal):
     _rate = False
 
     def __init__(self, joint: Any):
-        self.joint = _joined(self, joint, self._joints)
+        self.joint = _checked_joint(self, joint, self._joints)
         self.frames = (joint.a, joint.b)
 
 
@@ -156,18 +156,18 @@ class TorqueOn(Actuator):
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
         u = attachments.axis(self.frames[0], self.axis)
-        found = []
+        efforts = []
         for frame, sign in zip(self.frames, (-1.0, 1.0), strict=True):
             if not isinstance(frame.body, Ground):
-                found.append(Effort(Twist, (u, *(attachments.axis(frame, axis) for axis in "xyz")), sign))
-        return found
+                efforts.append(Effort(Twist, (u, *(attachments.axis(frame, axis) for axis in "xyz")), sign))
+        return efforts
 
 
 class JointTorque(TorqueOn):
     """The torque of a motor in a revolute or cylindrical joint: on b about its axis, and the opposite one on a [N m]."""
 
     def __init__(self, joint: Any):
-        _joined(self, joint, (Revolute, Cylindrical))
+        _checked_joint(self, joint, (Revolute, Cylindrical))
         super().__init__(joint.a, joint.b, joint.axis)
 
 
@@ -175,7 +175,7 @@ class JointForce(Actuator):
     """The force of a motor in a prismatic or cylindrical joint: on b along its axis, and the opposite one on a [N]."""
 
     def __init__(self, joint: Any):
-        self.joint = _joined(self, joint, (Prismatic, Cylindrical))
+        self.joint = _checked_joint(self, joint, (Prismatic, Cylindrical))
         self.frames = (joint.a, joint.b)
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
@@ -210,7 +210,7 @@ def _along(joint: Any, attachments: AttachmentTable) -> tuple[int, ...]:
     )
 
 
-def _joined(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:
+def _checked_joint(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:
     if not isinstance(joint, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
         raise InputError(f"{type(owner).__name__} got {joint!r}; allowed: a joint of the system of the kind {names}")

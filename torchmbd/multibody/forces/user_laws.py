@@ -1,11 +1,11 @@
-"""Laws of the user's own as scalar operations: they can be compiled, and what they do is in the key of compiled code.
+"""Laws of users as scalar operations, which can be compiled, and are part of the key of compiled code.
 
     f(s, s', t)    traced to operators, each a scalar operation of a tape (math/codegen/scalars.py)
     df/ds, df/ds'  by differentiating the tape (math/codegen/scalar_derivatives.py), unless the law states its own `slopes`
 
-A law is traced anew for every simulation: nothing that it is made of, closures and attributes included, can be stale.
-A law with branches in Python, with operators that are not known, or that leaves torch is not written out: native code calls it
-back (`CalledLaw`). What was written out is compared with the law at random points.
+A law is traced for every simulation, so closures and attributes are never stale.
+A law with branches in Python, with unknown operators, or with other libraries than torch cannot be traced: native code calls it
+back (`CallbackLaw`). A traced law is compared with the original at random points.
 Checked in tests/multibody/forces/test_user_laws.py.
 """
 
@@ -45,9 +45,9 @@ _TORCH: dict[str, Callable[..., Tensor]] = {
 class TracedLaw:
     """A law as operations on numbers 0 (s), 1 (s'), 2 (t), 3, 4, ...
 
-    operations  name and arguments of number 3 and all that follow: numbers, or the value of a "constant"
+    operations  name and arguments of the numbers 3, 4, ...; arguments are numbers, or the value of a "constant"
     outputs     numbers of f, df/ds, df/ds'
-    center      where the range of an angle has its middle
+    center      middle of the range of an angle
     """
 
     operations: tuple[tuple[str, tuple], ...]
@@ -74,21 +74,22 @@ class TracedLaw:
 
 
 def is_library_law(law: Any) -> bool:
-    """Whether a law is of this library, with nothing of the user's own in it."""
+    """Whether a law is of this library and contains no function of a user."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return is_library_law(law.law)
     return type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None))
 
 
 def traceable_part(law: Any) -> Any:
-    """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
+    """A law of this library as it is, others traced; Untraceable where that is not possible."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return replace(law, law=traceable_part(law.law))
     return law if is_library_law(law) else trace_law(law)
 
 
 def native_law(law: Any) -> Any:
-    """The same, or a law to be called back; Untraceable for one with design variables that can be neither."""
+    """The law in a form for native code: of this library, traced, or called back. Untraceable for a law with design variables
+    that cannot be traced."""
     if isinstance(law, Port) or is_library_law(law):
         return law
     if isinstance(law, ParametricLaw):
@@ -100,7 +101,7 @@ def native_law(law: Any) -> Any:
 
 
 class CallbackLaw(Control):
-    """A law as if it were a controller: of (s, s', t), of all lanes at once. It has no parameters."""
+    """A law of a user as a controller with the inputs s, s', t, without parameters; it is called with all lanes at once."""
 
     def __init__(self, law: Callable[..., Tensor]):
         self.name, self.law, self.inputs, self.outputs, self.variables = "", law, 3, 1, None
@@ -126,21 +127,21 @@ class CallbackLaw(Control):
 
 
 def trace_law(law: Any) -> TracedLaw:
-    """A law as scalar operations; Untraceable, with the reason, if it cannot be written out."""
-    own = getattr(law, "slopes", None)
+    """A law as scalar operations; Untraceable, with the reason, if it cannot be traced."""
+    slopes = getattr(law, "slopes", None)
 
-    def of(s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, ...]:
-        return (law(s, rate, t), *(own(s, rate, t) if own is not None else ()))
+    def outputs_of(s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, ...]:
+        return (law(s, rate, t), *(slopes(s, rate, t) if slopes is not None else ()))
 
     tape = Tape()
     shapes = {"s": (1, 1, 1), "rate": (1, 1, 1), "t": ()}
     try:
-        found = tape.trace(of, *(tape.inputs(name, *shapes[name]) for name in _INPUTS))
-        outputs = [int(x.ravel()[0]) for x in found]
-        if own is None:
+        traced = tape.trace(outputs_of, *(tape.inputs(name, *shapes[name]) for name in _INPUTS))
+        outputs = [int(x.ravel()[0]) for x in traced]
+        if slopes is None:
             outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
         result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
-        same = _same(of, result)
+        same = _same(outputs_of, result)
     except Exception as error:  # a law may do anything
         raise Untraceable(str(error).partition("\n")[0] or repr(error)) from error
     if not same:
@@ -149,9 +150,9 @@ def trace_law(law: Any) -> TracedLaw:
 
 
 def _same(law: Callable[..., tuple[Tensor, ...]], found: TracedLaw) -> bool:
-    """Whether two laws agree, with the slopes that are stated, at random points small and large.
+    """Whether a law, with its slopes if it states them, and the traced one agree at random points small and large.
 
-    One that leaves torch for a moment would be traced as a constant.
+    They differ where the law uses another library than torch, whose results are traced as constants.
     """
     make = torch.Generator().manual_seed(1)
     for size in (1e-3, 1.0, 1.0, 30.0, 1e3):
@@ -166,7 +167,7 @@ def _same(law: Callable[..., tuple[Tensor, ...]], found: TracedLaw) -> bool:
 
 
 def _numbered(tape: Tape, outputs: list[int], center: float) -> TracedLaw:
-    """The operations that the outputs need, in their order on the tape, with numbers of their own."""
+    """The operations that the outputs need, in their order on the tape, renumbered."""
     needed, stack = set(), list(outputs)
     while stack:
         node = stack.pop()
@@ -174,7 +175,7 @@ def _numbered(tape: Tape, outputs: list[int], center: float) -> TracedLaw:
             needed.add(node)
             stack += [] if tape.op[node] in ("input", "constant") else tape.args[node]
     number, operations = {}, []
-    for node in sorted(needed):  # arguments come before what is made of them
+    for node in sorted(needed):  # arguments precede the operations that use them
         op, args = tape.op[node], tape.args[node]
         if op == "input":
             number[node] = _INPUTS.index(args[0])

@@ -16,11 +16,11 @@ from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.plausible_units import warn_degrees
 from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, other_axes
-from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, finite
+from torchmbd.multibody.joints.laws import ConstantSpeed, FiniteLaw, finite
 from torchmbd.multibody.joints.parametric_law import ParametricDrive
 from torchmbd.multibody.joints.primitive import Angle, Law, Travel
 
-# How a law may vary with the design.
+# What of a law may be a design variable; part of messages.
 VARIABLES = "a torch module of time as the law itself, whose parameters are design variables; constant tensors"
 
 
@@ -91,16 +91,16 @@ class Drive(Joint):
 
 
 def _number(x: Any) -> float:
-    """A number of a law, or of its design variable; 0 of anything else."""
+    """A number or a tensor of one number as a float; 0 for all else."""
     x = x.detach() if isinstance(x, Tensor) else x
     return float(x) if isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.numel() == 1) else 0.0
 
 
-def _checked(name: str, key: str, law: Any) -> Finite:
+def _checked(name: str, key: str, law: Any) -> FiniteLaw:
     try:
         with torch.enable_grad():
             start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
-    except Exception as error:  # it may do anything
+    except Exception as error:  # a function of users may raise any error
         start = error
     number = (
         isinstance(start, Tensor) and start.shape == () and start.dtype == torch.float64 and bool(torch.isfinite(start))
@@ -116,4 +116,4 @@ def _checked(name: str, key: str, law: Any) -> Finite:
     refuse_lost_gradients(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
     if variables is None:
         refuse_gradients(f"what {key} of {name!r} returns", start, VARIABLES)
-    return Finite(name, prescribed) if variables is None else ParametricDrive(name, variables)
+    return FiniteLaw(name, prescribed) if variables is None else ParametricDrive(name, variables)

@@ -4,8 +4,8 @@
     SmoothStep      x = size (10 s^3 - 15 s^4 + 6 s^5),  s = (t - start) / duration within 0..1: from rest to rest
     Sine            x = amplitude sin(2 pi frequency t)
 
-A law of one's own is a torch function of one time [] that is differentiable twice. A law that states its `slopes`
-takes many times at once. `Finite` is the law of a joint: one that gives nan or inf is an error with the joint's name.
+A law of a user is a torch function of one time [] that is differentiable twice. A law that states its `slopes` takes many times
+at once. `FiniteLaw` is the law of a joint: nan or inf raise an error with the joint's name.
 Each number may be a design variable, `Sine(mbd.variable(0.4), 1.5)`, as may the parameters of any torch module
 (parametric_law.py).
 Source: the quintic of zero velocity and acceleration at both ends, e.g. Craig, Introduction to Robotics, eq. (7.18).
@@ -103,8 +103,8 @@ class Sine(nn.Module):
         return 2.0 * math.pi * self.frequency
 
 
-class Finite:
-    """The law of the joint `name`: at one time or many, with its slopes, and never nan or inf."""
+class FiniteLaw:
+    """A law of the joint `name` at one time or many, with its slopes; InputError where it is nan or inf."""
 
     def __init__(self, name: str, law: Law):
         self.name, self.law = name, law
@@ -129,9 +129,9 @@ class Finite:
 
 
 def finite(name: str, x: Any) -> Any:
-    """A finite number, of Python or a tensor without a gradient (mbd.deg), or a design variable of one number.
+    """The argument x as a finite float, or as it is where it is a design variable of one number; InputError names it.
 
-    InputError names the argument.
+    A tensor without a gradient (mbd.deg) is a number.
     """
     if is_variable(x):
         return x

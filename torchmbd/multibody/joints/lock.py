@@ -1,13 +1,13 @@
 """Lock: the frames of a joint keep the relative pose that they have when a phase begins.
 
-The joint goes on to act; the lock adds one equation for each freedom that it leaves, of these six:
+The joint stays active; the lock adds one equation for each freedom that the joint leaves, of these six:
 
     plane          the point of b stays in the plane through a marked point on a with the normal e_k, k = x, y, z
     perpendicular  axis e_i of a stays perpendicular to a marked axis on b, (i, j, k) cyclic: no rotation about e_k
 
-Which freedoms are left follows from the joint's own equations at the given initial positions. Where the marks are, depends
-on the design: a point on a and three axes on b are attached vectors like those of every joint, but their components are set at
-the switch (integrate/phases/switch.py), with their design tangents. Made by the phases of a simulation, never by hand.
+The freedoms follow from the equations of the joint at the given initial positions. The marks depend on the design: a point on a
+and three axes on b are attached vectors like those of every joint, but their components are set at the switch
+(integrate/phases/switch.py), with their design tangents. Locks are made by the phases of a simulation, never by users.
 Checked in tests/multibody/joints/test_lock.py, tests/integrate/phases/test_phase.py.
 """
 
@@ -30,7 +30,7 @@ _RANK = 1e-6  # share of the largest singular value that counts as zero: the giv
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Attached vectors of a lock: of both frames, and those whose components are set at the switch."""
+    """Attached vectors of a lock: those of both frames, and the marks `point` and `axes`, which are set at the switch."""
 
     point_a: Attached
     axes_a: list[Attached]
@@ -41,7 +41,7 @@ class Marks:
 
 
 class Lock(Joint):
-    """`Lock(joint, name)`: what holds a joint where it is."""
+    """`Lock(joint, name)`: fixes a joint in its pose at a switch."""
 
     marks: Marks
 
@@ -52,18 +52,18 @@ class Lock(Joint):
             raise InputError(f"{joint.name!r} cannot be locked: it leaves no freedom; allowed: a joint that moves")
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
-        own = attachments.vectors
+        vectors = attachments.vectors
         points = attachments.point(self.a), attachments.point(self.b)
         axes_a, axes_b = ([attachments.axis(frame, k) for k in "xyz"] for frame in (self.a, self.b))
-        first = len(own)
-        own += [replace(own[i]) for i in (points[0], *axes_b)]
+        first = len(vectors)
+        vectors += [replace(vectors[i]) for i in (points[0], *axes_b)]
         self.marks = Marks(
-            own[points[0]],
-            [own[i] for i in axes_a],
-            own[points[1]],
-            [own[i] for i in axes_b],
-            own[first],
-            own[first + 1 : first + 4],
+            vectors[points[0]],
+            [vectors[i] for i in axes_a],
+            vectors[points[1]],
+            [vectors[i] for i in axes_b],
+            vectors[first],
+            vectors[first + 1 : first + 4],
         )
         for freedom in self.freedoms:
             if freedom < 3:
@@ -76,7 +76,7 @@ class Lock(Joint):
 def freedoms(joint: Joint) -> list[int]:
     """Freedoms that a joint leaves body b: translations 0, 1, 2 along the axes of frame a and rotations 3, 4, 5 about them.
 
-    Where it leaves combinations of these only, those of most weight in the null space of its Jacobian.
+    If it leaves only combinations of these, those with the largest entries in the null space of its Jacobian.
     """
     jacobian: Any = torch.func.jacfwd(lambda twist: _phi(joint, twist))
     J = jacobian(torch.zeros(6, dtype=torch.float64))

@@ -1,4 +1,4 @@
-"""Constraint primitives: the few equations that every joint is a list of.
+"""Constraint primitives: the kinds of equations of all joints.
 
 A primitive acts on *vectors attached to bodies*: points (position in ground axes, [m]) and axes (unit vectors).
 All primitives of one kind are evaluated together; `members` holds, for each argument, the indices of its vectors.
@@ -17,12 +17,12 @@ The contract of a kind:
     phi(vectors, drive)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
     forces(vectors, lam, drive)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
 
-    drive(x)                     what the equation takes of a prescribed x, number or jet: (cos th, sin th), or (s,)
+    drive(x)                     arguments of the equation out of a prescribed x, number or jet: (cos th, sin th), or (s,)
 
-`drive` of phi and forces is that at the time of evaluation; None without a law.
+The argument `drive` of phi and forces has these at the time of evaluation; None without a law.
 
-Nothing else is written for a constraint: Phi_q and the generalized constraint forces are `forces` carried to the
-bodies, gamma is the acceleration part of the jet, the design tangents come from pairs (math/pair.py).
+No other code is needed for a constraint: Phi_q and the generalized constraint forces are `forces` transformed to the bodies,
+gamma is the acceleration part of the jet, the design tangents follow from pairs (math/pair.py).
 Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 7; eqs. (4)-(6) of the paper.
 Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets against differences in time.
 """
@@ -48,7 +48,7 @@ class Primitive:
 
     members  for each argument the indices of its vectors, long [n]
     data     for each primitive its length, its law, or None
-    driven   how many numbers of a law the equation takes; 0: no law
+    driven   number of arguments that the equation takes from a law; 0: no law
     """
 
     members: tuple[Tensor, ...]
@@ -67,7 +67,7 @@ class Primitive:
 
     @classmethod
     def drive(cls, x) -> tuple:
-        """What the equation takes of a prescribed x, a number or a jet."""
+        """Arguments of the equation out of a prescribed x, a number or a jet."""
         raise NotImplementedError
 
     @property
@@ -76,7 +76,7 @@ class Primitive:
         return any(hasattr(law, "numbers") for law in self.data)
 
     def prescribed(self, times: Tensor, data: Mapping[str, Any] | None = None) -> tuple:
-        """What the laws prescribe at times [n], parts [n, laws, pair, lanes]; data: with their design variables."""
+        """`drive` of the laws at times [n], parts [n, laws, pair, lanes]; data: of a design, with design variables of laws."""
         return self.drive(cat([_numbers(law, times, data) for law in self.data], 1))
 
     def prescribed_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> tuple[Jet, ...]:
@@ -164,12 +164,12 @@ class Angle(Primitive):
 
     def phi(self, vectors, drive=None):
         x, y, b = vectors
-        c, s = _given(drive)
+        c, s = _required(drive)
         return _row(dot(y, b) * c - dot(x, b) * s)
 
     def forces(self, vectors, lam, drive=None):
         x, y, b = vectors
-        c, s = (lam * part for part in _given(drive))
+        c, s = (lam * part for part in _required(drive))
         return [-(s * b), c * b, c * y - s * x]
 
 
@@ -186,7 +186,7 @@ class Travel(Primitive):
 
     def phi(self, vectors, drive=None):
         a, b, u = vectors
-        (s,) = _given(drive)
+        (s,) = _required(drive)
         return _row(dot(b - a, u) - s)
 
     def forces(self, vectors, lam, drive=None):
@@ -195,9 +195,9 @@ class Travel(Primitive):
         return [-pull, pull, lam * (b - a)]
 
 
-def _given(drive: tuple | None) -> tuple:
+def _required(drive: tuple | None) -> tuple:
     if drive is None:
-        raise TypeError("a driven primitive needs what its law prescribes")
+        raise TypeError("a driven primitive needs the argument drive")
     return drive
 
 
@@ -207,7 +207,7 @@ def _row(x):
 
 
 def _numbers(law: Any, times: Tensor, data: Mapping[str, Any] | None) -> Any:
-    """Values [n, 1, pair, lanes] of a law."""
+    """Values [n, 1, pair, lanes] of a law at times [n]."""
     if hasattr(law, "numbers"):
         return law.numbers(times, data).unsqueeze(1)
     return values_at(law, times)[:, None, None, None]
@@ -221,7 +221,7 @@ def _jet(law: Any, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
 
 
 def values_at(law: Law, times: Tensor) -> Tensor:
-    """Values at many times [n]; a law is a function of one time unless it states its slopes, which take many."""
+    """Values of a law at times [n]: by one call if it states its slopes, else by one call for each time."""
     return law(times) if hasattr(law, "slopes") else torch.stack([law(t) for t in times])
 
 

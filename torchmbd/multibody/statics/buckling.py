@@ -2,9 +2,9 @@
 
     K u = f,      (K + factor Kg(u)) shape = 0
 
-K, Kg   stiffness and geometric stiffness (fem/elements/geometric.py) on the freedoms that the supports leave
-u       displacements under the loads and the displacements of supports; supports hold still while the body buckles
-1/factor  are eigenvalues of -Kg shape = (1/factor) K shape, so factors of loads that only stiffen are infinite
+K, Kg     stiffness and geometric stiffness (fem/elements/geometric.py) on the freedoms without supports
+u         displacements under the loads and the displacements of supports; supports do not move in buckling
+1/factor  are eigenvalues of -Kg shape = (1/factor) K shape, so the factors of loads that only stiffen are infinite
 
 Factors are differentiable, forward and reverse, in every parameter of the body, through K, u and Kg. Where factors coincide
 each has the mean of their derivatives (fem/reduction/spectral.py). Shapes are numbers without a derivative.
@@ -62,8 +62,8 @@ def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None,
     body      a FlexibleBody
     loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total: 3 or 6 numbers, spread over the areas
               or lengths of the cells and sides of a node set. Nodes: a node, a set, or a tuple of these
-    supports  nodes -> freedoms that are held, as "u1 u3 phi2", or "all"; or six numbers, displacements and rotations that
-              are imposed [m, rad], None where it is free. None: the reference nodes of the body are held
+    supports  nodes -> supported freedoms, as "u1 u3 phi2", or "all"; or six numbers, imposed displacements and rotations
+              [m, rad], None for a free one. None: the reference nodes of the body are clamped
     number    of factors
     Raises InputError where arguments are wrong or the supports leave the body movable.
 
@@ -89,8 +89,8 @@ class BucklingCase:
         self.supported = supported = SupportedBody(body, supports)
         self.loads = NodalLoads(body.mesh, body.name, loads)
         self._imposed = supported.imposed
-        self._moves = bool(self._imposed.any())
-        if not self.loads.any and not self._moves:
+        self._has_imposed = bool(self._imposed.any())
+        if not self.loads.any and not self._has_imposed:
             raise InputError(
                 f"loads of {body.name!r} are zero; allowed: at least one force, or an imposed displacement"
             )
@@ -108,21 +108,21 @@ class BucklingCase:
         K = assembly.stiffness()
         inner = supported.restricted(K)
         forces = assembly.freedoms.gathered(self.loads()[..., None])
-        pull = forces - K @ self._imposed if self._moves else forces
+        forces = forces - K @ self._imposed if self._has_imposed else forces
         try:
-            u = self._static(inner, pull[..., supported.kept, :])
+            u = self._static(inner, forces[..., supported.kept, :])
         except InputError as error:
             raise supported.movable(error) from None
-        moved = supported.motion(u, self._imposed)
-        Kg = supported.geometric(moved)[..., 0, :]
+        displacements = supported.motion(u, self._imposed)
+        Kg = supported.geometric(displacements)[..., 0, :]
         lanes = np.broadcast_shapes(inner.values.shape[:-1], Kg.shape[:-1])
         inverse, vectors = eigenproblem(
             supported.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number
         )
         factors, shapes = reciprocal(inverse), self._shapes(vectors.detach())
-        found = torch.isfinite(factors)
-        status = "ok" if all_true(found) else "no buckling: the loads stiffen the body in all further shapes"
-        return Buckling(factors, shapes * found[..., None, None, :], moved[..., 0], status)
+        buckles = torch.isfinite(factors)
+        status = "ok" if all_true(buckles) else "no buckling: the loads stiffen the body in all further shapes"
+        return Buckling(factors, shapes * buckles[..., None, None, :], displacements[..., 0], status)
 
     def _shapes(self, vectors: Float[Tensor, "*lanes N number"]) -> Float[Tensor, "*lanes n 6 number"]:
         motion = self.supported.motion(vectors)
@@ -132,6 +132,6 @@ class BucklingCase:
 
 
 def reciprocal(inverse: Float[Tensor, "*lanes"]) -> Float[Tensor, "*lanes"]:
-    """Factors out of 1 / factor, infinite where that is not positive."""
+    """Factors out of their inverses; infinite where an inverse is not positive."""
     none = inverse.detach() <= 0.0
     return torch.where(none, torch.inf, 1.0 / torch.where(none, 1.0, inverse))

@@ -1,6 +1,6 @@
 """The eigenproblem of buckling, -Kg x = (1 / factor) K x, on sparse matrices of one pattern.
 
-A dense method below SMALL freedoms, else that of Lanczos; derivatives are those of K and Kg between the vectors found.
+Solved by a dense method below SMALL freedoms, else by Lanczos's method; derivatives are those of K and Kg between eigenvectors.
 Checked in tests/multibody/statics/test_buckling.py.
 """
 
@@ -18,20 +18,20 @@ from torch import Tensor
 from torchmbd.fem.reduction import eigenvalues
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
-SMALL = 400  # freedoms; below, a dense method costs no more
-GUARD = 4  # eigenvalues beyond those asked for, so that the members of a cluster are known
-NONE = 1e-7  # of the largest eigenvalue of either sign: what is below is none
-RESTARTS = 100  # of Lanczos's method
+SMALL = 400  # freedoms below which a dense method costs no more
+GUARD = 4  # eigenvalues beyond the requested ones, so that clusters at their end are complete
+NONE = 1e-7  # share of the largest eigenvalue of either sign below which an eigenvalue is zero
+RESTARTS = 100  # largest number of restarts of Lanczos's method
 
 
 def eigenproblem(
     pattern: Pattern, K: Float[Tensor, "*lanes nnz"], Kg: Float[Tensor, "*lanes nnz"], number: int
 ) -> tuple[Float[Tensor, "*lanes number"], Float[Tensor, "*lanes N number"]]:
-    """1 / factors, falling, with their derivatives, zero where there is none; and their vectors, which have no derivative."""
+    """1 / factors, descending, with derivatives, zero where there is no further one; and their vectors, without derivatives."""
     lanes, n = K.shape[:-1], pattern.size
-    some = min(number + GUARD, n)
-    flat, scale = _Vectors.apply(pattern, some, K.reshape(-1, pattern.nnz), Kg.reshape(-1, pattern.nnz))
-    vectors, scale = flat.reshape(*lanes, n, some), scale.reshape(*lanes, 1)
+    count = min(number + GUARD, n)
+    flat, scale = _Vectors.apply(pattern, count, K.reshape(-1, pattern.nnz), Kg.reshape(-1, pattern.nnz))
+    vectors, scale = flat.reshape(*lanes, n, count), scale.reshape(*lanes, 1)
     a, b = (vectors.mT @ (SparseMatrix(pattern, values) @ vectors) for values in (K, Kg))
     missing = torch.diag_embed((vectors == 0.0).all(-2).to(a.dtype))
     inverse = inverse_factors(a + missing, b)[..., :number]
@@ -39,7 +39,7 @@ def eigenproblem(
 
 
 def inverse_factors(a: Float[Tensor, "*lanes n n"], b: Float[Tensor, "*lanes n n"]) -> Float[Tensor, "*lanes n"]:
-    """1 / factors, falling, of a stiffness a and a geometric stiffness b between a few vectors."""
+    """1 / factors, descending, of a stiffness a and a geometric stiffness b in a subspace."""
     L = torch.linalg.cholesky(0.5 * (a + a.mT))
     half = torch.linalg.solve_triangular(L, 0.5 * (b + b.mT), upper=False)
     Kr = torch.linalg.solve_triangular(L, half.mT, upper=False)
@@ -47,20 +47,19 @@ def inverse_factors(a: Float[Tensor, "*lanes n n"], b: Float[Tensor, "*lanes n n
 
 
 class _Vectors(torch.autograd.Function):
-    """Eigenvectors [lane, N, some] of Kg x = value K x of the lowest values, K-orthonormal, by rising value, zero where there
-    is none below zero; and the largest value of either sign [lane]. Numbers without a derivative: the derivative of an
-    eigenvalue needs none of its vector."""
+    """Eigenvectors [lane, N, count] of Kg x = value K x of the lowest values, K-orthonormal, by ascending value, zero in place
+    of those with values above zero; and the largest value of either sign [lane]. Without derivatives, as the derivative of an
+    eigenvalue does not need that of its vector."""
 
     @staticmethod
-    def forward(pattern: Pattern, some: int, K: Tensor, Kg: Tensor) -> tuple[Tensor, Tensor]:
-        found = [lowest_vectors(pattern, a, b, some) for a, b in zip(K, Kg, strict=True)]
-        vectors, scale = zip(*found, strict=True)
+    def forward(pattern: Pattern, count: int, K: Tensor, Kg: Tensor) -> tuple[Tensor, Tensor]:
+        of_lanes = [lowest_vectors(pattern, a, b, count) for a, b in zip(K, Kg, strict=True)]
+        vectors, scale = zip(*of_lanes, strict=True)
         return torch.stack(vectors), torch.tensor(scale, dtype=K.dtype)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
         ctx.mark_non_differentiable(*output)
-        ctx.shapes = [x.shape for x in output]
 
     @staticmethod
     def jvp(ctx: Any, *_: Any) -> Any:
@@ -80,12 +79,12 @@ class _Vectors(torch.autograd.Function):
         return tuple(x.unflatten(0, (info.batch_size, -1)) for x in outputs), (0, 0)  # pyright: ignore
 
 
-def lowest_vectors(pattern: Pattern, K: Tensor, Kg: Tensor, some: int) -> tuple[Tensor, float]:
-    """Of one lane."""
+def lowest_vectors(pattern: Pattern, K: Tensor, Kg: Tensor, count: int) -> tuple[Tensor, float]:
+    """As of `_Vectors`, for one lane: eigenvectors [N, count], and the largest eigenvalue of either sign."""
     A, B = pattern.to_scipy(Kg), pattern.to_scipy(K)
-    if pattern.size <= max(SMALL, 4 * some):
-        values, found = scipy.linalg.eigh(A.toarray(), B.toarray())
-        scale, values, found = np.abs(values).max(), values[:some], found[:, :some]
+    if pattern.size <= max(SMALL, 4 * count):
+        values, shapes = scipy.linalg.eigh(A.toarray(), B.toarray())
+        scale, values, shapes = np.abs(values).max(), values[:count], shapes[:, :count]
     else:
         factor = scipy.sparse.linalg.splu(B.tocsc())
         inverse = scipy.sparse.linalg.LinearOperator(B.shape, factor.solve, dtype=float)  # pyright: ignore
@@ -97,10 +96,10 @@ def lowest_vectors(pattern: Pattern, K: Tensor, Kg: Tensor, some: int) -> tuple[
         largest = scipy.sparse.linalg.eigsh(A, 1, which="LM", tol=1e-2, **options)  # pyright: ignore
         scale = float(abs(largest[0][0]))
         try:
-            values, found = scipy.sparse.linalg.eigsh(A, some, which="SA", maxiter=RESTARTS, **options)
-        except scipy.sparse.linalg.ArpackNoConvergence as error:  # the others crowd at zero: loads that stiffen
-            values, found = error.eigenvalues, error.eigenvectors
+            values, shapes = scipy.sparse.linalg.eigsh(A, count, which="SA", maxiter=RESTARTS, **options)
+        except scipy.sparse.linalg.ArpackNoConvergence as error:  # the others cluster at zero, as of loads that stiffen
+            values, shapes = error.eigenvalues, error.eigenvectors
     order = [i for i in np.argsort(values) if values[i] < -NONE * scale]
-    vectors = np.zeros((pattern.size, some))
-    vectors[:, : len(order)] = found[:, order]
+    vectors = np.zeros((pattern.size, count))
+    vectors[:, : len(order)] = shapes[:, order]
     return torch.from_numpy(vectors), float(scale)

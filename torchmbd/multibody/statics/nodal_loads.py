@@ -1,7 +1,7 @@
-"""Forces on nodes of a mesh from totals on node sets: spread as a uniform load on the cells or sides of the set.
+"""Forces on nodes of a mesh from total loads on node sets, spread as a uniform load on the cells or sides of the set.
 
-A side t between i and j can bend to a parabola, (1/8) t x (phi_j - phi_i) at its middle: moments f x t / 12 at j, and
-the opposite at i, do the work of a uniform load there.
+A side t between i and j may bend to a parabola with the deflection (1/8) t x (phi_j - phi_i) at its middle: moments f x t / 12
+at j, and the opposite at i, do the work of a uniform load on it.
 
 Checked in tests/multibody/statics/test_buckling.py.
 """
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
-from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
+from torchmbd.fem.elements.beam_nodes import present_nodes
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.checked_numbers import reals
 from torchmbd.multibody.bodies.interpolation import node_indices
@@ -26,12 +26,12 @@ Loads = Mapping[Any, Sequence[float] | Tensor]
 
 
 class NodalLoads:
-    """Totals on nodes of a mesh, checked: nodes -> 3 or 6 numbers."""
+    """Total loads on nodes of a mesh, checked: nodes -> 3 or 6 numbers."""
 
     def __init__(self, mesh: Mesh | BeamLine, name: str, loads: Loads) -> None:
         if not isinstance(loads, Mapping):
             raise InputError(f"loads of {name!r} is {loads!r}; allowed: nodes -> force, or force and moment")
-        self.mesh, self.varies, self.any = mesh, varying_nodes(mesh), False
+        self.mesh, self.any = mesh, False
         self._loads: list[tuple[list[int], Tensor]] = []
         for where, given in loads.items():
             total = reals(f"load {where!r} of {name!r}", given)
@@ -43,16 +43,16 @@ class NodalLoads:
 
     def __call__(self) -> Float[Tensor, "*lanes n 6"]:
         """Forces [N] and moments [N m] on all nodes, of the present design."""
-        places = present_nodes(self.mesh)
-        none = places.new_zeros(len(self.mesh.nodes), 6)
-        return sum((spread(self.mesh, nodes, total, places) for nodes, total in self._loads), none)
+        x = present_nodes(self.mesh)
+        zero = x.new_zeros(len(self.mesh.nodes), 6)
+        return sum((spread(self.mesh, nodes, total, x) for nodes, total in self._loads), zero)
 
 
 def spread(
-    mesh: Mesh | BeamLine, nodes: Sequence[int], total: Float[Tensor, " c"], places: Float[Tensor, "*lanes n 3"]
+    mesh: Mesh | BeamLine, nodes: Sequence[int], total: Float[Tensor, " c"], x: Float[Tensor, "*lanes n 3"]
 ) -> Float[Tensor, "*lanes n 6"]:
-    """A total of 3 or 6 numbers as a uniform load on the cells between these nodes, else on the sides or elements between
-    them, with the moments that bend the ends of these; equal parts where nodes are of neither."""
+    """Nodal forces and moments of a total of 3 or 6 numbers: of a uniform load on the cells between these nodes, else on the
+    sides or elements between them, with moments at their ends; equal parts where a node belongs to neither. x: positions."""
     inside = torch.zeros(len(mesh.nodes), dtype=torch.bool)
     inside[list(nodes)] = True
     weight = _areas(mesh, inside)
@@ -60,7 +60,7 @@ def spread(
     covered = (weight > 0.0).index_fill(0, sides.flatten(), True)
     if not bool(covered[inside].all()):
         weight, sides = inside.to(weight.dtype), sides[:0]
-    along = places[..., sides[:, 1], :] - places[..., sides[:, 0], :]
+    along = x[..., sides[:, 1], :] - x[..., sides[:, 0], :]
     length = along.norm(dim=-1)
     weight = weight.expand(*length.shape[:-1], -1).index_add(-1, sides.flatten(), 0.5 * length.repeat_interleave(2, -1))
     whole = weight.sum(-1, keepdim=True)
@@ -72,18 +72,18 @@ def spread(
 
 
 def _areas(mesh: Mesh | BeamLine, inside: Tensor) -> Float[Tensor, " n"]:
-    """What nodes have of the areas of the cells between nodes inside."""
+    """Areas of the cells whose nodes are all inside, in equal parts on their nodes."""
     weight = mesh.nodes.new_zeros(len(mesh.nodes))
     if not isinstance(mesh, BeamLine):
         for kind, corners in mesh.cells.items():
-            own = inside[corners].all(1)
-            area = mesh.areas[mesh.first_cell(kind) : mesh.first_cell(kind) + len(corners)][own] / corners.shape[1]
-            weight.index_add_(0, corners[own].flatten(), area.repeat_interleave(corners.shape[1]))
+            cells = inside[corners].all(1)
+            area = mesh.areas[mesh.first_cell(kind) : mesh.first_cell(kind) + len(corners)][cells] / corners.shape[1]
+            weight.index_add_(0, corners[cells].flatten(), area.repeat_interleave(corners.shape[1]))
     return weight
 
 
 def _sides(mesh: Mesh | BeamLine, inside: Tensor) -> Int[Tensor, "sides 2"]:
-    """Sides of cells, or elements, between nodes inside."""
+    """Sides of cells, or elements, whose nodes are both inside."""
     if isinstance(mesh, BeamLine):
         pairs = mesh.elements
     else:

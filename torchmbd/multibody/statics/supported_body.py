@@ -1,4 +1,4 @@
-"""A flexible body on static supports: its freedoms that are free there, its stiffness and geometric stiffness on these.
+"""A flexible body on static supports: its unsupported freedoms, and its stiffness and geometric stiffness on these.
 
 Checked in tests/multibody/statics/test_buckling.py.
 """
@@ -24,12 +24,12 @@ Supports = Mapping[Any, str | Sequence[float | None]]
 
 
 class SupportedBody:
-    """A body whose stress is known, on supports; both as of `buckling`.
+    """A body of elements on supports, arguments as of `buckling`.
 
     assembly   of the body without its reference
-    kept       which of its free freedoms the supports leave [N]
+    kept       indices of the unsupported ones among the free freedoms of the assembly [N]
     pattern    of matrices on these
-    imposed    displacements of supports, of all free freedoms [F, 1] [m, rad]
+    imposed    imposed displacements of supports, zero elsewhere, on all free freedoms [F, 1] [m, rad]
     Raises InputError where the arguments are wrong.
     """
 
@@ -60,48 +60,49 @@ class SupportedBody:
         self.kept = kept.nonzero()[:, 0]
         self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
         with torch.no_grad():
-            self.assembly.stiffness()  # finds its places, which torch.func does not allow
+            self.assembly.stiffness()  # caches index tables now, as torch.func would not allow
 
     def restricted(self, K: SparseMatrix) -> SparseMatrix:
-        """A matrix of all free freedoms on those that the supports leave."""
+        """The part of a matrix on the unsupported freedoms."""
         return SparseMatrix(self.pattern, K.values[..., self._positions], symmetric=True)
 
-    def geometric(self, moved: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes k nnz"]:
-        """Values of the geometric stiffness under the stress of k motions of all nodes."""
-        return self.assembly.geometric(moved).values[..., self._positions]
+    def geometric(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes k nnz"]:
+        """Values of the geometric stiffness under the stresses of k displacements of all nodes."""
+        return self.assembly.geometric(displacements).values[..., self._positions]
 
     def motion(
         self, u: Float[Tensor, "*lanes N k"], imposed: Float[Tensor, "F 1"] | None = None
     ) -> Float[Tensor, "*lanes n 6 k"]:
-        """Motion of all nodes; supports stand still, or are displaced as imposed."""
-        rest = torch.zeros_like(self.imposed) if imposed is None else imposed
-        known = rest.expand(*u.shape[:-2], len(rest), u.shape[-1]).index_copy(-2, self.kept, u)
-        return self.assembly.freedoms.expand(known)
+        """Displacements of all nodes, out of u of the unsupported freedoms; imposed: of supports, None: zero."""
+        of_supports = torch.zeros_like(self.imposed) if imposed is None else imposed
+        full = of_supports.expand(*u.shape[:-2], len(of_supports), u.shape[-1]).index_copy(-2, self.kept, u)
+        return self.assembly.freedoms.expand(full)
 
     def movable(self, error: InputError) -> InputError:
-        """What to say where the stiffness on the supports is not positive definite."""
+        """The error for a stiffness on supports that is not positive definite."""
         return InputError(f"supports of {self.name!r} leave it movable: {error}")
 
 
 def _held(body: FlexibleBody, supports: Supports) -> dict[int, float]:
-    """Freedoms 6 * node + i that are held, and where."""
+    """Imposed displacements of the supported freedoms 6 * node + i."""
     if not isinstance(supports, Mapping) or not supports:
         raise InputError(
             f"supports of {body.name!r} is {supports!r}; allowed: nodes -> freedoms, at least one, or None"
         )
-    found: dict[int, float] = {}
+    imposed: dict[int, float] = {}
     for where, given in supports.items():
         values = _values(body, where, given)
         for node in node_indices(body.mesh, list(where) if isinstance(where, tuple) else where):
             for i, x in enumerate(values):
-                if x is not None and found.setdefault(6 * node + i, x) != x:
+                if x is not None and imposed.setdefault(6 * node + i, x) != x:
                     raise InputError(
                         f"supports of {body.name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
                     )
-    return found
+    return imposed
 
 
 def _values(body: FlexibleBody, where: Any, given: Any) -> list[float | None]:
+    """Six imposed displacements of one support, None for free ones."""
     if isinstance(given, str):
         names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
         if names and all(name in FREEDOMS for name in names):

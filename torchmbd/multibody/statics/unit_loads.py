@@ -1,10 +1,10 @@
-"""Static displacements of a flexible body under unit loads, beyond those that its modes make.
+"""Static displacements of a flexible body under unit loads, without the part of its modes.
 
     U = K^-1 P - Psi Kr^-1 Psi' P        K: reference held;  Psi, Kr: modes and reduced stiffness
 
-P: the twelve unit loads of inertia (bodies/stiffening.py), then six on each carrier of frames, unit forces and moments in body
-axes. Under loads P c of a motion with modal coordinates w the body is displaced by Psi w + U c: the retained modes move
-as they do, all others follow at once.
+P: the twelve unit loads of inertia (bodies/stiffening.py), then unit forces and moments in body axes on each interpolation
+constraint of frames. Under loads P c of a motion with modal coordinates w the displacements of the body are Psi w + U c: those
+of the retained modes, and the static ones of all others.
 Differentiable, forward and reverse, in every parameter of the body, and in Psi and Kr.
 Source: R. L. Bisplinghoff, H. Ashley, R. L. Halfman, Aeroelasticity (1955) (mode acceleration); D. J. Rixen, "Generalized mode
 acceleration methods", 2001 (residual flexibility).
@@ -28,30 +28,30 @@ from torchmbd.multibody.bodies.stiffening import inertial_loads
 
 
 class UnitLoads:
-    """Unit loads of one body on these carriers of its frames."""
+    """Unit loads of one body, on the nodes of frames (mounts)."""
 
-    def __init__(self, body: FlexibleBody, carriers: Sequence[InterpolationConstraint]) -> None:
+    def __init__(self, body: FlexibleBody, mounts: Sequence[InterpolationConstraint]) -> None:
         self.body = body
         self._static = outside_transforms(lambda: StaticLoads(body.assembly.pattern))
-        self._carried = outside_transforms(lambda: [_on_nodes(body, carrier) for carrier in carriers])
+        self._on_mounts = outside_transforms(lambda: [_on_nodes(body, mount) for mount in mounts])
 
     def __call__(
         self, psi: Float[Tensor, "*lanes n 6 m"], Kr: Float[Tensor, "*lanes m m"]
     ) -> Float[Tensor, "*lanes n 6 k"]:
-        """U of the present design."""
+        """U of the present design, with modes psi and reduced stiffness Kr."""
         assembly, body = self.body.assembly, self.body
         points = assembly.masses()
         x = assembly.mass_positions(body.places(), points.arm)
         P = assembly.forces_on_nodes(inertial_loads(points, x), points.arm)
-        P = torch.cat([P, *(own.expand(*P.shape[:-3], *own.shape) for own in self._carried)], -1)
+        P = torch.cat([P, *(loads.expand(*P.shape[:-3], *loads.shape) for loads in self._on_mounts)], -1)
         whole = assembly.freedoms.expand(self._static(assembly.stiffness(), assembly.freedoms.gathered(P)))
         share = torch.linalg.solve(Kr, psi.flatten(-3, -2).mT @ P.flatten(-3, -2))
         return whole - (psi.flatten(-3, -2) @ share).unflatten(-2, psi.shape[-3:-1])
 
 
-def _on_nodes(body: FlexibleBody, carrier: InterpolationConstraint) -> Float[Tensor, "n 6 6"]:
-    """Unit forces and moments on a carrier as those on the nodes of the body: the transpose of its motion."""
-    nodes, x = list(carrier.nodes), body.mesh.nodes.detach()
-    own = replace(carrier, nodes=tuple(range(len(nodes))))
-    motion = own.motion(x[nodes], torch.eye(6 * len(nodes), dtype=x.dtype).unflatten(0, (-1, 6)))
+def _on_nodes(body: FlexibleBody, mount: InterpolationConstraint) -> Float[Tensor, "n 6 6"]:
+    """Unit forces and moments on a mount as those on the nodes of the body: the transpose of its motion."""
+    nodes, x = list(mount.nodes), body.mesh.nodes.detach()
+    local = replace(mount, nodes=tuple(range(len(nodes))))
+    motion = local.motion(x[nodes], torch.eye(6 * len(nodes), dtype=x.dtype).unflatten(0, (-1, 6)))
     return x.new_zeros(len(x), 6, 6).index_add(0, torch.tensor(nodes), motion.mT.unflatten(0, (-1, 6)))
