@@ -106,7 +106,7 @@ def start_of(system: System, start: Any) -> Start:
 
 def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
     """InputError where the start is differentiated, but the gradients of the motion do not reach it."""
-    if start.watched and (gradients == "forward" or (gradients != "none" and not integrator.adjoint)):
+    if start.is_differentiated and (gradients == "forward" or (gradients != "none" and not integrator.adjoint)):
         raise InputError(
             "start is being differentiated, which tangents do not carry; allowed: gradients='reverse' or 'auto' of a one-step "
             "method, or Parameters given to the bodies (bent, moving, position)"

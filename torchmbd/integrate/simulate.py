@@ -155,7 +155,7 @@ def simulate(
             motion = _reverse(system, batch, names, duration if by_duration else seconds, steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
         mode = "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
-        motion.stats["gradients"] = mode if names or by_duration or initial.watched else "none"
+        motion.stats["gradients"] = mode if names or by_duration or initial.is_differentiated else "none"
         with torch.no_grad():
             if phases is None:
                 report_singular_positions(plain(motion))

@@ -11,7 +11,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import box, tensor, turned
 from torchmbd.errors import InputError
-from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, Sine, SmoothStep
+from torchmbd.multibody.joints.laws import ConstantSpeed, FiniteLaw, Sine, SmoothStep
 from torchmbd.multibody.joints.primitive import Law, slopes
 
 LAWS = [ConstantSpeed(-2.5), SmoothStep(0.8, 0.5, start=0.2), SmoothStep(-3.0, 2.0), Sine(0.3, 1.7)]
@@ -36,8 +36,8 @@ def test_a_smooth_step_goes_from_rest_to_rest():
 
 @named
 def test_the_law_of_a_joint_is_the_law(law):
-    times, own = tensor(0.1, 0.35, 0.6), Finite("crank", pickle.loads(pickle.dumps(law)))
-    plain = Finite("crank", lambda t: law(t))  # states no slopes, takes one time
+    times, own = tensor(0.1, 0.35, 0.6), FiniteLaw("crank", pickle.loads(pickle.dumps(law)))
+    plain = FiniteLaw("crank", lambda t: law(t))  # states no slopes, takes one time
     for x in (own, plain):
         assert_close(x(times), law(times))
         assert_close(x(times[0]), law(times[0]))
@@ -66,10 +66,10 @@ def test_a_drive_along_an_axis_travels(key, x, method):
     options = {"spectral_radius": 0.2} if method == "generalized_alpha" else {}
     motion = mbd.simulate(mbd.System([slider], joints), 0.5, method=method, steps=steps, **options).require_ok()
     law: Law = ConstantSpeed(x) if key == "velocity" else x
-    way = Finite("", law)(motion.t)[:, None] * guide.axis("y")
+    way = FiniteLaw("", law)(motion.t)[:, None] * guide.axis("y")
     assert_close(motion.body("slider").r[0], tensor(0.3, -0.1, 0.2) + way, rtol=0, atol=1e-6)
     row = next(i for i, name in enumerate(motion.dynamics.topology.row_names) if name == "push: travel")
-    pull = -0.7 * Finite("", law).slopes(motion.t)[2]
+    pull = -0.7 * FiniteLaw("", law).slopes(motion.t)[2]
     # The stabilization of an ODE method multiplies errors of the position by 1 / (5e-3 s)^2.
     assert_close(motion.lam[0, :, row], pull, rtol=0, atol=5e-3 if method == "rk4" else 1e-9)
 

@@ -1,4 +1,4 @@
-"""Rotations of nodes that have none, such as those of solids: least squares of the displacements of their neighbors.
+"""Rotations of nodes without rotational freedoms, such as those of solids: a least-squares fit of displacements of neighbors.
 
 Checked in tests/multibody/bodies/test_from_matrices.py, tests/io/nastran/test_elements.py.
 """
@@ -12,7 +12,12 @@ from torch import Tensor
 
 
 class FittedRotations:
-    """Fills in rotations of nodes that have none: least squares of the displacements of their neighbors."""
+    """Adds fitted rotations to the motion of nodes.
+
+    x         positions of the nodes [n, 3]
+    pairs     nodes and their neighbors [p, 2]
+    missing   whether a node has no rotational freedoms [n]
+    """
 
     def __init__(self, x: Tensor, pairs: Tensor, missing: Tensor) -> None:
         pairs = pairs[missing[pairs[:, 0]]]

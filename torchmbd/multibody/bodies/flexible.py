@@ -3,13 +3,13 @@
     u' = Psi w    (8)      Psi: modes of the body whose reference nodes are fixed to the body frame (fem/reduction/registry.py)
 
 The structure stage of a body, once for each design: parts (fem/elements/assembly.py) -> K and M -> Psi and Kr = Psi' K Psi
--> inertia invariants. What leaves it knows nothing of the mesh (fem/reduction/invariants.py).
+-> inertia invariants, with which the motion does not depend on the mesh (fem/reduction/invariants.py).
 
 Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k; on arms along the
-normal where the center of a laminate's mass lies off its middle surface (fem/elements/plates.py).
+normal where the center of mass of a laminate is not on its middle surface (fem/elements/plates.py).
 Differentiable, forward and reverse, in every parameter of the parts (fem/reduction/transport.py).
 Assumed: small elastic displacements about the undeformed body.
-Over 300 lines: a quarter are the examples and arguments of the ways to make a body.
+Over 300 lines: a quarter are the examples and arguments of the constructors.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ from torchmbd.multibody.bodies.unit_checks import warn_slender, warn_units
 from torchmbd.multibody.bodies.zones import zone_parts
 
 Node = str | int
-Kept = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]  # what a reduction keeps
+InterfaceArgument = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]
 
 
 def _is_part(x: Any) -> bool:
@@ -73,7 +73,7 @@ def _is_part(x: Any) -> bool:
 
 
 def _check_parts(name: str, mesh: Any, parts: Any) -> None:
-    """InputError for arguments of a body that are of another kind."""
+    """InputError for a mesh or parts of a wrong type."""
     if not isinstance(mesh, (Mesh, BeamLine)):
         raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
     if not isinstance(parts, Mapping) or not parts or not all(map(_is_part, parts.values())):
@@ -82,8 +82,8 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
         )
 
 
-def _fitted(assembly: Assembly) -> FittedRotations | None:
-    """Rotations of nodes that have only displacements."""
+def _fitted_rotations(assembly: Assembly) -> FittedRotations | None:
+    """Rotations for the nodes that have only displacements; None if there are none of these."""
     missing = torch.bincount(assembly.freedoms.absent // 6, minlength=len(assembly.mesh.nodes)) == 3
     if not missing.any():
         return None
@@ -100,7 +100,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
     parts   name -> part of the assembly
     links   nodes that follow others
-    rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
+    rigid   sets of nodes that move as one rigid body each; frames and interfaces may be on the first node, which leads the set
     name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated, stiffening   as in `plate`
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
@@ -132,7 +132,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: Kept = (),
+        interface: InterfaceArgument = (),
         updated: bool = True,
         links: Sequence[Follower] = (),
         rigid: Sequence[str | Sequence[int]] = (),
@@ -156,7 +156,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
         self.free = self.assembly.freedoms.free
-        self._rotations = _fitted(self.assembly)
+        self._rotations = _fitted_rotations(self.assembly)
         self.interfaces = interfaces.frames
         self.reduction = reduced(name, self.assembly, reduction, modes, interfaces.kept, self.reference, updated)
         self.modes = self.reduction.size
@@ -167,28 +167,29 @@ class FlexibleBody(MatrixMethods, nn.Module):
         warn_mesh(name, self.assembly.parts.values())
 
     def _register(self, parts: Mapping[str, Part]) -> None:
+        """Register the modules of the parts by the names that the class docstring describes."""
         owners = [key for key, part in parts.items() if part.modules()]
         for key in owners:
             modules = parts[key].modules()
             for child, module in modules.items():
-                own = child if len(owners) == 1 else key if len(modules) == 1 else f"{key}_{child}"
-                if hasattr(self, own):
-                    raise InputError(f"part {own!r} of {self.name!r} has a name that is taken; allowed: any other")
-                self.add_module(own, module)
+                name = child if len(owners) == 1 else key if len(modules) == 1 else f"{key}_{child}"
+                if hasattr(self, name):
+                    raise InputError(f"part {name!r} of {self.name!r} has a name that is taken; allowed: any other")
+                self.add_module(name, module)
 
     @property
     def plates(self) -> dict[str, Plates]:
-        """The laminated parts by their names."""
+        """The laminated parts by name."""
         return {key: part for key, part in self.parts.items() if isinstance(part, Plates)}
 
     @property
     def beams(self) -> dict[str, Beams]:
-        """The beams of one section each by their names."""
+        """The parts that are beams, one for each section, by name."""
         return {key: part for key, part in self.parts.items() if isinstance(part, Beams)}
 
     @property
     def matrices(self) -> PlateMatrices:
-        """The matrices of a body of one laminate."""
+        """The element matrices of a body of one laminate."""
         if len(self.plates) != 1:
             raise InputError(f"{self.name!r} has {len(self.plates)} laminated parts; allowed: plates[name].matrices")
         return next(iter(self.plates.values())).matrices
@@ -205,7 +206,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: Kept = (),
+        interface: InterfaceArgument = (),
         updated: bool = True,
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
@@ -215,19 +216,19 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         mesh            triangles or quadrilaterals; the plies follow its x axis
         laminate        its `angles` [rad] are parameters of the body
-        modes           retained vibration modes of the body fixed at its reference nodes (and its interface); a few more
-                        where others have the frequency of the last, as in a tube, which bends alike in all directions
+        modes           number of vibration modes of the body fixed at its reference nodes (and its interface); a few more are
+                        retained where others have the frequency of the last, as bending of a tube in two directions
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); the joints correct both
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
                         (or Interface) of `interface`; the highest frequencies are then those of these nodes
-        interface       what joints and loads act on: nodes, or `mbd.Interface` of several with six freedoms together, or
+        interface       nodes where joints and loads act, or `mbd.Interface` of several nodes with six freedoms in common, or
                         {"root": nodes} with names for `body.at("root")`, the mean motion of several (interfaces.py)
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
-        stiffening      True: displacements of second order, so that spin and joints' forces stiffen the body (stiffening.py)
+        stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
         """
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening)
@@ -247,7 +248,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: Kept = (),
+        interface: InterfaceArgument = (),
         updated: bool = True,
         orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
         offset: Sequence[float] | Tensor = (0.0, 0.0),
@@ -259,11 +260,11 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         line            nodes and two-node elements
         section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each
-                        element, where the same may come again: "section", else "section0", "section1", ...
+                        element, several of which may be the same: "section", else "section0", "section1", ...
         orientation     the section's y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
         offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element;
-                        twist also at the start and the end of each [m, 2]
-        Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
+                        twist also at the start and the end of each element [m, 2]
+        Others as in `plate`. The inertia of the sections is on rigid arms at the nodes (and middles, if consistent).
         """
         parts = beam_parts(name, line, section, orientation, offset, twist, mass)
         options = (position, axes, reference, damping, reduction, interface, updated, (), (), stiffening)
@@ -291,9 +292,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         options     position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`
         Warns if size, density or speed of sound is implausible.
         """
-        found = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
-        body = cls(name, found.mesh, zone_parts(found, laminate, direction, mass), modes, **options)
-        warn_units(name, found.mesh, body.plates.values(), body.structure)
+        file = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
+        body = cls(name, file.mesh, zone_parts(file, laminate, direction, mass), modes, **options)
+        warn_units(name, file.mesh, body.plates.values(), body.structure)
         return body
 
     @classmethod
@@ -306,13 +307,13 @@ class FlexibleBody(MatrixMethods, nn.Module):
                   lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
         options   density: of materials without RHO [kg/m3], as in decks for statics (None: they are refused); position,
                   axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a
-                  reference the grids are taken whose six freedoms the file holds (SPC, SPC1)
+                  reference it is the grids whose six freedoms the file fixes (SPC, SPC1)
         Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
         """
-        found = read_bdf(path, units, mass, options.pop("density", None))
-        options = {"reference": found.reference} | options
-        body = cls(name, found.mesh, found.parts, modes, links=found.links, **options)
-        warn_units(name, found.mesh, body.plates.values(), body.structure)
+        deck = read_bdf(path, units, mass, options.pop("density", None))
+        options = {"reference": deck.reference} | options
+        body = cls(name, deck.mesh, deck.parts, modes, links=deck.links, **options)
+        warn_units(name, deck.mesh, body.plates.values(), body.structure)
         return body
 
     def at(
@@ -324,8 +325,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
     ) -> Frame:
         """Frame on a mesh node, or on the mean motion of several (interpolation.py).
 
-        node           name or index of a node, name of a node set or of an interface, or a list with weights (None: equal ones)
+        node           name or index of a node, name of a node set or of an interface, or a list of nodes
         axes, offset   columns of its triad, and the rigid arm from the center of the nodes [m], in body axes
+        weights        of the nodes of a list in the mean; None: equal
         """
         x = self.mesh.nodes - self.origin
         named = self.interfaces.get(node) if isinstance(node, str) and weights is None else None
@@ -337,7 +339,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         return Frame(self, interpolation.center(x) + vector("offset", offset), rotation("axes", axes), interpolation)
 
     def places(self) -> Float[Tensor, "*lanes n 3"]:
-        """Nodes of the undeformed body from its origin in the present design [m]."""
+        """Positions of the nodes of the undeformed body from its origin, in the present design [m]."""
         if not varying_nodes(self.mesh):
             return self.mesh.nodes - self.origin
         nodes = present_nodes(self.mesh)
@@ -348,19 +350,19 @@ class FlexibleBody(MatrixMethods, nn.Module):
         velocity: Sequence[float] | Tensor | None = None,
         angular_velocity: Sequence[float] | Tensor | None = None,
     ) -> Self:
-        """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
-        [rad/s], kept as far as the joints allow; None: the smallest possible. Returns the body."""
+        """Set the initial velocity of the origin, in ground axes [m/s], and the angular velocity, in body axes [rad/s]; joints
+        may change them. None: the smallest possible. Returns the body."""
         set_velocities(self, velocity, angular_velocity)
         return self
 
     def bent(self, modal: Sequence[float] | Tensor | None = None, rate: Sequence[float] | Tensor | None = None) -> Self:
-        """Give the modes initial coordinates and rates [modes], of the shapes that the body has in each design (`structure`);
-        None: zero. A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
+        """Set initial modal coordinates and rates [modes], of the mode shapes of each design (`structure`); None: zero.
+        A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
         set_modal_start(self, modal, rate)
         return self
 
     def damped(self, ratio: float | Sequence[float]) -> Self:
-        """Give the modes damping ratios, in addition to `damping`. Returns the body.
+        """Set damping ratios of the modes, in addition to `damping`. Returns the body.
 
         ratio  one for all modes, or one for each, lowest frequency first [-]
         """
@@ -368,8 +370,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         return self
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
-        """Stiffness of the freedoms that are free, of the first design without gradients, and the motion of all nodes
-        [nodes, 6, k] out of displacements of these [N, k]; None for a body that was reduced elsewhere."""
+        """Stiffness of the free freedoms, of the first design and without gradients, and the function from displacements of
+        these [N, k] to the motion of all nodes [nodes, 6, k]; None for a body that was reduced elsewhere."""
         if self.given_structure is not None:
             return self.given_structure.flexibility()
         with torch.no_grad():

@@ -1,7 +1,7 @@
 """A geometrically exact beam in a system: rigid bodies at its nodes, elements of finite rotations between them.
 
-Elements are those of the beam on its own (fem/exact_beam/forces.py), in system/beams.py; each node carries the halves of its
-elements as a rigid body (fem/exact_beam/half_elements.py). So joints, forces and drives act on nodes as on any rigid body.
+The elements are those of ExactBeam (fem/exact_beam/forces.py), in system/beams.py; the mass of each half element belongs to the
+rigid body of its node (fem/exact_beam/half_elements.py). So joints, forces and drives act on nodes as on any rigid body.
 Rigid motions have their exact momentum and energy and no strain; displacements and frequencies converge with h^2.
 Checked in tests/multibody/bodies/test_flexible_beam.py, tests/validation/test_flexible_beam.py.
 """
@@ -31,7 +31,7 @@ class BeamNode(RigidBody):
 
     def __init__(self, beam: FlexibleBeam, index: int):
         nn.Module.__init__(self)
-        self._beam, self.index = [beam], index  # no submodule: parameters are those of the beam
+        self._beam, self.index = [beam], index  # in a list, so that the beam is no submodule of its node
         self.name = f"{beam.name}_{index}"
         self.register_buffer("center", torch.zeros(3, dtype=torch.float64))
 
@@ -41,7 +41,7 @@ class BeamNode(RigidBody):
         return self._beam[0]
 
     def invariants(self) -> dict[str, Tensor]:
-        """Of `FlexibleBeam.structure`."""
+        """Inertia of the node, as of `FlexibleBeam.structure`."""
         return self.beam.structure().inertia(self.index)
 
 
@@ -58,7 +58,7 @@ class Structure(NamedTuple):
     elements: ElementProperties
 
     def inertia(self, node: int) -> dict[str, Tensor]:
-        """Of a node, keys as of RigidBody."""
+        """Invariants of a node, keys as of `RigidBody.invariants`."""
         m = self.mass[..., node]
         moments = {"S0": self.first[..., node, :], "P0": self.second[..., node, :, :]}
         return {"mass": m, "mu": torch.zeros_like(m)} | moments

@@ -1,15 +1,15 @@
-"""Interfaces of a flexible body: what of its motion a Craig-Bampton reduction keeps, six freedoms each.
+"""Interfaces of a flexible body: the motions that a Craig-Bampton reduction keeps, six freedoms each.
 
-    node       its own motion
-    averaged   the mean motion of several nodes, as a frame on them has it (interpolation.py): the set stays flexible     (RBE3)
-    rigid      nodes that are one rigid body                                                                             (RBE2)
+    node       the motion of one node
+    averaged   the mean motion of several nodes, that of a frame on them (interpolation.py): the set stays flexible   (RBE3)
+    rigid      the motion of nodes that are one rigid body                                                            (RBE2)
 
-A mean motion is made a freedom of the body: y = B u of the nodes, and six freedoms of these follow,
+A mean motion y = B u of nodes becomes a freedom of the body, and six freedoms of these nodes are eliminated,
 
     u_d = B_d^-1 (y - B_r u_r)
 
 with the six columns B_d that are best conditioned (fem/elements/freedoms.py). So constraint modes are static shapes under loads
-on the frame that leave the set flexible, and fixed-interface modes those of the body whose mean motion there is held.
+on the frame that leave the set flexible, and fixed-interface modes are those of the body with this mean motion fixed.
 Checked in tests/multibody/bodies/test_interfaces.py.
 """
 
@@ -57,10 +57,12 @@ class Interface:
 
 @dataclass
 class Interfaces:
-    """What an argument `interface` says of a mesh.
+    """The interfaces of an argument `interface`.
 
     kept    nodes whose freedoms are kept; mean motions are counted after the nodes of the mesh
-    links   of rigid interfaces;  means  of averaged ones;  frames  name -> what carries a frame of that name
+    links   of rigid interfaces
+    means   of averaged interfaces
+    frames  name of an interface -> its nodes with weights
     """
 
     kept: list[int] = field(default_factory=list)
@@ -70,19 +72,19 @@ class Interfaces:
 
     @classmethod
     def of(cls, name: str, mesh: Any, given: Any) -> Interfaces:
-        """Read the argument of a body; InputError names what is wrong."""
-        found = cls()
+        """Read the argument `interface` of the body `name`; InputError names what is wrong."""
+        interfaces = cls()
         if isinstance(given, Mapping):
             for key, item in given.items():
-                found._add_named(name, mesh, key, item)
-            return found
+                interfaces._add_named(name, mesh, key, item)
+            return interfaces
         items = [given] if isinstance(given, Interface) else given
         if isinstance(items, (list, tuple)) and any(isinstance(item, Interface) for item in items):
             for item in items:
-                found._add(name, mesh, item) if isinstance(item, Interface) else found._keep(mesh, item)
+                interfaces._add(name, mesh, item) if isinstance(item, Interface) else interfaces._keep(mesh, item)
         else:
-            found._keep(mesh, items)
-        return found
+            interfaces._keep(mesh, items)
+        return interfaces
 
     def _keep(self, mesh: Any, nodes: Any) -> None:
         self.kept += node_indices(mesh, nodes)
@@ -116,7 +118,7 @@ class Interfaces:
 
 
 def _matrix(x: Tensor, mount: InterpolationConstraint) -> Tensor:
-    """Mean motion of the nodes out of their freedoms [6, 6 nodes]."""
+    """B [6, 6 nodes]: the mean motion out of the freedoms of the nodes."""
     columns = 6 * len(mount.nodes)
     psi = torch.zeros(len(x), 6, columns, dtype=x.dtype)
     psi[list(mount.nodes)] = torch.eye(columns, dtype=x.dtype).reshape(-1, 6, columns)

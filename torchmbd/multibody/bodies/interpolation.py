@@ -1,13 +1,13 @@
-"""Interpolation constraints: the nodes of a flexible body that carry a frame, and the mean motion of them that the frame takes.
+"""Interpolation constraints: the motion of a frame on several nodes of a flexible body is a mean of their motions.
 
     c = sum w x,  d = x - c                            w: weights of the nodes, sum 1
     u = sum w u_k                                      displacement of the center c
     T th = sum w d x u_k,  T = sum w (d'd 1 - d d')    rotation: least squares of sum w |u_k - u - th x d|^2
     th += N N' sum w th_k                              N: null space of T
 
-Nodes on one line tell no rotation about it by their displacements, and a single node none at all: there the mean of
-their own rotations counts. So one node gives its own motion. Forces on the frame go to the nodes by the transpose.
-A set of nodes that is rigid is a matter of the body (`rigid` of its constructors), not of the frame.
+Displacements of nodes on one line do not determine the rotation about it, and those of a single node none at all: these are the
+mean of the rotations of the nodes. So a frame on one node has its motion. Forces on the frame are distributed to the nodes by
+the transpose. Rigid sets of nodes are an argument of the body (`rigid`), not of the frame.
 Source: the interpolation element RBE3 of Nastran.
 Checked in tests/multibody/bodies/test_interpolation.py.
 """
@@ -33,14 +33,14 @@ _FLAT = 1e-10  # share of the largest eigenvalue of T that counts as zero
 
 @dataclass(frozen=True)
 class InterpolationConstraint:
-    """Nodes with weights; see the module header. Hashable, so that equal ones are one."""
+    """Nodes with weights; see the module header. Hashable: equal constraints are one key."""
 
     nodes: tuple[int, ...]
     weights: tuple[float, ...]
 
     @classmethod
     def on(cls, nodes: Sequence[int], weights: Sequence[float] | None = None) -> InterpolationConstraint:
-        """Mount on nodes with positive weights of any size; None: equal ones."""
+        """The constraint of nodes with positive weights, which are normalized to the sum 1; None: equal weights."""
         allowed = "a positive number for each node"
         if weights is not None and (
             isinstance(weights, str) or not isinstance(weights, (Sequence, Tensor, np.ndarray))
@@ -57,26 +57,25 @@ class InterpolationConstraint:
 
     def motion(self, x: Float[Tensor, "n 3"], psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes 6 m"]:
         """Translation of the center and rotation, out of the motion psi of all nodes."""
-        own = psi[..., list(self.nodes), :, :]
+        motion = psi[..., list(self.nodes), :, :]
         if len(self.nodes) == 1:
-            return own[..., 0, :, :]
+            return motion[..., 0, :, :]
+        u_k, th_k = motion[..., :3, :], motion[..., 3:, :]
         w = self._w(x)
         d = x[list(self.nodes)] - self.center(x)
-        u = torch.einsum("k,...kim->...im", w, own[..., :3, :])
-        T = torch.einsum("k,kij->ij", w, (d * d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype)) - d.T @ (
-            w[:, None] * d
-        )
-        values, axes = torch.linalg.eigh(T)
+        u = torch.einsum("k,...kim->...im", w, u_k)
+        squares = torch.einsum("k,kij->ij", w, (d * d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype))
+        values, axes = torch.linalg.eigh(squares - d.T @ (w[:, None] * d))  # of T
         determined = values > _FLAT * values[-1]
-        moment = torch.linalg.cross(d[:, :, None].expand_as(own[..., :3, :]), own[..., :3, :], dim=-2)
+        moment = torch.linalg.cross(d[:, :, None].expand_as(u_k), u_k, dim=-2)
         inverse = (axes[:, determined] / values[determined]) @ axes[:, determined].T
         turn = torch.einsum("ij,k,...kjm->...im", inverse, w, moment)
         N = axes[:, ~determined]
-        turn = turn + torch.einsum("ij,k,...kjm->...im", N @ N.T, w, own[..., 3:, :])
+        turn = turn + torch.einsum("ij,k,...kjm->...im", N @ N.T, w, th_k)
         return torch.cat([u, turn], dim=-2)
 
     def nearest(self, x: Float[Tensor, "n 3"], point: Float[Tensor, " 3"]) -> int:
-        """The node of them that is nearest to a point."""
+        """The node of the constraint that is nearest to a point."""
         return self.nodes[int((x[list(self.nodes)] - point).norm(dim=1).argmin())]
 
     def _w(self, x: Tensor) -> Tensor:
@@ -101,14 +100,14 @@ def _index(mesh: Any, node: Any) -> int:
 
 def _whole(x: Any) -> bool:
     try:
-        operator.index(x)  # an array of several has the method, but is no number
+        operator.index(x)  # hasattr(x, "__index__") is true for arrays of several entries too
     except TypeError:
         return False
     return True
 
 
 def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLink]:
-    """Links that make each set of nodes one rigid body: its first node leads."""
+    """Links that make each set of nodes one rigid body, all of whose nodes follow the first."""
     if isinstance(sets, str) or not isinstance(sets, Sequence):
         raise InputError(f"rigid is {sets!r}; allowed: a list of node sets, such as ['left_edge']")
     links = []

@@ -1,4 +1,4 @@
-"""A warning, once for each body, where its cells or plies are worse than the shell elements bear.
+"""A warning, once for each body, of cells or plies for which the shell elements are not accurate.
 
 skewed cells   a corner of a quadrilateral below 30 or above 150 degrees, of a triangle above 160: MSC Nastran's GEOMCHECK
 slender cells  of 12 : 1 and more: drilling rotations get frequencies among those of bending
@@ -31,10 +31,10 @@ _ROUNDING = 1e-9
 
 def warn_mesh(name: str, parts: Iterable[Part]) -> None:
     """Warn once, naming the worst cell and its figure, if cells are skewed or slender or too coarse for their plies."""
-    doubts = [doubt for part in parts if isinstance(part, Plates) for doubt in (*_cells(part), *_plies(part))]
-    if doubts:
+    faults = [fault for part in parts if isinstance(part, Plates) for fault in (*_cells(part), *_plies(part))]
+    if faults:
         warn(
-            f"mesh of body {name!r}: {'; '.join(doubts)}. Results may be off; compare with a finer mesh, or one of "
+            f"mesh of body {name!r}: {'; '.join(faults)}. Results may be off; compare with a finer mesh, or one of "
             f"better cells (corners of {CORNERS['quad'][0]:g} to {CORNERS['quad'][1]:g} degrees, below {ASPECT:g} : 1)",
         )
 

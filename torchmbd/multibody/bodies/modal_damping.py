@@ -5,11 +5,11 @@
 c   time of the stiffness-proportional part                       [s]
 z   damping ratios of the modes, by growing frequency om [rad/s]  [-]
 
-Kr is full, so the ratios act in its own eigenvectors. With F_ij the divided differences of 2 z om by om^2,
+Kr is full, so the ratios are those of its eigenvectors V. With F_ij the divided differences of 2 z om by om^2,
 
     dD = V (F o V' dKr V) V'
 
-holds at repeated frequencies as well, if their ratios are equal; where modes of different ratios meet, D jumps.
+also at repeated frequencies, if their ratios are equal; where frequencies of modes with different ratios cross, D jumps.
 Differentiable, forward and reverse, in Kr; first derivatives only.
 Checked in tests/multibody/bodies/test_modal_damping.py.
 """
@@ -30,7 +30,7 @@ from torchmbd.math.checked_numbers import scalar
 
 @dataclass(frozen=True)
 class ModalDamping:
-    """See the module header; `ratios` one for each mode, or none."""
+    """Damping of the body of a name: time c, and ratios z for each mode, or none; see the module header."""
 
     body: str
     time: float = 0.0
@@ -60,7 +60,7 @@ class ModalDamping:
         values, V = torch.linalg.eigh(fixed)
         om, z = values.clamp_min(0.0).sqrt(), Kr.new_tensor(self.ratios)
         sums, gaps = om[..., :, None] + om[..., None, :], om[..., :, None] - om[..., None, :]
-        unlike = z[:, None] - z
-        F = (z[:, None] + z) / sums + torch.where((unlike == 0.0) | (gaps == 0.0), 0.0, unlike / gaps)
-        change = V.mT @ (Kr - fixed) @ V  # zero; its derivative is not
+        differences = z[:, None] - z
+        F = (z[:, None] + z) / sums + torch.where((differences == 0.0) | (gaps == 0.0), 0.0, differences / gaps)
+        change = V.mT @ (Kr - fixed) @ V  # has the value zero and the derivative of Kr
         return D + V @ (torch.diag_embed(2.0 * z * om) + F * change) @ V.mT

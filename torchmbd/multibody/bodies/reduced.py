@@ -1,7 +1,7 @@
-"""The reduction that a body asked for, chosen once from the numbers that it was made with.
+"""The reduction of a body to modes, chosen once for the first design.
 
-Equal frequencies stay together: a tube bends alike in all directions, and half of a pair has no derivative of its own
-(fem/reduction/transport.py). So a few modes more than asked for may be retained, the same number for all later designs.
+Modes of equal frequencies are retained together: bending of a tube in two directions is such a pair, and one mode of a pair has
+no derivative alone (fem/reduction/transport.py). So more modes than requested may be retained, the same number for all designs.
 Checked in tests/multibody/bodies/test_flexible.py, tests/multibody/bodies/test_beam_body.py.
 """
 
@@ -22,12 +22,12 @@ from torchmbd.math.sparse import SparseMatrix
 
 
 def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
-    """Stiffness and mass of the free freedoms, with the same lanes; points: what `masses` has found already."""
+    """Stiffness and mass of the free freedoms, with the same lanes; points: `assembly.masses()`, if it is known already."""
     K, M = assembly.stiffness(), assembly.mass(points)
-    own = M if isinstance(M, Tensor) else M.values
-    lanes = torch.broadcast_shapes(K.values.shape[:-1], own.shape[:-1])
+    values = M if isinstance(M, Tensor) else M.values
+    lanes = torch.broadcast_shapes(K.values.shape[:-1], values.shape[:-1])
     K = replace(K, values=K.values.expand(*lanes, -1))
-    return K, own.expand(*lanes, -1) if isinstance(M, Tensor) else M
+    return K, values.expand(*lanes, -1) if isinstance(M, Tensor) else M
 
 
 def reduced(
@@ -39,7 +39,7 @@ def reduced(
     reference: Sequence[int],
     updated: bool,
 ) -> Reduction:
-    """The reduction of that kind to `modes` modes, or a few more; arguments as of `FlexibleBody.plate`.
+    """The reduction of a kind to `modes` modes, or a few more; arguments as of `FlexibleBody.plate`.
 
     Raises InputError for a kind that does not exist, a number of modes that the mesh does not have, and interface nodes
     that are references or come twice.
@@ -60,7 +60,7 @@ def reduced(
 
 
 def _without_mass(assembly: Assembly) -> str:
-    """Names the first freedom that has stiffness and no mass, if there is any."""
+    """A message that names the first freedom with stiffness and without mass; "" if there is none."""
     M = assembly.mass()
     if isinstance(M, SparseMatrix):
         on = M.pattern.rows == M.pattern.cols

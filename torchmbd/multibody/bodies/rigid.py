@@ -62,8 +62,8 @@ class RigidBody(nn.Module):
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]
     position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); the joints correct both
-    velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: the
-                      smallest that the joints and drives allow
+    velocity          initial velocity of the origin in ground axes [m/s], which joints may change; None: the smallest that
+                      the joints and drives allow
     angular_velocity  initial angular velocity in body axes [rad/s], likewise
 
     Each of these but the axes is a design variable where it is given as a torch.nn.Parameter.
@@ -73,7 +73,7 @@ class RigidBody(nn.Module):
     tool.at(0.02, 0, 0)
     """
 
-    positive: ClassVar[tuple[str, ...]] = ("mass",)  # parameters that are, whatever the design
+    positive: ClassVar[tuple[str, ...]] = ("mass",)  # parameters that must be positive in every design
     mass: Tensor
     center: Tensor
     inertia: Tensor
@@ -135,7 +135,7 @@ class RigidBody(nn.Module):
     @property
     def second_moment(self) -> Tensor:
         """Integral of x x' dm about the center of mass [3, 3] [kg m2]."""
-        # Lanes of designs lead: a vector of principal values of several is no matrix.
+        # With lanes the number of axes does not tell principal values [lanes, 3] from a matrix.
         J = torch.diag_embed(self.inertia) if self._principal else 0.5 * (self.inertia + self.inertia.mT)
         trace = J.diagonal(dim1=-2, dim2=-1).sum(-1)
         return 0.5 * trace[..., None, None] * torch.eye(3, dtype=torch.float64) - J

@@ -1,8 +1,7 @@
 """A warning where the units of a body look wrong by a factor of a thousand.
 
-A file: size 2 mm to 200 m, density 10 to 25,000 kg/m3, speed of sound 20 to 30,000 m/s: a body outside of these was most
-likely given in other units than meters, kilograms and seconds. The message names its size, its mass and
-its first frequency, by which an analyst sees at once what happened.
+A file: size 2 mm to 200 m, density 10 to 25,000 kg/m3, speed of sound 20 to 30,000 m/s. A body outside of these limits is most
+likely in other units than meters, kilograms and seconds; the message names its size, mass and first frequency.
 A plate: thickness 2e-5 to 0.5 of its size (math/plausible_units.py).
 Checked in tests/multibody/bodies/test_unit_checks.py, tests/math/test_plausible_units.py.
 """
@@ -27,20 +26,20 @@ SIZE = (2e-3, 200.0)  # m
 def warn_units(name: str, mesh: Mesh, plates: Iterable[Plates], structure: Callable[[], dict[str, Any]]) -> None:
     """Warn if size, density or speed of sound of a body is implausible; structure() gives its mass and frequencies."""
     size = _size(mesh)
-    doubts = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
+    faults = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
     for part in plates:
         for ply in map(without_variables, part.laminate.layer_plies):
             sound = math.sqrt(ply.E1 / ply.density)
             if not DENSITY[0] <= ply.density <= DENSITY[1]:
-                doubts.append(f"a ply has the density {ply.density:.3g} kg/m3")
+                faults.append(f"a ply has the density {ply.density:.3g} kg/m3")
             elif not SOUND[0] <= sound <= SOUND[1]:
-                doubts.append(f"a ply has the speed of sound {sound:.3g} m/s (E1 = {ply.E1:.3g} Pa)")
-    if doubts:
+                faults.append(f"a ply has the speed of sound {sound:.3g} m/s (E1 = {ply.E1:.3g} Pa)")
+    if faults:
         with torch.no_grad():
-            made = structure()
-        first = math.sqrt(max(float(torch.linalg.eigvalsh(made["Kr"])[0]), 0.0)) / (2.0 * math.pi)
+            reduced = structure()
+        first = math.sqrt(max(float(torch.linalg.eigvalsh(reduced["Kr"])[0]), 0.0)) / (2.0 * math.pi)
         warn(
-            f"units of body {name!r}? {doubts[0]}; it is {size:.3g} m long, weighs {float(made['mass']):.3g} kg, and "
+            f"units of body {name!r}? {faults[0]}; it is {size:.3g} m long, weighs {float(reduced['mass']):.3g} kg, and "
             f"its first frequency is {first:.3g} Hz. Allowed: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
         )
 

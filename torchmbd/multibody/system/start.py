@@ -97,7 +97,7 @@ class Start:
         return [*self.given.values(), *(self.state or ())]
 
     @property
-    def watched(self) -> bool:
+    def is_differentiated(self) -> bool:
         """Whether one of these tensors requires a gradient."""
         return any(map(is_differentiated, self.tensors))
 
