@@ -105,6 +105,15 @@ def test_designs_are_feasible_by_the_tolerance_of_the_study(own):
     assert all(1e-6 < child.metrics["violation"] <= 1e-2 for child in found)
 
 
+def test_the_best_is_feasible_or_none_also_on_steps(own):
+    narrow = Analytic("narrow", [0.5], lambda x: x[0], lambda x: [x[0] - 0.6, 0.4 - x[0]], lower=0.0, upper=2.0)
+    study = mbd.Study(narrow, name="narrow", increments={"x1": 1.0}, max_iterations=5).run(console=QUIET)
+    assert study.result.status == "infeasible"
+    assert study.result.best.violation > 0.1
+    assert study.best is None
+    assert "best" not in repr(study)
+
+
 SCRIPT = """
 import os, signal, sys
 import torchmbd as mbd
@@ -225,6 +234,11 @@ def test_scenarios_are_a_study_like_any_other(own):
         ({"increments": {"rod.laminate.angle": 0.1}}, "increments of parameter 'rod.laminate.angle' does not exist"),
         ({"units": {"rod.laminate.angles": "grad"}}, "unit 'grad' does not exist"),
         ({"sweep": {"rod.laminate.angles": (0.0, 1.0, 3)}}, "swept variable"),
+        ({"sweep": {"rod.laminate.angles[0]": (0.0, 1.0)}}, "allowed: one variable -> "),
+        ({"sweep": {"rod.laminate.angles[0]": ("a", 1.0, 3)}}, "first value of sweep = 'a'"),
+        ({"sweep": "rod.laminate.angles"}, "allowed: one variable -> "),
+        ({"increments": 5.0}, "increments is 5.0; allowed: parameter -> step"),
+        ({"units": "deg"}, "units is 'deg'; allowed: parameter -> unit"),
         ({"max_iteration": 3}, "option 'max_iteration' does not exist"),
         ({"uri": "runs.db"}, "a store is one of"),
     ],

@@ -1,6 +1,6 @@
-"""What only the model can tell: whether the file's options, parameters, sizes, bodies and method options exist.
+"""Faults of an experiment file that only its model shows: names and sizes of options, parameters, bodies and responses.
 
-Works on the sections that are valid, so that a wrong word in one section does not hide a wrong name in another.
+Only valid sections are checked, so that a fault of one section does not hide those of the others.
 Over 300 lines: a short function for each section of the file.
 """
 
@@ -45,7 +45,7 @@ _NUMBERS = ("start", "lower", "upper", "tolerance", "step")  # of a design varia
 
 
 def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
-    """Return the system, if it can be built, and every fault that building it shows."""
+    """Return the system, None if it cannot be built, and the faults of the valid sections of a file."""
     faults = method_faults(sections)
     if "model" not in sections:
         return None, faults
@@ -69,7 +69,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
 
 
 def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
-    """Return what is wrong with the function that draws figures, and with its options."""
+    """Return the faults of the function that draws figures, and of its options."""
     if "figures" not in sections:
         return []
     try:
@@ -83,39 +83,39 @@ def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
 
 
 def spread(given: float | Sequence[float], size: int) -> np.ndarray | None:
-    """Spread a number over `size` entries; None if a list has another length."""
+    """Return a number repeated `size` times, or a list as an array; None if the list has another length."""
     x = np.atleast_1d(np.asarray(given, dtype=float))
     return np.full(size, x[0]) if not isinstance(given, (list, tuple)) else x if len(x) == size else None
 
 
 def design_vector(design: Mapping[str, Variable], system: System, key: str, links: Collection[str] = ()) -> np.ndarray:
     """Return "start", "lower", "upper", "tolerance" or "step" of the whole design vector, in the units of the file."""
-    own = dict(system.named_parameters())
+    parameters = dict(system.named_parameters())
     parts = []
     for name, variable in design.items():
-        given, free = getattr(variable, key), _free_entries(name, own[name].numel(), links)
+        given, free = getattr(variable, key), _free_entries(name, parameters[name].numel(), links)
         if given is None and key in ("tolerance", "step"):
             parts.append(np.zeros(len(free)))
-        elif given is None:  # a start that the file leaves to the model
-            parts.append(own[name].detach().reshape(-1).numpy()[free] / UNITS[variable.unit])
+        elif given is None:  # the start is that of the model
+            parts.append(parameters[name].detach().reshape(-1).numpy()[free] / UNITS[variable.unit])
         else:
             parts.append(spread(given, len(free)))
     return np.concatenate(parts)
 
 
 def entry_labels(design: Mapping[str, Variable], system: System, links: Collection[str] = ()) -> list[str]:
-    """Return one label for each entry of the design vector, `rod.laminate.angles[0]`; those that follow others are none."""
-    own = dict(system.named_parameters())
-    return [f"{name}[{i}]" for name in design for i in _free_entries(name, own[name].numel(), links)]
+    """Return the label of each entry of the design vector, `rod.laminate.angles[0]`; entries that follow others are none."""
+    parameters = dict(system.named_parameters())
+    return [f"{name}[{i}]" for name in design for i in _free_entries(name, parameters[name].numel(), links)]
 
 
 def _free_entries(name: str, size: int, links: Collection[str]) -> list[int]:
-    """The entries of a parameter that follow no others."""
+    """Return the indices of the entries of a parameter that follow no others."""
     return [i for i in range(size) if f"{name}[{i}]" not in links]
 
 
 def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
-    """What is wrong with the function of the phases, and with these for the model."""
+    """Return the faults of the function of the phases, and of the phases for the model."""
     simulation: Simulation | None = sections.get("simulate")
     if simulation is None or simulation.phases is None:
         return []
@@ -127,7 +127,7 @@ def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[
 
 
 def _response_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
-    """Names, windows and rows of the responses, against the model and the simulated time."""
+    """Return the faults of the responses: names that the model has not, windows beyond the simulated time, rows."""
     duration = sections["simulate"].duration if "simulate" in sections else math.inf
     given: list[tuple[Mapping[str, Any], Path]] = []
     read = partial(measure_of, find=partial(find_response, folder=folder))
@@ -155,20 +155,20 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
 
 
 def _row_faults(sections: Sections, read: Callable[..., Measure]) -> list[Fault]:
-    """Objectives of several rows, where there must be one number."""
+    """Return the faults of objectives of several rows, where one number is allowed."""
     for key in OBJECTIVE_KEYS[:-1]:
         if sections.get(key) is not None and sections.get("sweep") and read(sections[key]).rows > 1:
             text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
             return [Fault(leaf(sections[key], (key,))[:2], text)]
-    if sections.get("maximize") is not None and (text := _not_to_be_large(sections, read(sections["maximize"]).rows)):
+    if sections.get("maximize") is not None and (text := _maximize_fault(sections, read(sections["maximize"]).rows)):
         return [Fault(("maximize",), text)]
     rows = {name: read(spec).rows for name, spec in (sections.get("tradeoff") or {}).items()}
     text = "has {} rows; allowed: responses of one number"
     return [Fault(("tradeoff", name), text.format(n)) for name, n in rows.items() if n > 1]
 
 
-def _not_to_be_large(sections: Sections, rows: int) -> str | None:
-    """Why a response cannot be maximized."""
+def _maximize_fault(sections: Sections, rows: int) -> str | None:
+    """Return why a response of so many rows cannot be maximized, None if it can."""
     if rows > 1:
         return f"has {rows} rows; allowed: a response of one number"
     combined: Combine | None = sections.get("combine")
@@ -178,10 +178,10 @@ def _not_to_be_large(sections: Sections, rows: int) -> str | None:
 
 
 def _link_faults(sections: Sections, system: System) -> list[Fault]:
-    """Links of what is no entry of a design variable, or follows what is none that is free."""
+    """Return the faults of links: a follower that is no entry of a design variable, a leader that is not free."""
     links: Mapping[str, Mapping[str, float]] = sections.get("links", {})
-    own = dict(system.named_parameters())
-    known = {name: x for name, x in sections["design"].items() if name in own}
+    parameters = dict(system.named_parameters())
+    known = {name: x for name, x in sections["design"].items() if name in parameters}
     entries, free = entry_labels(known, system), [*entry_labels(known, system, links), CONSTANT]
     faults = []
     for follower, leaders in links.items():
@@ -198,25 +198,25 @@ def _link_faults(sections: Sections, system: System) -> list[Fault]:
 
 
 def _design_faults(design: Mapping[str, Variable], system: System, links: Collection[str] = ()) -> list[Fault]:
-    own = dict(system.named_parameters())
+    parameters = dict(system.named_parameters())
     faults = []
     for name, variable in design.items():
         path: Path = ("design", name)
-        if name not in own:
-            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
+        if name not in parameters:
+            faults.append(Fault(path, f"is no parameter of the model{nearest(name, parameters)}"))
             continue
-        entries = _free_entries(name, own[name].numel(), links)
+        entries = _free_entries(name, parameters[name].numel(), links)
         size = len(entries)
-        said = [key for key in _NUMBERS if getattr(variable, key) is not None]
+        given_keys = [key for key in _NUMBERS if getattr(variable, key) is not None]
         if not size:
             follows = "is given, but every entry follows others by links; allowed: unit alone"
-            faults += [Fault((*path, key), follows) for key in said]
+            faults += [Fault((*path, key), follows) for key in given_keys]
             continue
         faults += [
-            Fault((*path, key), "is missing; allowed: a number") for key in ("lower", "upper") if key not in said
+            Fault((*path, key), "is missing; allowed: a number") for key in ("lower", "upper") if key not in given_keys
         ]
-        some = f" (of {', '.join(f'[{i}]' for i in entries)}; the others follow)" * (size < own[name].numel())
-        sized = {key: spread(getattr(variable, key), size) for key in said}
+        some = f" (of {', '.join(f'[{i}]' for i in entries)}; the others follow)" * (size < parameters[name].numel())
+        sized = {key: spread(getattr(variable, key), size) for key in given_keys}
         for key, x in sized.items():
             if x is None:
                 given = getattr(variable, key)
@@ -226,13 +226,13 @@ def _design_faults(design: Mapping[str, Variable], system: System, links: Collec
                         f"= {given}: has {len(given)} values; allowed: {size}{some}, or one number for all",
                     )
                 )
-        built = own[name].detach().reshape(-1).numpy()[entries] / UNITS[variable.unit]
+        built = parameters[name].detach().reshape(-1).numpy()[entries] / UNITS[variable.unit]
         faults += _bound_faults(path, sized, built) + _unit_faults(path, name, variable.unit, sized)
     return faults
 
 
 def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
-    """Numbers that are most likely in another unit than they are said to be."""
+    """Return the faults of units: one that does not fit the parameter, or numbers that are most likely in another."""
     if text := units.misfit(name, unit):
         return [Fault((*path, "unit"), f"= {unit!r}: {text}")]
     faults = []
@@ -255,7 +255,7 @@ def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarra
 
 
 def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None], built: np.ndarray) -> list[Fault]:
-    """Bounds that are not in order, or leave the start out: that of the file, or the value `built` by the model."""
+    """Return the faults of bounds: not in order, or without the start (of the file, or `built` by the model)."""
     lower, upper, start = sized.get("lower"), sized.get("upper"), sized.get("start")
     if lower is None or upper is None:
         return []
@@ -271,7 +271,7 @@ def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None], built: np.
 
 
 def _start_faults(sections: Sections, system: System) -> list[Fault]:
-    """Check points and sweeps against the size and the bounds of the design vector."""
+    """Return the faults of start points and sweeps: wrong size, or beyond the bounds."""
     design, links = sections["design"], sections.get("links", {})
     names = entry_labels(design, system, links)
     lower, upper = (design_vector(design, system, key, links) for key in ("lower", "upper"))
@@ -296,7 +296,7 @@ def _start_faults(sections: Sections, system: System) -> list[Fault]:
 
 
 def _motion_start_faults(sections: Sections, system: System) -> list[Fault]:
-    """What is wrong with the start of the motions for the model."""
+    """Return the faults of the start of the motions for the model."""
     simulation: Simulation | None = sections.get("simulate")
     if simulation is None:
         return []
@@ -308,7 +308,7 @@ def _motion_start_faults(sections: Sections, system: System) -> list[Fault]:
 
 
 def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
-    """Names, sizes and units of what scenarios set, and what is asked over them."""
+    """Return the faults of scenarios: names, sizes and units of the parameters that they set, options and weights."""
     scenarios: Sequence[Scenario] = sections.get("scenarios") or ()
     design, faults = sections.get("design", {}), []
     systems: list[System | None] = [None] * len(scenarios)
@@ -322,20 +322,20 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
         except InputError as error:
             faults.append(Fault(path, f"= {shown(scenario.options)}: {error}"))
     each = ((k, n, x, s.set[n]) for k, s in enumerate(scenarios) for n, x in s.settings.items())
-    for k, name, given, said in each:
-        path, own = ("scenarios", k, "set", name), dict((systems[k] or system).named_parameters())
-        if name not in own:
+    for k, name, given, setting in each:
+        path, parameters = ("scenarios", k, "set", name), dict((systems[k] or system).named_parameters())
+        if name not in parameters:
             hint = (
                 "; a plain number of the model becomes a parameter by mbd.variable(...), options: {...} of a scenario "
             )
             hint += "are other arguments of the model's function"
-            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}{hint}"))
+            faults.append(Fault(path, f"is no parameter of the model{nearest(name, parameters)}{hint}"))
         elif name in design:
             faults.append(Fault(path, "is a design variable; allowed: parameters that are none"))
-        elif (x := spread(given, own[name].numel())) is None:
-            size = f"{own[name].numel()}, or one number for all"
+        elif (x := spread(given, parameters[name].numel())) is None:
+            size = f"{parameters[name].numel()}, or one number for all"
             faults.append(Fault(path, f"= {given}: has {len(np.atleast_1d(given))} values; allowed: {size}"))
-        elif text := _unit_of_setting(name, said):
+        elif text := _unit_of_setting(name, setting):
             faults.append(Fault(path, text))
         elif is_positive(systems[k] or system, name) and not (x > 0.0).all():
             faults.append(Fault(path, f"= {given}: allowed: positive numbers"))
@@ -349,18 +349,18 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
     return faults
 
 
-def _unit_of_setting(name: str, said: Any) -> str | None:
-    """What is wrong with the unit of what a scenario sets: that of an angle must be named."""
-    if isinstance(said, Setting):
-        text = units.misfit(name, said.unit)
-        return text and f"= {said.value} with unit: {said.unit}: {text}"
+def _unit_of_setting(name: str, setting: Any) -> str | None:
+    """Return what is wrong with the unit of a parameter that a scenario sets; an angle needs one."""
+    if isinstance(setting, Setting):
+        text = units.misfit(name, setting.unit)
+        return text and f"= {setting.value} with unit: {setting.unit}: {text}"
     if units.QUANTITIES.get(name.rpartition(".")[2]) == "rad":
-        return f"= {said}: is an angle without a unit; allowed: {{value: {said}, unit: deg}}, or unit: rad"
+        return f"= {setting}: is an angle without a unit; allowed: {{value: {setting}, unit: deg}}, or unit: rad"
     return None
 
 
 def _memory_faults(sections: Sections, system: System) -> list[Fault]:
-    """A motion of one design that does not fit into memory."""
+    """Return a fault if a motion of one design does not fit into memory."""
     simulation: Simulation | None = sections.get("simulate")
     if simulation is None or simulation.steps is None:
         return []
@@ -373,7 +373,7 @@ def _memory_faults(sections: Sections, system: System) -> list[Fault]:
 
 
 def swept_index(name: str, names: Sequence[str]) -> int | None:
-    """Return the place of a swept variable: its label, or the parameter's name if it has one entry."""
+    """Return the index of a swept variable, named by its label or by a parameter of one entry; None if there is none."""
     if name in names:
         return names.index(name)
     entries = [k for k, label in enumerate(names) if label.rpartition("[")[0] == name]

@@ -1,17 +1,16 @@
-"""What a study will cost, from two short motions of its own first batch: `torchmbd check`.
+"""Estimate of the cost of a study, from two short motions of its first batch: `torchmbd check`.
 
-    seconds = batches (structure + steps * step)          two lengths tell the structure stage and a step apart; with the
-                                                          responses of the question and their gradients
-                                                          + what is done once: code that is loaded or compiled, pictures, MLflow
-    memory  = base + lanes * (bytes of a motion) * 3      the motion, its work arrays, the responses on the way
+    seconds = once + batches (structure + steps * step)   once: loading and compiling code, pictures, MLflow. Motions of two
+                                                          lengths, with responses and gradients, give structure and step
+    memory  = base + lanes * (bytes of a motion) * 3      the motion, its work arrays, the responses
 
-Gradients in forward and in reverse mode are both measured, where the method has both: the study takes what the problem has
-chosen by counting.
+Gradients are measured in forward and in reverse mode, where the method has both; the study uses the mode that the problem
+has chosen by counting operations.
 
-Simulations: of a sweep its points; of an optimization at most 1.5 per iteration of every start, as the shipped studies
-do (README), and no start ends early; of a front the same of every anchor from every start
-and of every point, and once more of each. Methods that choose their steps: a time unit in place of a step.
-Pictures: one is drawn, and counted for each of their axes. Measured on this machine, as if it did nothing else.
+Simulations of a sweep: its points. Of an optimization: 1.5 for each iteration of each start, as in the shipped studies, and no
+start ends early. Of a front: the same for each anchor from each start and for each point, and once more for each. For methods
+that choose their steps, a unit of time takes the place of a step. Pictures: one is drawn, its time counts for each of their
+axes. Times are those of this machine without other load.
 Checked in tests/study/test_estimate.py.
 """
 
@@ -58,17 +57,20 @@ _COPIES = 3.0
 _TRIES = 2
 _TRACKING = 4.0  # s: MLflow is loaded, its store opened, runs and files are written
 _PATIENCE = 60.0  # s: where a batch takes longer, the start design is not simulated
-_WAYS = {"forward": ("reverse",), "reverse": ("forward",)}
-_SOUGHT = {"expected": ", mean over the tolerances", "worst": ", worst case over the tolerances"}  # of RobustProblem
+_OTHER_MODE = {"forward": ("reverse",), "reverse": ("forward",)}
+_TOLERANCE_WORDS = {
+    "expected": ", mean over the tolerances",
+    "worst": ", worst case over the tolerances",
+}  # of RobustProblem
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Cost of a study on this machine: simulations at most, seconds of one batch and of all, peak memory [bytes].
 
-    once       seconds of all that are spent once: first evaluation, pictures, tracking
-    gradients  how they are computed: "forward", "reverse", "none" of a sweep
-    others     the other way -> seconds of one batch
+    once       seconds that are spent once: first evaluation, pictures, tracking
+    gradients  mode of the gradients: "forward", "reverse", "none" of a sweep
+    others     other mode -> seconds of one batch
     """
 
     simulations: int
@@ -83,33 +85,33 @@ class Estimate:
 
 def estimate(study: StudySettings, problem: Problem) -> Estimate:
     """Measure two short motions with their responses, and extrapolate."""
-    starts = _starts(study)
-    groups = _groups(study, len(starts))
+    starts = _start_designs(study)
+    groups = _group_sizes(study, len(starts))
     starts = np.resize(starts, (max(groups), starts.shape[1]))
     cases = getattr(problem, "simulations", 1)  # of one design
     if study.problem is not problem:  # a robust one, of designs around each
         around = max(1, getattr(study.problem, "simulations", 1) // cases)
         starts, groups = np.repeat(starts, around, axis=0), [around * size for size in groups]
     X = starts[:LANES, : len(problem.names)]
-    way = problem.gradients if study.sweep is None else "none"
+    mode = problem.gradients if study.sweep is None else "none"
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
-    first, batch, size = _batch(problem, X, way)
+    first, batch, size = _measure_batch(problem, X, mode)
     others = {}
-    for other in _WAYS.get(way, ()):
-        with contextlib.suppress(MbdError):  # a method or a system without it
-            others[other] = _batch(problem, X, other)[1]
+    for other in _OTHER_MODE.get(mode, ()):
+        with contextlib.suppress(MbdError):  # the method or the system has no such mode
+            others[other] = _measure_batch(problem, X, other)[1]
     batches = each * sum(math.ceil(size / LANES) for size in groups)
     base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     drawn = study.sweep is None and len(groups) == 1
-    once = first + _TRACKING + (batch + _pictures(problem) if drawn else 0.0)  # two motions of pictures
+    once = first + _TRACKING + (batch + _picture_seconds(problem) if drawn else 0.0)  # two motions of pictures
     memory = base + _COPIES * size
     return Estimate(
-        each * sum(groups) * cases, len(X) * cases, batch, batches * batch + once, once, memory, way, others
+        each * sum(groups) * cases, len(X) * cases, batch, batches * batch + once, once, memory, mode, others
     )
 
 
-def _pictures(problem: Problem) -> float:
-    """Seconds of the pictures of a study, from one of them."""
+def _picture_seconds(problem: Problem) -> float:
+    """Return the seconds of all pictures of a study, from those of one."""
     seconds = []
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as folder:
         for k in range(2):  # the first one loads matplotlib
@@ -122,18 +124,18 @@ def _pictures(problem: Problem) -> float:
     return seconds[0] + seconds[1] * (_SINGLE + _KINDS * each)
 
 
-def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float, float]:
-    """Seconds that are spent once, and seconds and bytes of a batch of designs [lanes, n], with gradients in one way."""
+def _measure_batch(problem: Problem, X: np.ndarray, mode: str) -> tuple[float, float, float]:
+    """Return seconds that are spent once, seconds of a batch of designs [lanes, n], and its bytes."""
     times, size = [], 0.0
     shares = _shares(problem.steps)
     began = time.perf_counter()
-    _short(problem, X[:1], way, shares[0])  # what is done once per process does not count for a batch
+    _simulate_beginning(problem, X[:1], mode, shares[0])  # includes what is done once per process
     once = time.perf_counter() - began
     for share in shares:
         tries = []
         for _ in range(_TRIES):  # the fastest: the difference of two lengths is multiplied by up to 25, with its errors
             began = _clocks()
-            size = _short(problem, X, way, share) / share
+            size = _simulate_beginning(problem, X, mode, share) / share
             tries.append(min(now - then for now, then in zip(_clocks(), began, strict=True)))
         times.append((share, min(tries)))
     (a, fast), (b, slow) = times[0], times[-1]
@@ -141,8 +143,8 @@ def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float, flo
     return once, max(fast - rate * a, 0.0) + rate, size
 
 
-def _groups(study: StudySettings, starts: int) -> list[int]:
-    """How many searches, or designs of a sweep, run together, one group after the other."""
+def _group_sizes(study: StudySettings, starts: int) -> list[int]:
+    """Return how many searches, or designs of a sweep, run together, group after group."""
     criteria = getattr(study.problem, "criteria", ())
     if not criteria:
         return [starts]
@@ -151,47 +153,47 @@ def _groups(study: StudySettings, starts: int) -> list[int]:
 
 
 def _clocks() -> tuple[float, float]:
-    """Time of the wall and of the processor: the first counts what else the machine does, the second every thread."""
+    """Return wall time and processor time [s]: the first includes other load of the machine, the second all threads."""
     return time.perf_counter(), time.process_time()
 
 
-def _starts(study: StudySettings) -> np.ndarray:
+def _start_designs(study: StudySettings) -> np.ndarray:
     if study.sweep is not None:
         return np.tile(study.problem.start, (len(study.sweep[1]) + 1, 1))
     return study.points
 
 
 def _shares(steps: int | None) -> list[float]:
-    """Return how much of the motion is simulated, twice; of a motion of few steps, whole steps."""
+    """Return the two shares of the motion that are simulated; a motion of few steps is cut at whole steps."""
     if steps is None:
         return list(_SHARES)
     first = max(1, min(max(_FEWEST, round(_SHARES[0] * steps)), steps // 2))
     return [first / steps, min(3 * first, steps) / steps]
 
 
-def _short(problem: Problem, X: np.ndarray, way: str, share: float) -> float:
-    """Simulate the beginning of the motions of all scenarios, and evaluate the responses on them; bytes of the motions."""
+def _simulate_beginning(problem: Problem, X: np.ndarray, mode: str, share: float) -> float:
+    """Simulate the beginning of the motions of all scenarios with their responses; return the bytes of the motions."""
     steps, size = problem.steps, 0.0
     settings = {name: value for name, value in problem.simulation.items() if name != "steps"}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a few steps tell what they cost, not how good they are
+        warnings.simplefilter("ignore")  # about the accuracy of a few steps
         for system, designs in problem.cases(X):
             motion = simulate(
                 system,
                 share * problem.duration,
                 steps=None if steps is None else round(share * steps),
-                gradients=way,
+                gradients=mode,
                 variables=problem.space.variables,
                 designs=designs,
                 **settings,
             )
-            differentiate(partial(_responses, problem), motion)
-            size += _bytes(motion)
+            differentiate(partial(_response_rows, problem), motion)
+            size += _motion_bytes(motion)
     return size
 
 
-def _responses(problem: Problem, motion: Trajectory) -> Tensor:
-    """Numbers [lanes, rows] that cost what those of the problem do: of each history a sum, for windows may begin later."""
+def _response_rows(problem: Problem, motion: Trajectory) -> Tensor:
+    """Return numbers [lanes, rows] at the cost of the responses: sums of their histories, as windows may begin later."""
     rows = []
     for measure in (problem.objective, *(constraint.measure for constraint in problem.constraints)):
         histories = [history for history, _ in histories_of(measure)]
@@ -200,43 +202,45 @@ def _responses(problem: Problem, motion: Trajectory) -> Tensor:
     return torch.cat(rows, 1)
 
 
-def _bytes(motion: Trajectory) -> float:
-    """Bytes of the coordinates, rates and accelerations of a motion with their tangents, or cotangents."""
+def _motion_bytes(motion: Trajectory) -> float:
+    """Return the bytes of coordinates, rates and accelerations of a motion with their tangents or cotangents."""
     numbers = sum(x.numel() for x in (motion.q, motion.v, motion.a))
     copies = {"forward": 1 + len(motion.parameters), "reverse": 2}.get(motion.stats["gradients"], 1)
     return 8.0 * numbers * copies
 
 
 def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Estimate | None:
-    """Print what a valid study is about and what it will cost; return its cost, None where nothing is simulated."""
+    """Print a summary of a valid study and its cost; return the cost, None if nothing is simulated."""
     if isinstance(study, FiguresPlan):
         console.print(f"{study.file} is valid: figures by {study.study.figures}", markup=False, soft_wrap=True)
         return None
     problem = study.simulated
     valid = f"{study.name if study.origin is None else study.origin.file} is valid"
     if not isinstance(problem, Problem):
-        console.print(f"{valid}: {_count(len(study.columns.names), 'design variable')}", markup=False)
+        console.print(f"{valid}: {_counted(len(study.columns.names), 'design variable')}", markup=False)
         return None
     asked = ", ".join(study.problem.criteria) if study.front else words(problem.stated_objective)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
-        f"{valid}: {asked}, {_count(sum(x not in EXTRA for x in study.columns.labels), 'design variable')}, "
-        f"{_count(len(problem.constraints) - others, 'constraint')}"
-        + _SOUGHT.get(getattr(study.problem, "kind", ""), "")
+        f"{valid}: {asked}, {_counted(sum(x not in EXTRA for x in study.columns.labels), 'design variable')}, "
+        f"{_counted(len(problem.constraints) - others, 'constraint')}"
+        + _TOLERANCE_WORDS.get(getattr(study.problem, "kind", ""), "")
         + _over_scenarios(problem),
         markup=False,
         soft_wrap=True,
     )
     cost = estimate(study, problem)
-    ways = [f"{cost.gradients} mode, chosen by counting, {_time(cost.batch_seconds)} a batch"]
-    ways += [f"{other} mode {_time(seconds)}" for other, seconds in cost.others.items()]
-    store = Evaluations(evaluations_file(), problem_key(problem)) if evaluations_file().exists() else None
-    count = store.count() if store else 0
-    known = f"; {count} evaluations of this problem are in the store already" if count else ""
+    ways = [f"{cost.gradients} mode, chosen by counting, {_duration(cost.batch_seconds)} a batch"]
+    ways += [f"{other} mode {_duration(seconds)}" for other, seconds in cost.others.items()]
+    count = 0
+    if evaluations_file().exists():
+        with contextlib.closing(Evaluations(evaluations_file(), problem_key(problem))) as store:
+            count = store.count()
+    stored = f"; {count} evaluations of this problem are in the store already" if count else ""
     console.print(
-        f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_time(cost.batch_seconds)} each: "
-        f"{_time(cost.seconds)} in one process, {_time(cost.once)} of them once (loading, pictures, MLflow), "
-        f"{cost.memory / 2**30:.1f} GiB{known}"
+        f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_duration(cost.batch_seconds)} each: "
+        f"{_duration(cost.seconds)} in one process, {_duration(cost.once)} of them once (loading, pictures, MLflow), "
+        f"{cost.memory / 2**30:.1f} GiB{stored}"
         + "; not counted is the search of designs on the steps after that, which may take many times as long"
         * any(study.increments),
         markup=False,
@@ -251,14 +255,14 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
 
 
 def _over_scenarios(problem: Problem) -> str:
-    """`, worst of 20 scenarios`, of a problem that has some."""
+    """Return `, worst of 20 scenarios`, "" for a problem without scenarios."""
     if not isinstance(problem, Scenarios):
         return ""
-    return f", {'worst' if problem.peaks else 'mean'} of {_count(len(problem.scenarios), 'scenario')}"
+    return f", {'worst' if problem.peaks else 'mean'} of {_counted(len(problem.scenarios), 'scenario')}"
 
 
 def _print_truncation(problem: Problem, console: Console) -> None:
-    """Print what the retained modes leave out, where the system asks for it."""
+    """Print the error of the retained modes, if the system checks it."""
     limit = problem.system.truncation
     found = None if limit is None else problem.system.static_truncation()
     if limit is None or found is None:
@@ -268,11 +272,11 @@ def _print_truncation(problem: Problem, console: Console) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
-def _count(n: int, what: str) -> str:
+def _counted(n: int, what: str) -> str:
     return f"{n or 'no'} {what}{'s' * (n != 1)}"
 
 
-def _time(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     """Write a time in a fitting unit: `12 s`, `3.4 h`."""
     for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 1.5 * size:

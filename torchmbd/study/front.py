@@ -31,7 +31,7 @@ def run_front(
     try:
         with SearchCounter(title, console) as searches:
             front = pareto_front(
-                study.over(remembered),
+                study.with_evaluator(remembered),
                 method=study.method,
                 starts=list(study.points),
                 ended=searches.ended,

@@ -1,4 +1,4 @@
-"""From a file and overrides to a study that can run, or one error with everything that is wrong."""
+"""Load experiment files: from a file and overrides to a study, or to one error with all faults."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from torchmbd.study.yaml_file import Document, read_yaml
 
 @dataclass(frozen=True)
 class FiguresPlan:
-    """Figures to be drawn, and where the order came from."""
+    """An experiment file that draws figures, with its overrides."""
 
     study: Figures
     file: Path
@@ -31,7 +31,7 @@ class FiguresPlan:
 
 
 def load(path: str | Path, overrides: Sequence[str] = (), kind: type[S] = StudySettings) -> S | FiguresPlan:
-    """Read, override, validate and build; StudyError with every fault, each with its line."""
+    """Return the study of a file, or the plan of its figures; StudyError with every fault, each with its line."""
     document = read_yaml(path)
     override(document, overrides)
     return study_of_document(document, Path(path), tuple(overrides), kind)
@@ -40,7 +40,7 @@ def load(path: str | Path, overrides: Sequence[str] = (), kind: type[S] = StudyS
 def study_of_document(
     document: Document, path: Path, overrides: tuple[str, ...], kind: type[S] = StudySettings
 ) -> S | FiguresPlan:
-    """Validate and build what a document describes, as if it were the file `path`."""
+    """Return the study or figures of the contents of a file `path`."""
     sections, faults = validate(document.data)
     folder, figures = path.absolute().parent, kind_of(document.data) is Figures
     system, more = (None, figure_faults(sections, folder)) if figures else check(sections, folder)
@@ -50,7 +50,7 @@ def study_of_document(
         return FiguresPlan(Figures.model_validate(document.data), path, overrides)
     try:
         return study_of(StudyFile.model_validate(document.data), system, path, overrides, kind)
-    except InputError as error:  # what only all of it together tells
+    except InputError as error:  # of the study as a whole
         fault = Fault(mentioned(str(error), document.lines), f": {error}")
         raise StudyError(document.source, located([fault], document.lines)) from error
 

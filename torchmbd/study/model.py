@@ -1,11 +1,11 @@
-"""The model of an experiment file: a function of the user's, in a module or in a file, that returns a System.
+"""Functions of the user that an experiment file names: the model, its phases, responses and figures.
 
 package.module:function      as Python finds it
 path/to/file.py:function     in the folder of the experiment file or below it
 
-An experiment file names what is called with which arguments, so not everything may be called: only a Python function
-that says what it returns, `-> mbd.System` for a model. To name a file is to execute it: its code runs with all that the
-user may do. Modules beside the file can be imported by it; they hide no module of Python's or of a package.
+Not every function may be called from a file: only one written in Python, with an annotation of what it returns,
+`-> mbd.System` for a model. The named file is executed, with all rights of the user. It can import the modules beside it,
+which replace no module of Python or of a package.
 Checked in tests/study/test_load.py, test_malicious.py.
 """
 
@@ -29,11 +29,11 @@ from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, shown
 
 Builder = Callable[..., System]
-_beside: set[str] = set()  # names of modules that the last model imported from its own folder
+_imported: set[str] = set()  # names of the modules that the last model imported from its own folder
 
 
 def find_model(spec: str, folder: Path) -> Builder:
-    """Return the function that `spec` names; InputError says what is missing."""
+    """Return the function of the model that `spec` names; InputError if there is none."""
     function = find_function(spec, folder)
     require_returns(spec, function, ("System",))
     return cast(Builder, function)
@@ -51,9 +51,9 @@ def find_phases(spec: str, folder: Path) -> list[Phase]:
 
 
 def find_response(spec: str, folder: Path) -> Any:
-    """Return what `spec` names: a function, or a history or measure, such as `@mbd.history` makes."""
-    found = _named(spec, folder)
-    return found if isinstance(found, (History, Measure)) else find_function(spec, folder)
+    """Return the function that `spec` names, or the response, such as one made by `@mbd.history`."""
+    named = _named(spec, folder)
+    return named if isinstance(named, (History, Measure)) else find_function(spec, folder)
 
 
 def find_function(spec: str, folder: Path) -> Callable[..., Any]:
@@ -70,7 +70,7 @@ def find_function(spec: str, folder: Path) -> Callable[..., Any]:
 
 
 def _named(spec: str, folder: Path) -> Any:
-    """Return whatever `spec` names; None for what is not there."""
+    """Return the object that `spec` names, None if the module has no such name."""
     module_name, _, name = spec.rpartition(":")
     if not module_name or not name:
         raise InputError(f"= {shown(spec)}: allowed: package.module:function or path/to/file.py:function")
@@ -82,11 +82,11 @@ def _module(name: str, folder: Path) -> ModuleType:
 
 
 def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str, ...]) -> None:
-    """Refuse a function that does not say that it returns what is wanted."""
+    """InputError unless a function is annotated to return one of the `allowed` types."""
     annotation = function.__annotations__.get("return")
-    said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
-    if annotation is None or said.partition("[")[0].rpartition(".")[2] not in allowed:
-        returned = "nothing" if annotation is None else f"-> {said}"
+    name = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
+    if annotation is None or name.partition("[")[0].rpartition(".")[2] not in allowed:
+        returned = "nothing" if annotation is None else f"-> {name}"
         raise InputError(
             f"= {shown(spec)}: the function says {returned} about what it returns; "
             f"allowed: a function annotated with -> {' or '.join(allowed)}"
@@ -105,7 +105,7 @@ def _inside(name: str, folder: Path) -> Path:
 
 
 def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:
-    """Compare the options with the arguments of the function."""
+    """Return the options that the function has no argument for, and its arguments that are missing, as faults."""
     parameters = inspect.signature(builder).parameters.values()
     named = [p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
     faults = []
@@ -146,7 +146,7 @@ def _user_code() -> Iterator[None]:
 def scenario_systems(
     model: str, options: Mapping[str, Any], scenarios: Sequence[Any], folder: Path
 ) -> list[System | None]:
-    """The system of every scenario that has options of its own, one for equal options; InputError as `build_model`."""
+    """Return the system of each scenario that has options, None for others; equal options share a system."""
     builder, built = find_model(model, folder), {}
     for scenario in scenarios:
         key = repr(sorted(scenario.options.items()))
@@ -157,8 +157,8 @@ def scenario_systems(
 
 def _from_name(name: str) -> ModuleType:
     """A module that is installed, or in the working directory as for `python -m`."""
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)
+    if (folder := str(Path.cwd())) not in sys.path:
+        sys.path.append(folder)
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -189,14 +189,14 @@ def _from_file(file: Path) -> ModuleType:
 
 @contextmanager
 def _modules_beside(folder: Path) -> Iterator[None]:
-    """Let a model import the modules of its folder, as they are now: not those that another model, or an earlier text, had.
+    """Let a model import the modules of its folder, in their present version.
 
-    The folder comes last: a file named as a module of Python's takes the place of none. No bytecode is written, for
-    Python takes a file that was changed within the same second for unchanged.
+    Modules that an earlier model has imported from its folder are forgotten. The folder is last on the path, so that its
+    files replace no module of Python. No bytecode is written: Python does not notice a change within a second of it.
     """
-    for name in _beside:
+    for name in _imported:
         sys.modules.pop(name, None)
-    _beside.clear()
+    _imported.clear()
     before, writes = set(sys.modules), sys.dont_write_bytecode
     sys.path.append(str(folder))
     sys.dont_write_bytecode = True
@@ -207,4 +207,4 @@ def _modules_beside(folder: Path) -> Iterator[None]:
         sys.dont_write_bytecode = writes
         sys.path.remove(str(folder))
         files = {name: getattr(sys.modules[name], "__file__", None) for name in set(sys.modules) - before}
-        _beside.update(name for name, file in files.items() if file and Path(file).is_relative_to(folder))
+        _imported.update(name for name, file in files.items() if file and Path(file).is_relative_to(folder))

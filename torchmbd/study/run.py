@@ -158,7 +158,7 @@ def _search(
     journal.begin("study")
     for index, point in enumerate(points):
         journal.begin_start(index, point)
-    target = study.over(cached)
+    target = study.with_evaluator(cached)
     each = getattr(target, "simulations", 1)  # of one design
     options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | study.options
     title = f"{study.name}: {study.method} from {len(points)} start{'s' if len(points) > 1 else ''}"

@@ -1,4 +1,4 @@
-"""What a study is, whoever made it, Python or an experiment file: a problem, start designs, a method, names and units.
+"""Settings of a study, made in Python or from an experiment file: problem, start designs, method, names and units.
 
 Checked in tests/study/test_study.py.
 """
@@ -58,10 +58,7 @@ class Outcome:
 
 
 class StudySettings(Summary):
-    """What a study is: a problem, and how it is searched.
-
-    Arguments are those of torchmbd.study.study.Study. Raises InputError for anything that is wrong with it.
-    """
+    """The settings of a study; arguments and errors as of torchmbd.study.study.Study."""
 
     def __init__(
         self,
@@ -100,8 +97,8 @@ class StudySettings(Summary):
             full = [np.append(x, self._start[own:]) if x.size == own else x for x in full]
             starts = given([checked_box(problem, point)[0] for point in full])
         self.starts = recipe(starts, self._start)
-        self.increments = self._steps(increments)
-        self.sweep = self._swept(sweep)
+        self.increments = self._checked_increments(increments)
+        self.sweep = self._sweep_values(sweep)
         self.outcome: Outcome | None = None
 
     def _columns(self, units: Mapping[str, str] | None) -> Columns:
@@ -109,6 +106,8 @@ class StudySettings(Summary):
         period = np.asarray(getattr(self.problem, "period", np.zeros(len(names))), dtype=float)
         own = {name.rpartition("[")[0]: "deg" for name, turn in zip(names, period, strict=False) if turn > 0.0}
         parameters = [name.rpartition("[")[0] or name for name in names]
+        if units is not None and not isinstance(units, Mapping):
+            raise InputError(f"units is {units!r}; allowed: parameter -> unit")
         for parameter, unit in (units or {}).items():
             if parameter not in parameters:
                 raise unknown("units of parameter", parameter, dict.fromkeys(parameters))
@@ -117,8 +116,10 @@ class StudySettings(Summary):
         scalars = [] if self.system is None else [n for n, x in self.system.named_parameters() if not x.ndim]
         return Columns.of(names, own | dict(units or {}), scalars)
 
-    def _steps(self, given: Mapping[str, float] | None) -> list[float | None]:
-        """The step of every design variable [SI]; None where it takes any value."""
+    def _checked_increments(self, given: Mapping[str, float] | None) -> list[float | None]:
+        """Return the increment of each design variable [SI], None where it takes any value."""
+        if given is not None and not isinstance(given, Mapping):
+            raise InputError(f"increments is {given!r}; allowed: parameter -> step")
         names = list(self.problem.names)
         for parameter, step in (given or {}).items():
             if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
@@ -133,10 +134,12 @@ class StudySettings(Summary):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
         return [None if step is None else float(step) for step in steps]
 
-    def _swept(self, given: Mapping[str, tuple[float, float, int]] | None) -> tuple[int, np.ndarray] | None:
-        """Which variable, and its values [SI]."""
+    def _sweep_values(self, given: Mapping[str, tuple[float, float, int]] | None) -> tuple[int, np.ndarray] | None:
+        """Return the index of the swept variable and its values [SI]; None without a sweep."""
         if given is None:
             return None
+        if not isinstance(given, Mapping) or any(np.shape(span) != (3,) for span in given.values()):
+            raise InputError(f"sweep is {given!r}; allowed: one variable -> (first, last, count)")
         if self.problem is not self.simulated or any(self.increments) or len(given) != 1:
             raise InputError(
                 f"sweep is {given!r}; allowed: one variable of a Problem without tolerances and increments"
@@ -146,6 +149,8 @@ class StudySettings(Summary):
         if index is None:
             raise unknown("swept variable", name, self.problem.names)
         first, last, count = span
+        for what, value in (("first value", first), ("last value", last)):
+            require_range(f"{what} of sweep", value, -np.inf, np.inf)
         require_count("count of sweep", count, 2, 100_000)
         low, high = float(self.problem.lower[index]), float(self.problem.upper[index])
         if not low <= min(first, last) <= max(first, last) <= high:
@@ -154,18 +159,18 @@ class StudySettings(Summary):
 
     @property
     def simulated(self) -> Any:
-        """The problem that simulates: without tolerances, its criteria as rows."""
+        """The problem whose designs are simulated: without tolerances, the criteria of a front as rows."""
         return self.problem.problem if isinstance(self.problem, (RobustProblem, Tradeoff)) else self.problem
 
-    def over(self, simulated: Any) -> Any:
-        """The problem that optimizers see, with another source of evaluations than `simulated`."""
+    def with_evaluator(self, evaluator: Any) -> Any:
+        """Return the problem that optimizers see, evaluated by `evaluator` in place of `simulated`."""
         if isinstance(self.problem, RobustProblem):
-            return RobustProblem(simulated, self.problem.tolerance, self.problem.kind)
-        return self.problem.over(simulated) if isinstance(self.problem, Tradeoff) else simulated
+            return RobustProblem(evaluator, self.problem.tolerance, self.problem.kind)
+        return self.problem.over(evaluator) if isinstance(self.problem, Tradeoff) else evaluator
 
     @property
     def sign(self) -> float:
-        """What is asked for is this times the objective of optimizers: -1 where it is to be large."""
+        """The factor from the objective of optimizers to that of the question: -1 where it is maximized, else 1."""
         return float(getattr(self.simulated, "sign", 1.0))
 
     @property
@@ -179,7 +184,7 @@ class StudySettings(Summary):
 
     @property
     def kind(self) -> str:
-        """What the tracking store calls it."""
+        """The kind of the run in the tracking store."""
         return "sweep" if self.sweep is not None else "front" if self.front else "study"
 
     @cached_property
@@ -193,7 +198,7 @@ class StudySettings(Summary):
         return X if X.shape[1] == self._start.size else np.hstack([X, np.full((len(X), 1), self._start[-1])])
 
     def resolved(self) -> dict[str, Any]:
-        """The study as plain data, with every default filled in: what its record holds."""
+        """Return the study as plain data, with every default filled in, for the tracking store."""
         if self.origin is not None:
             return self.origin.data.resolved()
         problem = self.simulated
@@ -215,9 +220,9 @@ class StudySettings(Summary):
 
 
 def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
-    """InputError for options that nothing takes."""
-    taken = search_options(pareto_front if front else None)
-    find_method(method, {key: value for key, value in options.items() if key not in taken})
+    """InputError for options that neither the search nor the method has."""
+    shared = search_options(pareto_front if front else None)
+    find_method(method, {key: value for key, value in options.items() if key not in shared})
     for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
         if options.get(name) is not None:
             require_count(name, options[name], least, most)

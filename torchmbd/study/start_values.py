@@ -1,4 +1,4 @@
-"""What the question's responses are at the start design, beside their limits: wrong units and idle constraints show there.
+"""The responses of a problem at the start design, with their limits: they show wrong units and inactive constraints.
 
     at the start design:
       minimize       max of |y displacement of jib|       0.119201 m
@@ -21,13 +21,13 @@ from torchmbd.design import Problem
 from torchmbd.design.words import unit, words
 from torchmbd.optimization.api import FEASIBILITY
 
-_FAR = 1e3  # times its limit, or its part: such a value has hardly the unit of the limit
+_FAR = 1e3  # factor between a value and its limit from which on they have hardly the same unit
 _PLAIN: Any = {"markup": False, "highlight": False, "soft_wrap": True}
-_IDLE = 1e-9  # share of the limit: such a value is zero
+_IDLE = 1e-9  # share of the limit below which a value counts as zero
 
 
 class Value(NamedTuple):
-    """What is asked of a response, its words, its value, its unit (None: not known), and what is to be said of it."""
+    """A response at the start design: goal or limit, words, value, unit (None: unknown), and a note on the value."""
 
     asked: str
     words: str
@@ -39,15 +39,17 @@ class Value(NamedTuple):
 def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
     """Return the responses at the start design, of constraints the row nearest to its limit; or why it fails.
 
-    Of a front the first constraints are criteria too: all of these but one.
+    criteria  of a front; all but the first are the first constraints of the problem
     """
-    [found] = problem.evaluate(problem.start[None], False)
-    if not found.ok:
-        return found.status
-    what, value = ("minimize", found.objective) if problem.sign > 0.0 else ("maximize", -found.objective)
+    [evaluation] = problem.evaluate(problem.start[None], False)
+    if not evaluation.ok:
+        return evaluation.status
+    what, value = "minimize", evaluation.objective
+    if problem.sign < 0.0:
+        what, value = "maximize", -value
     factor, name = _shown(unit(problem.stated_objective))
     values = [Value(what, words(problem.stated_objective), factor * value, name, "")]
-    own = found.constraints[problem.peaks :]
+    own = evaluation.constraints[problem.peaks :]
     for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
         c, limits, scales = own[rows], problem.limits[rows], problem.reference.scale[rows]
         worst = int(np.argmax(np.abs(c) if constraint.kind == "equal" else c))
@@ -55,7 +57,7 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
         violation = abs(c[worst]) if constraint.kind == "equal" else c[worst]
         note = "violated" if violation > FEASIBILITY else ""
         if limit and constraint.limit != "initial":
-            note = _doubt(value, limit, constraint.kind) or note
+            note = _implausible(value, limit, constraint.kind) or note
         factor, name = _shown(unit(constraint.measure))
         if len(values) < criteria:
             values.append(Value("minimize", words(constraint.measure), factor * value, name, ""))
@@ -67,12 +69,12 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
 
 
 def _shown(si: str | None) -> tuple[float, str | None]:
-    """The factor and the unit in which a response is shown: angles in degrees."""
+    """Return the factor to the unit in which a response is printed, and this unit: degrees for angles."""
     return (math.degrees(1.0), "deg") if si == "rad" else (1.0, si)
 
 
-def _doubt(value: float, limit: float, kind: str) -> str:
-    """What is strange about a value beside its limit."""
+def _implausible(value: float, limit: float, kind: str) -> str:
+    """Return a note on a value that is hardly meant with such a limit, "" for others."""
     if abs(value) < _IDLE * abs(limit):
         return "is zero: is it what is meant?"
     if abs(value) > _FAR * abs(limit):
@@ -91,10 +93,10 @@ def print_start_values(problem: Problem, console: Console, criteria: int = 1) ->
     console.print("at the start design:", markup=False)
     rows = [(f"  {one.asked}", one.words, f"{one.value:.6g} {one.unit or ''}".rstrip(), one.note) for one in values]
     asked, _, number, note = (max(map(len, column)) for column in zip(*rows, strict=True))
-    room = max(console.width - asked - number - note - 6, 16)
+    width = max(console.width - asked - number - note - 6, 16)
     for row in rows:
-        lines = textwrap.wrap(row[1], room)
-        wide = min(room, max(len(one.words) for one in values))
+        lines = textwrap.wrap(row[1], width)
+        wide = min(width, max(len(one.words) for one in values))
         console.print(f"{row[0]:<{asked}}  {lines[0]:<{wide}}  {row[2]:<{number}}  {row[3]}".rstrip(), **_PLAIN)
         for line in lines[1:]:
             console.print(" " * (asked + 2) + line, **_PLAIN)

@@ -1,8 +1,8 @@
-"""A study: a problem that is searched from several starts, tracked, gone on with after a kill, and reported.
+"""A study: a problem that is optimized from several starts, tracked, continued after a kill, and reported.
 
     study = mbd.Study(problem, starts=mbd.sobol(8, seed=1), method="mmfd", name="arm")
     study.check()                  what it will cost
-    study.run()                    the same call goes on with a study that was interrupted or killed
+    study.run()                    the same call continues a study that was interrupted or killed
     study.best, study.to_dataframe(), study.plot(), study.report("arm.html")
 
 `mbd.Study.from_file("arm.yaml")` makes the same object of an experiment file; `torchmbd run arm.yaml` runs it.
@@ -110,14 +110,15 @@ class Study(StudySettings):
     @property
     def best(self) -> Any:
         """The best feasible design with its objective: `.x` [SI], `.value`; None if there is none, or a front or sweep."""
-        return getattr(self.result, "best", None)
+        best = getattr(self.result, "best", None)
+        return best if best is None or best.violation <= self.feasibility else None
 
     @property
     def _searches(self) -> Any:
-        found = getattr(self.result, "relaxed", self.result)
-        if found is None:
+        searches = getattr(self.result, "relaxed", self.result)
+        if searches is None:
             raise InputError(f"study {self.name!r} ended {self.status} without starts; allowed: one that is no sweep")
-        return found
+        return searches
 
     def to_dataframe(self) -> DataFrame:
         """A row for each start, or for each point of a front."""
