@@ -1,4 +1,4 @@
-"""From what an experiment file says to a Study: its problem, what optimizers see of it, and the start designs.
+"""Make a Study from a valid experiment file: its problem, tolerances, start designs and sweep.
 
 Checked in tests/study/test_tolerances.py, tests/study/test_discrete_polish.py, tests/study/test_run.py.
 """
@@ -29,7 +29,12 @@ S = TypeVar("S", bound=StudySettings)
 def study_of(
     data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = (), kind: type[S] = StudySettings
 ) -> S:
-    """Make the study of a valid file, of the system that its model has built, as an object of `kind`."""
+    """Return the study of a valid file, an object of the class `kind`.
+
+    system     built by the model of the file
+    file       path of the file
+    overrides  of the command line
+    """
     problem, own = _problem(data, system, file.absolute().parent), entry_labels(data.design, system, data.links)
     optimizer = data.optimizer or Optimizer()
     tolerance = _entries(data, system, "tolerance", len(problem.names))
@@ -91,7 +96,7 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
 
 
 def _factor(data: StudyFile, entry: str) -> float:
-    """From the unit of the file to SI, of an entry."""
+    """Return the factor from the unit of the file to SI for an entry of the design vector."""
     return UNITS[data.design[entry.rpartition("[")[0]].unit]
 
 
@@ -100,7 +105,7 @@ def _factors(data: StudyFile, system: System) -> np.ndarray:
 
 
 def _links(data: StudyFile) -> dict[str, dict[str, float]]:
-    """The links in SI: a factor is one of numbers of the file, a constant is in the unit of what follows."""
+    """Return the links in SI; in the file, factors relate numbers in their units, constants are in the follower's unit."""
     return {
         entry: {
             name: x * _factor(data, entry) / (1.0 if name == CONSTANT else _factor(data, name))
@@ -111,13 +116,13 @@ def _links(data: StudyFile) -> dict[str, dict[str, float]]:
 
 
 def _entries(data: StudyFile, system: System, key: str, count: int | None = None) -> np.ndarray:
-    """What the file says of every design variable [SI]; zero for extra variables, up to `count`."""
-    found = design_vector(data.design, system, key, data.links) * _factors(data, system)
-    return found if count is None else np.append(found, np.zeros(count - found.size))
+    """Return "start", "lower", ... of the design vector [SI], with zeros for extra variables up to `count` entries."""
+    entries = design_vector(data.design, system, key, data.links) * _factors(data, system)
+    return entries if count is None else np.append(entries, np.zeros(count - entries.size))
 
 
 def _starts(data: StudyFile, system: System, problem: Problem | Tradeoff) -> Starts | None:
-    """The recipe of the start designs; all points share the extra variable of the initial design."""
+    """Return the rule of the start designs; all have the extra variable of the initial design."""
     starts = data.starts
     if starts is None or starts.sampler == "none":
         return None

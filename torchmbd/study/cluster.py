@@ -8,8 +8,8 @@
     setup                      shell lines before the workers start: module load gcc
     directives                 more options of sbatch: --constraint=avx512
 
-dask-jobqueue submits the jobs; the study begins with the first and uses what there is, as jobs come and go. Workers and study
-know each other by certificates that are made for this study alone and lie in its folder, readable by the user only (TLS).
+dask-jobqueue submits the jobs; the study begins with the first, and uses the jobs that are running. Workers and study
+authenticate by TLS certificates that are made for this study, and lie in its folder, readable by the user alone.
 Assumed: the jobs see the working directory at the same path.
 Checked in tests/study/test_cluster.py: what is submitted, and a study on jobs that a stand-in for sbatch starts.
 """
@@ -66,8 +66,8 @@ class Slurm(Section):
             raise InputError(
                 f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
             ) from None
-        n, own = self.workers_per_job, studies_folder()
-        own.mkdir(parents=True, exist_ok=True)
+        n, folder = self.workers_per_job, studies_folder()
+        folder.mkdir(parents=True, exist_ok=True)
         cluster = SLURMCluster(
             queue=self.partition,
             account=self.account,
@@ -82,11 +82,11 @@ class Slurm(Section):
                 *(f"export {name}={value}" for name, value in ONE_THREAD.items()),
                 *self.setup,
             ],
-            log_directory=str(own / "jobs"),
+            log_directory=str(folder / "jobs"),
             local_directory="${TMPDIR:-/tmp}",
-            shared_temp_directory=str(own),
+            shared_temp_directory=str(folder),
             security=True,
-            scheduler_options={"dashboard_address": "127.0.0.1:0"},  # nothing for others to see
+            scheduler_options={"dashboard_address": "127.0.0.1:0"},  # not reachable by others
             python=sys.executable,
         )
         cluster.scale(jobs=math.ceil(workers / n))
@@ -94,7 +94,7 @@ class Slurm(Section):
 
 
 def load_cluster(file: str | Path) -> Slurm:
-    """Read a cluster file; StudyError with everything that is wrong with it."""
+    """Read a cluster file; StudyError with all its faults."""
     document = read_yaml(file)
     _, faults = validate(document.data, Slurm)
     if faults:

@@ -1,4 +1,4 @@
-"""`torchmbd best` and `torchmbd compare`: studies of a store side by side on the terminal."""
+"""`torchmbd best` and `torchmbd compare`: the best designs of a study, and two studies side by side."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, stu
 from torchmbd.tracking.store import store_uri
 
 _OUTCOME = ("best_objective", REDUCTION, INCREASE, "violation", STARTS, CONVERGED, EVALUATIONS)
-_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key", "files")
+_IGNORED = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key", "files")
 
 
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:
-    """Print the best starts (or points) of a study; without `run` of the latest."""
+    """Print the best starts (or points) of a study; `run` None: of the latest study."""
     if count < 1:
         raise InputError(f"count = {count}: must be 1 or more")
     store = store_uri(uri)
@@ -58,13 +58,13 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
             )
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
-    again = (
+    expression = (
         f'torchmbd.load("{entry.run_id[:8]}", model="{model}")'
         if model and entry.kind == "study"
         else "the same mbd.Study; its run() reads what is there"
     )
     console.print(
-        f"in Python: {again}",
+        f"in Python: {expression}",
         highlight=False,
         markup=False,
         soft_wrap=True,
@@ -72,7 +72,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
 
 
 def _cell(child: Entry, name: str, share: str) -> str:
-    """A metric of a start; `share` is one in percent."""
+    """Return the text of a metric of a start; `share` names the metric that is in percent."""
     if name not in child.metrics:
         return "-"
     return f"{child.metrics[name]:.2f} %" if name == share else f"{child.metrics[name]:.6g}"
@@ -104,12 +104,12 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
 
 
 def differences(first: Entry, second: Entry) -> list[tuple[str, str, str]]:
-    """Return the parameters and tags in which two studies differ: name, here, there."""
+    """Return the parameters and tags in which two studies differ: name, value of the first, value of the second."""
     found = []
     for left, right in ((first.params, second.params), (first.tags, second.tags)):
         for name in dict.fromkeys([*left, *right]):
             values = left.get(name, "-"), right.get(name, "-")
-            if values[0] != values[1] and not name.startswith(_QUIET):
+            if values[0] != values[1] and not name.startswith(_IGNORED):
                 found.append((name, *values))
     return found
 

@@ -27,7 +27,7 @@ from torchmbd.study.run import close_tracker, print_outcome
 from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
-from torchmbd.tracking.store import seen_from, store_uri
+from torchmbd.tracking.store import relative_to_store, store_uri
 
 SENTENCE = "sentence"
 PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
@@ -47,7 +47,7 @@ def run_figures(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         resolved = plan.study.resolved()
         tags = {"kind": "figures", **provenance(plan.file.absolute().parent)}
-        tags["mlflow.source.name"] = seen_from(tracker.uri, plan.file)
+        tags["mlflow.source.name"] = relative_to_store(tracker.uri, plan.file)
         tracker.begin(PARENT, plan.name, params=flat(resolved), tags=tags)
         (folder / "config.yaml").write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
         tracker.artifact(PARENT, folder / "config.yaml")

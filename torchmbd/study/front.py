@@ -22,7 +22,7 @@ from torchmbd.tracking import Status
 
 
 def run_front(
-    study: StudySettings, remembered: Any, lanes: int, journal: Journal, console: Console
+    study: StudySettings, cached: Any, lanes: int, journal: Journal, console: Console
 ) -> tuple[Front | None, Status]:
     """Find the front, print it, and file every point."""
     options: dict[str, Any] = {"max_lanes": lanes} | study.options
@@ -31,7 +31,7 @@ def run_front(
     try:
         with SearchCounter(title, console) as searches:
             front = pareto_front(
-                study.with_evaluator(remembered),
+                study.with_evaluator(cached),
                 method=study.method,
                 starts=list(study.points),
                 ended=searches.ended,

@@ -1,7 +1,7 @@
-"""`torchmbd report RUN`: one HTML file of a study that needs nothing else: question, outcome, starts, pictures, motion.
+"""`torchmbd report RUN`: a study in one self-contained HTML file: question, outcome, starts, pictures, motion.
 
-Everything is read from the store: metrics and tags of the runs, and their files. What a store says is text, never
-markup: it is escaped; the animation plays in a frame without rights to the page.
+Everything is read from the store: metrics and tags of the runs, and their files. Texts from the store are escaped; the
+animation runs in a frame without access to the page.
 Checked in tests/study/test_html_report.py.
 """
 
@@ -98,10 +98,10 @@ def _page(store: str, entry: Entry, scratch: Path) -> str:
 
 
 def _require_files(store: str, entry: Entry) -> None:
-    """Refuse a run that lacks files that it has filed: its report would be half empty."""
-    filed = entry.tags.get(FILES, "config.yaml").splitlines()
-    present = {name for folder in {name.rpartition("/")[0] for name in filed} for name in files(store, entry, folder)}
-    if missing := [name for name in filed if name not in present]:
+    """InputError for a run whose store lacks files that the study has written: its report would be incomplete."""
+    written = entry.tags.get(FILES, "config.yaml").splitlines()
+    present = {name for folder in {name.rpartition("/")[0] for name in written} for name in files(store, entry, folder)}
+    if missing := [name for name in written if name not in present]:
         text = few(missing)
         raise InputError(
             f"run {entry.run_id[:8]} lacks {text} in {store}; allowed: a store with the whole of its folder mlartifacts "
@@ -115,7 +115,7 @@ def _rows(values: dict[str, str]) -> str:
 
 
 def _children(store: str, entry: Entry) -> str:
-    """A table of the starts or points, the best first."""
+    """Return a table of the starts or points, the best first."""
     found = children(store, entry)
     if not found:
         return ""
@@ -140,7 +140,7 @@ def _children(store: str, entry: Entry) -> str:
 
 
 def _number(metric: str, value: float) -> str:
-    """Write a metric: angles and shares to a hundredth, everything else to six digits."""
+    """Return the text of a metric: angles and percentages to a hundredth, others to six digits."""
     return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
 
 

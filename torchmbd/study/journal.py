@@ -34,7 +34,7 @@ from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE
 from torchmbd.tracking.provenance import provenance
-from torchmbd.tracking.store import seen_from
+from torchmbd.tracking.store import relative_to_store
 
 PARENT = "study"
 
@@ -64,7 +64,7 @@ class Journal:
         if study.question:
             tags["question"] = tags["mlflow.note.content"] = study.question  # the description of the run
         if origin is not None:
-            tags["mlflow.source.name"] = seen_from(self.tracker.uri, origin.file)
+            tags["mlflow.source.name"] = relative_to_store(self.tracker.uri, origin.file)
             tags |= {"overrides": " ".join(origin.overrides)} if origin.overrides else {}
             tags |= {"seed": str(origin.data.starts.seed)} if origin.data.starts is not None else {}
         self.tracker.begin(PARENT, study.name, params=flat(resolved), tags=tags)

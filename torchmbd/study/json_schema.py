@@ -1,7 +1,7 @@
-"""The JSON schema of experiment files, for editors: completion, and a mark under what is wrong.
+"""The JSON schema of experiment files, for completion and error marks in editors.
 
-It comes from the classes of schema.py and the registries of names; what only the model can tell is left to
-`torchmbd check`. In VS Code: `# yaml-language-server: $schema=study.schema.json` on top of a file.
+It is made from the classes of schema.py and the registries of names; names of the model are checked by `torchmbd check` only.
+In VS Code: `# yaml-language-server: $schema=study.schema.json` on top of a file.
 Checked in tests/study/test_json_schema.py.
 """
 

@@ -20,7 +20,7 @@ from torchmbd.tracking.links import compare_link, experiment_link, run_link, vie
 from torchmbd.tracking.store import store_uri
 
 _RECENT = 3  # studies whose links are printed
-_COMPARED = 32  # runs in one comparison: a longer link is of no use
+_COMPARED = 32  # runs in the link of a comparison, at most
 
 
 def print_configs(folder: Path, console: Console) -> None:
@@ -80,7 +80,7 @@ def print_links(store: str, base: str, console: Console) -> None:
 
 
 def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
-    """Return the links of a study, sweep or figures by what they show; only a finished study has a motion to show."""
+    """Return the links of a study, front, sweep or figures by their labels; only a finished study has a motion."""
     links = {} if kind == "figures" else {"table": view_link(base, experiment_id, run_id)}
     if kind == "study":
         links["charts"] = view_link(base, experiment_id, run_id, charts=True)
@@ -90,16 +90,16 @@ def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: s
 
 
 def print_links_of(links: Mapping[str, str], console: Console) -> None:
-    """Print links with what they show, in a line each.
+    """Print each link with its label in a line.
 
-    A terminal that is narrower shows the beginning of a link, which opens the whole of it; a file or a pipe has it whole.
+    A narrow terminal shows the beginning of a link, and opens the whole link; files and pipes get the whole text.
     """
     for label, link in links.items():
         line = Text(f"  {label:<8} ")
-        room = console.width - len(line)
-        cut = console.is_terminal and len(link) > room
+        width = console.width - len(line)
+        cut = console.is_terminal and len(link) > width
         line.append(
-            f"{link[: room - 3]}..." if cut else link,
+            f"{link[: width - 3]}..." if cut else link,
             Style(link=link) if console.is_terminal and link.startswith("http") else None,
         )
         console.print(line, soft_wrap=True, highlight=False)

@@ -1,9 +1,9 @@
 """`key=value` on the command line: the same file with one value changed.
 
     optimizer.max_iterations=5                dotted path into the file, the value read as YAML
-    subject_to.0.at_most=0.5                  a number is a place in a list
-    design.rod.laminate.angles.start=[10]     the names of design variables hold dots themselves: a key of the file
-                                              that fits the longest piece of the path wins
+    subject_to.0.at_most=0.5                  a number is an index of a list
+    design.rod.laminate.angles.start=[10]     names of design variables contain dots: of several keys of the file that
+                                              fit the path, the longest is taken
 
     options.layers=1,2,3                      several values: one study for each, all combinations of such lists
 
@@ -49,7 +49,7 @@ def _split(text: str) -> list[str]:
 
 
 def override(document: Document, assignments: Sequence[str]) -> None:
-    """Apply all assignments to the document; StudyError with every one that cannot be."""
+    """Apply all assignments to the document; StudyError with each one that cannot be applied."""
     faults = [fault for text in assignments if (fault := _assign(document, text))]
     if faults:
         raise StudyError(document.source, faults)
@@ -72,18 +72,18 @@ def _assign(document: Document, text: str) -> Fault | None:
         return Fault((), str(error.args[0]), f"override {text!r}")
     _set(document.data, path, value)
     for known in [known for known in document.lines if known[: len(path)] == path]:
-        del document.lines[known]  # what stood there is gone
+        del document.lines[known]  # of the replaced value
     document.lines[path] = f"override {text!r}"
     return None
 
 
 def _resolve(data: Any, words: list[str]) -> Path:
-    """Find where a dotted key points; LookupError tells why it points nowhere."""
+    """Return the path of a dotted key; LookupError if there is none."""
     path: Path = ()
     while words:
         if isinstance(data, dict):
             count = next((n for n in range(len(words), 0, -1) if ".".join(words[:n]) in data), 0)
-            if not count:  # a new key: its parents are made on the way
+            if not count:  # a new key
                 count = len(words) - 1 if path and path[-1] in _NAMED_BY_PATH and len(words) > 1 else 1
             key, words = ".".join(words[:count]), words[count:]
             data = data.get(key)

@@ -1,7 +1,7 @@
 """`torchmbd new`: a first experiment file with every section explained, for a model of the user's or for an example.
 
-A model of the user's is built once, so that the file names its own parameters, bodies and options; what the example has
-is written here, for building it takes torch, and that takes seconds. Checked in tests/study/test_scaffold.py.
+A model of the user is built once, so that the file names its parameters, bodies and options. Those of the example are listed
+here, since to build it would import torch, which takes seconds. Checked in tests/study/test_scaffold.py.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ tracking:
 
 @dataclass(frozen=True)
 class Parts:
-    """What an experiment file names of a model: a flexible body, parameters with their values [SI], options."""
+    """The parts of a model that an experiment file names: a flexible body, parameters with their values [SI], options."""
 
     body: str
     parameters: Mapping[str, np.ndarray]
@@ -92,7 +92,7 @@ EXAMPLE_PARTS = Parts(
 
 
 def write_experiment(file: Path, model: str | None = None) -> list[Path]:
-    """Write an experiment file, and an example model beside it where none is given; return what was written."""
+    """Write an experiment file, and an example model beside it if none is given; return the paths of both."""
     if file.suffix not in (".yaml", ".yml"):
         raise InputError(f"file = {str(file)!r}: allowed: a name that ends in .yaml")
     example = file.with_name(f"{file.stem.replace('-', '_')}_model.py")

@@ -18,9 +18,9 @@ or, for pictures that are no optimization,
     figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
 
 Numbers of `design`, `links`, `starts.points` and `sweep` are in the unit of their variable, those of a constraint in its
-`unit`, which one of an angle must name; everything else is SI.
-Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
-parameters and bodies are checked in check.py. Checked in tests/study/test_load.py.
+`unit` (required for an angle); everything else is SI.
+Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of parameters and bodies of
+the model are checked in check.py. Checked in tests/study/test_load.py.
 Over 300 lines: a short class for each section of the file.
 """
 
@@ -61,7 +61,7 @@ NAME = re.compile(r"[^\x00-\x1f]{1,200}")  # of experiments and studies
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
-OBJECTIVE_KEYS = ("minimize", "maximize", "tradeoff")  # one of them is the question
+OBJECTIVE_KEYS = ("minimize", "maximize", "tradeoff")  # exactly one of them is given
 
 
 def _fault(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
@@ -83,18 +83,18 @@ Measure = Annotated[dict[str, Any], AfterValidator(_readable)]
 
 
 class Variable(Section):
-    """A design variable; a single number serves every entry of the parameter. Entries that follow others have no numbers.
+    """A design variable; a single number applies to every entry of the parameter. Entries that follow others have no numbers.
 
-    With a tolerance the criterion is its mean over variables that are off by up to it, and constraints hold there throughout
+    With a tolerance the objective is the mean over deviations up to it, and constraints hold for all of these
     (optimization/robust.py). With a step the study ends with the best design whose variables are multiples of it
     (optimization/discrete/branch_and_bound.py).
     """
 
     start: Numbers | None = None  # default: as the model is built
-    lower: Numbers | None = None  # needed, but where every entry follows others
+    lower: Numbers | None = None  # required, unless every entry follows others
     upper: Numbers | None = None
-    unit: Annotated[str, one_of(UNITS)]  # without a default: 45 is a very different angle in radians
-    tolerance: Numbers | None = None  # default: made exactly
+    unit: Annotated[str, one_of(UNITS)]  # without a default: an angle of 45 in radians would be wrong
+    tolerance: Numbers | None = None  # default: no deviation
     step: Numbers | None = None  # 0, and default: any value
 
     @field_validator("tolerance", "step")
@@ -179,7 +179,7 @@ class Constraint(Section):
 
     @property
     def factor(self) -> float:
-        """Limit and scale times it are in SI units."""
+        """The factor from the unit of limit and scale to SI."""
         return 1.0 if self.unit is None else UNITS[self.unit]
 
     @property

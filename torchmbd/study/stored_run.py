@@ -1,11 +1,11 @@
-"""A run of the store as Python objects again: the system with its best design, the problem, the motion.
+"""Load a study from the tracking store: the system with its best design, the problem, the motion.
 
     study = mbd.load("3f2a9c", model="arm.py")    a run id or the beginning of one, or the name of a study (its latest)
     study.system, study.x, study.value, study.motion
 
-What is read are YAML files only (config.yaml, design.yaml), by the strict reader of experiment files: no artifact is
-ever executed or unpickled. The model is code, and to load a study executes it: a store that others can write could name any
-file, so the files and modules that may be executed are those that the caller names, and no others.
+Of the artifacts only config.yaml and design.yaml are read, by the strict reader of experiment files; none is executed or
+unpickled. Loading executes the model, which is code. Others may be able to write to the store, and could name any file there:
+so only files and modules that the caller names are executed.
 Checked in tests/study/test_stored_run.py.
 """
 
@@ -37,10 +37,12 @@ from torchmbd.tracking.store import store_uri
 
 @dataclass(frozen=True)
 class LoadedStudy:
-    """A study of the store.
+    """A study loaded from the store.
 
+    entry  its run in the store
+    study  its settings
     x      best design [n], SI units and radians
-    value  its objective, as the store has it
+    value  objective of the best design, from the store
     """
 
     entry: Entry
@@ -59,7 +61,7 @@ class LoadedStudy:
 
     @cached_property
     def motion(self) -> Trajectory:
-        """The motion of the best design, simulated when first asked for."""
+        """The motion of the best design, simulated at the first access."""
         return self.problem.motion(self.x)
 
 
@@ -89,46 +91,46 @@ def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStud
             f"run {entry.run_id[:8]} was made in Python; allowed: its mbd.Study again, whose run() takes all from the disk"
         )
     config.source = f"config.yaml of run {entry.run_id[:8]}"
-    folder = _trusted(config, [model] if isinstance(model, (str, Path)) else list(model))
+    folder = _model_folder(config, [model] if isinstance(model, (str, Path)) else list(model))
     study = study_of_document(config, folder / f"{entry.name}.yaml", ())
     if not isinstance(study, StudySettings):
         raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
-    said = entry.tags.get("problem_key")
-    if said and said != problem_key(study.simulated):
+    key = entry.tags.get("problem_key")
+    if key and key != problem_key(study.simulated):
         warn(
             f"{config.data['model']} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
             "its numbers may be others now",
         )
-    x = _insert(study, design.data, design.source, design.lines)
+    x = _set_design(study, design.data, design.source, design.lines)
     return LoadedStudy(entry, study, x, entry.metrics.get("objective", float("nan")))
 
 
-def _trusted(config: Document, named: list[str | Path]) -> Path:
-    """Return the folder of the files that a study executes; InputError unless the caller has named each of them."""
+def _model_folder(config: Document, named: list[str | Path]) -> Path:
+    """Return the folder of the files that a study executes; InputError unless each of them is in `named`."""
     data = config.data if isinstance(config.data, dict) else {}
     simulate = data.get("simulate")
-    given = [data.get("model"), simulate.get("phases") if isinstance(simulate, dict) else None]
-    given += functions([data.get(key) for key in (*OBJECTIVE_KEYS, "subject_to")])
+    specs = [data.get("model"), simulate.get("phases") if isinstance(simulate, dict) else None]
+    specs += functions([data.get(key) for key in (*OBJECTIVE_KEYS, "subject_to")])
     folders = set()
-    for code in {spec.rpartition(":")[0] for spec in given if isinstance(spec, str)}:
+    for code in {spec.rpartition(":")[0] for spec in specs if isinstance(spec, str)}:
         parts = Path(code).parts
         paths = [Path(name).absolute() for name in named]
         if not code.endswith(".py") and code in named:
             continue
-        found = [path for path in paths if code.endswith(".py") and path.parts[-len(parts) :] == parts]
-        if not found:
+        matching = [path for path in paths if code.endswith(".py") and path.parts[-len(parts) :] == parts]
+        if not matching:
             raise InputError(
                 f"model is {[str(name) for name in named]}, and {config.source} executes {code!r}; allowed: the path of that "
                 "Python file, or the name of that module, if you trust it"
             )
-        folders.add(found[0].parents[len(parts) - 1])
+        folders.add(matching[0].parents[len(parts) - 1])
     if len(folders) > 1:
         raise InputError(f"model is {[str(name) for name in named]}; allowed: files below one folder, as in the study")
     return folders.pop() if folders else Path()
 
 
-def _insert(study: StudySettings, data: object, source: str, lines: dict) -> np.ndarray:
-    """Set the parameters of the system to a design of the store, and return it as a vector [n]."""
+def _set_design(study: StudySettings, data: object, source: str, lines: dict) -> np.ndarray:
+    """Set the parameters of the system to the design in `data`, and return it as a vector [n]."""
     problem = study.simulated
     own = dict(problem.system.named_parameters())
     faults, parts = [], []

@@ -1,6 +1,6 @@
-"""A sweep: the criteria along one design variable, evaluated together (Fig. 8).
+"""A sweep: objective and constraints along one design variable, evaluated together (Fig. 8).
 
-The start design is evaluated with it and normalizes the criteria; other variables stay at their start.
+Other variables keep their start values. All values are divided by those of the start design, which is evaluated too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
 
-_BETWEEN = 512  # designs at most, until what is found is on disk
+_PART = 512  # designs at most in a part of the sweep, which is on disk before the next begins
 
 
 def run_sweep(
@@ -34,7 +34,7 @@ def run_sweep(
     journal: Journal,
     console: Console,
 ) -> Status:
-    """Evaluate the sweep, draw it, and file every point as a child run."""
+    """Evaluate the sweep, draw it, and track every point as a child run."""
     assert study.sweep is not None
     index, swept = study.sweep
     values = swept / study.columns.factors[index]
@@ -43,7 +43,7 @@ def run_sweep(
     journal.begin("sweep")
     with console.status(f"{escape(study.name)}: {len(swept)} designs"):
         designs = np.vstack([problem.start, X])
-        parts = np.array_split(designs, math.ceil(len(designs) / _BETWEEN))
+        parts = np.array_split(designs, math.ceil(len(designs) / _PART))
         first, *evaluations = [evaluation for part in parts for evaluation in evaluate(part, False)]
     if first.status != "ok":
         console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red", soft_wrap=True)
@@ -80,17 +80,16 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
 
 
 def _criteria(problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
-    """Return the objective, and the constrained responses, each divided by its value at the start design."""
+    """Return objective and constrained responses by name, divided by their values at the start design; nan: failed."""
     measures = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
-    bodies = len({words(m).removeprefix(words(m, bodies=False)) for m in measures}) > 1  # they need their names
+    bodies = len({words(m).removeprefix(words(m, bodies=False)) for m in measures}) > 1  # name the bodies if several
     name = words(problem.stated_objective, bodies)
     result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
     row = 0
     for constraint in problem.constraints:
-        here = slice(row, row := row + constraint.measure.rows)
-        scale, limit = problem.reference.scale[here], problem.limits[here]  # a constraint is (response - limit) / scale
-        # the largest of the rows; nan where it failed
-        responses = [float((e.constraints[here] * scale + limit).max()) for e in (first, *evaluations)]
+        rows = slice(row, row := row + constraint.measure.rows)
+        scale, limit = problem.reference.scale[rows], problem.limits[rows]  # a constraint is (response - limit) / scale
+        responses = [float((e.constraints[rows] * scale + limit).max()) for e in (first, *evaluations)]
         result.setdefault(words(constraint.measure, bodies), [response / responses[0] for response in responses[1:]])
     return result
 

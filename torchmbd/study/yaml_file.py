@@ -1,13 +1,13 @@
-"""A strict reader of YAML: what it returns is what the file says, or it says why not, with the line.
+"""A strict reader of YAML: it returns the data as written, or names each fault with its line.
 
-The data are built from PyYAML's event stream, not by its constructors, so that
+The data are built from the events of PyYAML's parser, not by its constructors, so that
 
     1e-4, 1.e3, .5       are floats (PyYAML: strings)
     on, yes, off, no     are strings (PyYAML: booleans); only true and false are booleans
     007, 0x1F, 1_000     are strings (PyYAML: octal, hexadecimal, ...), so that a number field refuses them
     12:30, 2026-01-01    are strings (PyYAML: base 60, dates)
     a key given twice    is an error (PyYAML: the last one wins)
-    !tag, &anchor, *name are errors: nothing in a file runs code or multiplies itself
+    !tag, &anchor, *name are errors: a file cannot run code or expand itself
 
 Assumed: one document of nested mappings, sequences and scalars. Checked in tests/study/test_yaml_file.py.
 """
@@ -28,7 +28,7 @@ from torchmbd.study.file_errors import Fault, Path, StudyError
 
 _MAX_BYTES = 1_000_000
 _MAX_DEPTH = 20
-_MAX_DIGITS = 18  # more digits than an int64 holds are a slip of the keyboard
+_MAX_DIGITS = 18  # of an int64; a longer number is a typing error
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)")
 _FLOAT = re.compile(r"[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+)")
 _WORDS = {"true": True, "false": False, "null": None, "~": None, "": None}
@@ -36,7 +36,7 @@ _WORDS = {"true": True, "false": False, "null": None, "~": None, "": None}
 
 @dataclass
 class Document:
-    """Plain data (dict, list, str, int, float, bool, None) and the line of every path."""
+    """Plain data (dict, list, str, int, float, bool, None), and the line or override that set each path."""
 
     source: str
     data: Any
@@ -73,9 +73,9 @@ def parse_yaml(text: str, source: str = "<text>") -> Document:
         builder.document(iter(yaml.parse(text, Loader=yaml.SafeLoader)))
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
-        said = error.problem or error.context
-        hint = _QUOTED if "'['" in str(said) else ""
-        builder.faults.append(Fault((), f"is not YAML: {said}{hint}", line))
+        problem = error.problem or error.context
+        hint = _QUOTED if "'['" in str(problem) else ""
+        builder.faults.append(Fault((), f"is not YAML: {problem}{hint}", line))
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count("\n") + 1
         builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}", line))
@@ -103,7 +103,7 @@ def scalar(text: str) -> Any:
 
 
 class _Builder:
-    """Builds plain data from parser events and notes every fault on the way."""
+    """Builds plain data from the events of the parser, and collects the faults."""
 
     def __init__(self, source: str) -> None:
         self.source = source

@@ -1,4 +1,4 @@
-"""Tracking of studies by MLflow. Nothing below this floor knows of it."""
+"""Tracking of studies by MLflow; only torchmbd.study and the command line use it."""
 
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.tracker import Record, Status, TrackingError

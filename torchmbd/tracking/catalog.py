@@ -1,4 +1,4 @@
-"""What a store holds: the studies so far, the newest first."""
+"""Read a tracking store: its studies, their starts, metrics and files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.tracking.store import all_runs, open_store, own_files, sqlite_file
 
 KINDS = ("study", "front", "sweep", "figures")
-GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is to be large
+GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is maximized
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
 
 
@@ -34,7 +34,7 @@ class Entry:
 
 
 def studies(uri: str) -> list[Entry]:
-    """Return the parent runs of a store; a SQLite file that does not exist holds none and is not created."""
+    """Return the studies of a store, the newest first; a SQLite file that does not exist is not created."""
     file = sqlite_file(uri)
     if file is not None and not file.exists():
         return []
@@ -48,7 +48,7 @@ def studies(uri: str) -> list[Entry]:
 
 
 def find(uri: str, run: str) -> Entry:
-    """Return the study of a run id, of the beginning of one, or the latest of a name; InputError if there is none."""
+    """Return the latest study with a run id that begins with `run`, or of the name `run`; InputError if there is none."""
     found = studies(uri)
     for entry in found:
         if entry.run_id.startswith(run) or entry.name == run:
@@ -58,7 +58,7 @@ def find(uri: str, run: str) -> Entry:
 
 
 def fetch(uri: str, entry: Entry, name: str, folder: Path) -> Path | None:
-    """Copy a file of a run into a folder; None if the run has no such file."""
+    """Copy a file of a run into a folder and return its path; None if the run has no such file."""
     if own := own_files(uri, entry.run_id):
         return Path(shutil.copy(own / name, folder)) if (own / name).is_file() else None
     client = open_store(uri)

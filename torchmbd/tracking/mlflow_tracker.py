@@ -1,23 +1,23 @@
-"""Runs in an MLflow store, written by one background thread: a study waits for its store at its end only.
+"""Runs in an MLflow store, written by a background thread: a study waits for the store only at its end.
 
     study                                 thread
     metrics("start_3", {...}, 7)    ->    every few seconds: MlflowClient.log_batch of what was logged of each run
     close()                         ->    the rest; then the Record
 
-    begin    a run opens, under a key that the caller chooses ("study", "start_3"), perhaps below a parent
-    metrics  numbers of one step of it (an iteration)
-    tags     words about it
-    artifact a file of it
-    view     which metrics, parameters and tags of its children show best how they compare
-    end      it is over: FINISHED, FAILED or KILLED
-    close    nothing more will come: what is still open is KILLED; returns where the runs are
+    begin    open a run under a key ("study", "start_3"), perhaps as the child of another
+    metrics  log numbers of one step (an iteration)
+    tags     log words
+    artifact log a file
+    view     define the table of the children: metrics, parameters and tags
+    end      end a run: FINISHED, FAILED or KILLED
+    close    end open runs as KILLED, wait for the store, return where the runs are
 
-What is logged gets its time when it is logged. Sending the same again changes nothing in the store, so whatever fails is sent
-again: a store that is away is tried until it is back, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end of the
-study. What it refuses (a file that is gone) is named by `close`, and costs nothing else.
+Times are those of logging. To send the same again changes nothing in the store, so whatever fails is sent again, until the
+store answers, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end of the study. What the store refuses (a file
+that does not exist) is named by `close`; everything else is sent.
 
-`study` names all lives of a study: one that was killed and goes on finds its runs by the tags study_key and run_key, and
-writes no metric twice. Checked in tests/tracking/test_tracker.py.
+`study` is the same for all processes that run a study: one that continues a killed study finds its runs by the tags study_key
+and run_key, and writes no metric twice. Checked in tests/tracking/test_tracker.py.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from torchmbd.tracking.store import first_line, store_uri
-from torchmbd.tracking.study_store import Draft, Point, StudyStore
+from torchmbd.tracking.study_store import PendingRun, Point, StudyStore
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
@@ -46,17 +46,17 @@ _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
 
 
 class MlflowTracker:
-    """See the header of this file.
+    """Logs the runs of a study, see the header of this file.
 
-    study  the same for all lives of a study, whose runs are gone on with; None: a study of its own
+    study  key of the study, whose runs are continued; None: a new study
     """
 
     def __init__(self, experiment: str, uri: str | None = None, study: str | None = None) -> None:
         self.experiment, self.uri = experiment, store_uri(uri)
         self.study = study or uuid.uuid4().hex
-        self.trouble: str | None = None  # why nothing reaches the store now: the study goes on in any case
+        self.trouble: str | None = None  # why nothing reaches the store at present
         self._lock = threading.Lock()
-        self._pending: dict[str, Draft] = {}  # logged since the last delivery, by the key of the run
+        self._pending: dict[str, PendingRun] = {}  # logged since the last delivery, by the key of the run
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
         self._files: dict[str, set[str]] = {}  # names of the files of every run
         self._last = 0  # ms since 1970 of the last metric
@@ -78,7 +78,7 @@ class MlflowTracker:
             self._require(parent)
         with self._lock:
             texts = {key: str(value)[:_MAX_VALUE] for key, value in (params or {}).items()}
-            self._pending[run] = Draft(name, _now(), parent, texts, dict(tags or {}))
+            self._pending[run] = PendingRun(name, _now(), parent, texts, dict(tags or {}))
         self._open[run] = True
         if self._thread.ident is None:
             self._thread.start()
@@ -94,7 +94,7 @@ class MlflowTracker:
             self._draft(run).tags.update({key: str(value) for key, value in values.items()})
 
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
-        """The file must be there until `close` has returned."""
+        """Log a file, which must exist until `close` has returned."""
         with self._lock:
             self._draft(run).artifacts.append((Path(file).absolute(), folder))
             self._files.setdefault(run, set()).add(f"{folder}/{Path(file).name}".lstrip("/"))
@@ -124,7 +124,7 @@ class MlflowTracker:
         self._open[run] = False
 
     def close(self) -> Record:
-        """Wait until everything is in the store; TrackingError says what is not, and what to do."""
+        """Wait until everything is in the store; TrackingError names what is not, and what to do."""
         for run in reversed([run for run, is_open in self._open.items() if is_open]):  # children before their parent
             self.end(run, "KILLED")
         if self._thread.ident is None:  # nothing was logged: no store is made for it
@@ -140,39 +140,41 @@ class MlflowTracker:
 
     @property
     def record(self) -> Record:
-        """Where the runs are that the store has by now."""
+        """The runs that the store has so far."""
         return Record(self.uri, self._store.experiment_id, dict(self._store.ids))
 
     def _require(self, run: str) -> None:
         if run not in self._open:
             raise TrackingError(f"run {run!r} has not begun")
 
-    def _draft(self, run: str) -> Draft:
+    def _draft(self, run: str) -> PendingRun:
         self._require(run)
-        return self._pending.setdefault(run, Draft())
+        return self._pending.setdefault(run, PendingRun())
 
-    def _taken(self) -> deque[tuple[str, Draft]]:
-        """Return what was logged since the last call."""
+    def _take_pending(self) -> deque[tuple[str, PendingRun]]:
+        """Return what was logged since the last call, by run."""
         with self._lock:
             pending, self._pending = self._pending, {}
         return deque(pending.items())
 
     def _deliver(self) -> None:
-        """What the thread does."""
-        taken: deque[tuple[str, Draft]] = deque()
-        self._closing.wait(_INTERVAL)  # to import MLflow takes seconds of the interpreter, which a study needs to begin
+        """Write pending runs to the store until the tracker is closed: the loop of the thread."""
+        pending: deque[tuple[str, PendingRun]] = deque()
+        self._closing.wait(
+            _INTERVAL
+        )  # importing MLflow takes seconds of the interpreter, which the study needs at first
         while True:
             closing = self._closing.is_set()
-            taken = taken or self._taken()
+            pending = pending or self._take_pending()
             try:
                 self._store.opened()
-                began = time.thread_time()  # making a store, once, is nothing to rest from
-                while taken:
-                    self._store.write(*taken[0])
-                    taken.popleft()
-                    if closing and not taken:
-                        taken = self._taken()
-            except Exception as error:  # MLflow's, the database's, the network's: reported, and tried again
+                began = time.thread_time()  # without the time to create the store
+                while pending:
+                    self._store.write(*pending[0])
+                    pending.popleft()
+                    if closing and not pending:
+                        pending = self._take_pending()
+            except Exception as error:  # of MLflow, the database or the network: tried again
                 self.trouble = (
                     f"the store {self.uri!r} does not take the runs: {first_line(error)}\nNothing is lost: every evaluation "
                     "is on disk. When the store is back, `torchmbd sync` sends the study again"

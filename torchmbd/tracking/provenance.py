@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, machine and the commit of the files beside it."""
+"""Tags of a run about its origin: versions, machine, and the git commit of the experiment file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""MLflow's own server for a look at the runs: on loopback, one worker, nothing sent anywhere.
+"""MLflow's server for the UI: on loopback, with one worker and without telemetry.
 
-The server as MLflow starts it (3.17) has ten processes and runs jobs and telemetry: settings below.
+With its default settings the server (3.17) has ten processes and runs jobs and telemetry.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from torchmbd.errors import InputError
 from torchmbd.tracking.store import ARTIFACTS, open_store, sqlite_file
 from torchmbd.tracking.tracker import TrackingError
 
+_START_SECONDS = 60
 QUIET = {
     "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
@@ -27,9 +28,9 @@ QUIET = {
 
 @contextmanager
 def serving(uri: str, host: str = "127.0.0.1", port: int = 5000) -> Iterator[subprocess.Popen]:
-    """Serve a store until the block is left; TrackingError if the server does not come up.
+    """Serve a store until the block is left; TrackingError if the server does not start.
 
-    The store's tables are created first: a fresh SQLite file must not be migrated by several processes at once.
+    The tables of a new store are created first, since several processes of the server must not do it at once.
     """
     _require_free(host, port)
     open_store(uri)
@@ -45,7 +46,7 @@ def serving(uri: str, host: str = "127.0.0.1", port: int = 5000) -> Iterator[sub
         start_new_session=True,
     )
     try:
-        _await(process, host, port)
+        _wait_until_up(process, host, port)
         yield process
     finally:
         _stop(process)
@@ -60,8 +61,8 @@ def _require_free(host: str, port: int) -> None:
             raise InputError(f"port = {port} of {host} cannot be used ({error}); choose another with --port") from None
 
 
-def _await(process: subprocess.Popen, host: str, port: int, seconds: int = 60) -> None:
-    for _ in range(10 * seconds):
+def _wait_until_up(process: subprocess.Popen, host: str, port: int) -> None:
+    for _ in range(10 * _START_SECONDS):
         try:
             socket.create_connection((host, port), timeout=1).close()
         except OSError:
@@ -72,7 +73,7 @@ def _await(process: subprocess.Popen, host: str, port: int, seconds: int = 60) -
             raise TrackingError(f"the MLflow server ended with exit code {code} before it answered") from None
         else:
             return
-    raise TrackingError(f"the MLflow server does not answer on {host}:{port} after {seconds} s")
+    raise TrackingError(f"the MLflow server does not answer on {host}:{port} after {_START_SECONDS} s")
 
 
 def _stop(process: subprocess.Popen) -> None:

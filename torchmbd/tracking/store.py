@@ -1,13 +1,13 @@
-"""Where the runs are kept: the URI of a store, and its first opening.
+"""MLflow stores: their URI, and how a new one is created.
 
     an explicit URI, else MLFLOW_TRACKING_URI, else sqlite:///<working directory>/mlflow.db with mlartifacts/ beside it
 
-The files of the runs of a SQLite store lie beside it, mlartifacts/<run id>/artifacts/, and the store says of them
-`mlflow-artifacts:/` only, where the server of `torchmbd ui` (and of `mlflow server`, started in that folder) finds them:
-it holds no absolute path, so that both can be copied.
+The files of the runs of a SQLite store are beside it, in mlartifacts/<run id>/artifacts/. The store refers to them by
+`mlflow-artifacts:/`, where the server of `torchmbd ui` (or `mlflow server`, started in that folder) finds them: it holds no
+absolute path, so that both can be copied.
 
-A fresh SQLite store is made under a lock (one file in the user's cache), for two processes that create its tables at once
-crash (MLflow 3.17), and beside its place: a full disk or a kill in the middle leaves none rather than half of one.
+A new SQLite store is created under a lock (a file in the user's cache), since two processes that create its tables at once
+crash (MLflow 3.17), and under another name first: a full disk or a kill leaves no incomplete store.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 _PAGE = 1000  # runs of one query
-ARTIFACTS = "mlflow-artifacts:/"  # MLflow's name for what its server has
-_MISREAD = ("?", "%")  # the one ends a path, the other is decoded
+ARTIFACTS = "mlflow-artifacts:/"  # MLflow's URI of the files of its server
+_MISREAD = ("?", "%")  # characters of a path that MLflow misreads: the first ends a path, the second is decoded
 SCHEMES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")
 _SETTINGS = {  # of MLflow
     "MLFLOW_DISABLE_TELEMETRY": "true",
@@ -43,7 +43,7 @@ _SETTINGS = {  # of MLflow
 
 
 def store_uri(uri: str | None = None) -> str:
-    """Return the store to use, a relative SQLite path made absolute; InputError if it can be none."""
+    """Return the URI of the store to use, a SQLite path made absolute; InputError if it is no URI of a store."""
     given = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
     chosen = uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
     if not isinstance(chosen, str):
@@ -55,7 +55,7 @@ def store_uri(uri: str | None = None) -> str:
 
 
 def uri_fault(uri: str) -> str | None:
-    """Say why a URI is no store, None if it may be one."""
+    """Return why a URI is no store, None if it may be one."""
     scheme, separator, _ = uri.partition(":")
     if not separator or scheme.partition("+")[0] not in SCHEMES:
         return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)}; allowed: such as sqlite:///mlflow.db"
@@ -78,24 +78,24 @@ def own_files(uri: str, run_id: str) -> Path | None:
     return None if file is None else file.parent / "mlartifacts" / run_id / "artifacts"
 
 
-def seen_from(uri: str, file: Path) -> str:
-    """Return a path as it is seen from the folder of a SQLite store, of others from the working directory."""
+def relative_to_store(uri: str, file: Path) -> str:
+    """Return a path relative to the folder of a SQLite store; for other stores, to the working directory."""
     store = sqlite_file(uri)
     return os.path.relpath(file, Path.cwd() if store is None else store.parent)
 
 
 def open_store(uri: str) -> MlflowClient:
-    """Open a store, creating its tables if it is new; TrackingError if it cannot be."""
+    """Open a store, creating its tables if it is new; TrackingError if it cannot be opened."""
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.getLogger("urllib3").setLevel(logging.ERROR)  # its retries; how they end is reported
-    from mlflow import MlflowClient  # 3 seconds: imported when a store is wanted, not before
+    from mlflow import MlflowClient  # takes 3 seconds
     from mlflow.exceptions import MlflowException
 
     file = sqlite_file(uri)
     try:
-        with _alone(uri):
+        with _store_lock(uri):
             if file:
                 _require_file(file)
             client = MlflowClient(uri)
@@ -106,12 +106,12 @@ def open_store(uri: str) -> MlflowClient:
 
 
 def _require_file(file: Path) -> None:
-    """Make a SQLite store that is not there yet, as a whole: half of its tables could never be made to a whole again."""
+    """Create a SQLite store that does not exist; one with some of its tables could not be completed later."""
     from mlflow import MlflowClient
 
     file.parent.mkdir(parents=True, exist_ok=True)
     if file.exists():
-        with closing(sqlite3.connect(file)) as base:  # MLflow tries for minutes to open what is no store
+        with closing(sqlite3.connect(file)) as base:  # MLflow would try for minutes to open a file that is no store
             base.execute("pragma user_version")
         return
     with tempfile.TemporaryDirectory(prefix=f".{file.name}-", dir=file.parent) as folder:
@@ -125,7 +125,7 @@ def _require_file(file: Path) -> None:
 
 def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
     """Return the id of an experiment, creating it if it is new."""
-    with _alone(uri):
+    with _store_lock(uri):
         found = client.get_experiment_by_name(name)
         if found is None:
             return client.create_experiment(name, artifact_location=ARTIFACTS if sqlite_file(uri) else None)
@@ -147,8 +147,8 @@ def all_runs(client: MlflowClient, experiments: list[str], condition: str, order
 
 
 @contextmanager
-def _alone(uri: str) -> Iterator[None]:
-    """Hold the lock of all SQLite stores, so that one process at a time creates tables and experiments."""
+def _store_lock(uri: str) -> Iterator[None]:
+    """Lock all SQLite stores, so that one process at a time creates tables and experiments."""
     if sqlite_file(uri) is None:
         yield
         return

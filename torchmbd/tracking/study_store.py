@@ -1,6 +1,6 @@
-"""One study in an MLflow store: what was logged of its runs is written there by MlflowClient (mlflow_tracker.py).
+"""Write the runs of a study to an MLflow store by MlflowClient, for mlflow_tracker.py.
 
-Sending the same again changes nothing in the store. Checked in tests/tracking/test_tracker.py.
+To write the same again changes nothing in the store. Checked in tests/tracking/test_tracker.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 _METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
-_REFUSALS = ("INVALID_PARAMETER_VALUE", "RESOURCE_DOES_NOT_EXIST", "BAD_REQUEST")  # else the store is away
+_REFUSALS = (
+    "INVALID_PARAMETER_VALUE",
+    "RESOURCE_DOES_NOT_EXIST",
+    "BAD_REQUEST",
+)  # other errors: no answer of the store
 
 
 class Point(NamedTuple):
@@ -34,8 +38,8 @@ class Point(NamedTuple):
 
 
 @dataclass
-class Draft:
-    """What was logged of one run and is not in the store yet."""
+class PendingRun:
+    """The part of a run that was logged and is not in the store yet."""
 
     name: str | None = None  # of a run that begins
     began: int = 0  # ms since 1970
@@ -57,27 +61,27 @@ class StudyStore:
         self.ids: dict[str, str] = {}  # of the runs, by their keys
         self.refused: list[str] = []
         self._client: MlflowClient | None = None
-        self._earlier: dict[str, str] | None = (
-            None  # ids of the runs of an earlier life, by their keys; None: not known
-        )
-        self._known: dict[tuple[str, str], set[tuple[int, float]]] = {}  # of a run and metric: steps and values there
+        self._earlier: dict[str, str] | None = None  # ids of runs of an earlier process, by key; None: not read yet
+        self._known: dict[
+            tuple[str, str], set[tuple[int, float]]
+        ] = {}  # steps and values in the store, by run and metric
 
-    def write(self, run: str, draft: Draft) -> None:
-        """Bring a draft into the store; raises while that does not answer."""
+    def write(self, run: str, draft: PendingRun) -> None:
+        """Write a draft of a run to the store; raises if the store does not answer."""
         from mlflow.entities import Metric, Param, RunTag
 
         client = self.opened()
         if run not in self.ids:
-            self.ids[run] = self._begun(client, run, draft)
+            self.ids[run] = self._run_id(client, run, draft)
         id = self.ids[run]
         metrics = [Metric(*point) for point in draft.metrics if not self._is_known(client, run, point)]
         params = [Param(*item) for item in draft.params.items()]
         tags = [RunTag(*item) for item in draft.tags.items()]
         while metrics or params or tags:
-            self._tried(run, partial(client.log_batch, id, metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]))
+            self._attempt(run, partial(client.log_batch, id, metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]))
             del metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]
         for file, folder in draft.artifacts:
-            self._tried(run, partial(self._filed, client, id, file, folder))
+            self._attempt(run, partial(self._upload, client, id, file, folder))
         if draft.view is not None:
             view = json.loads(draft.view) | {"searchFilter": f'tags.mlflow.parentRunId = "{id}"'}
             client.set_experiment_tag(self.experiment_id, VIEW_TAG + id, json.dumps(view))
@@ -92,8 +96,8 @@ class StudyStore:
             self._client = client
         return self._client
 
-    def _begun(self, client: MlflowClient, run: str, draft: Draft) -> str:
-        """Return the id of a run: of an earlier life, or a new one."""
+    def _run_id(self, client: MlflowClient, run: str, draft: PendingRun) -> str:
+        """Return the id of a run, of an earlier process or newly created."""
         if self._earlier is None:
             runs = all_runs(client, [self.experiment_id], f"tags.study_key = '{self.study}'")
             self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in runs}
@@ -106,11 +110,11 @@ class StudyStore:
         try:
             return client.create_run(self.experiment_id, draft.began, tags, draft.name).info.run_id
         except Exception:
-            self._earlier = None  # it may be there although its answer was lost: looked for before it is made again
+            self._earlier = None  # it may exist although the answer was lost: read again before the next attempt
             raise
 
-    def _filed(self, client: MlflowClient, id: str, file: Path, folder: str) -> None:
-        """Give a run a file; beside a SQLite store it is copied, which needs no server."""
+    def _upload(self, client: MlflowClient, id: str, file: Path, folder: str) -> None:
+        """Add a file to a run; beside a SQLite store it is copied, which needs no server."""
         own = own_files(self.uri, id)
         if own is None:
             client.log_artifact(id, str(file), folder or None)
@@ -119,16 +123,16 @@ class StudyStore:
         shutil.copyfile(file, own / folder / file.name)
 
     def _is_known(self, client: MlflowClient, run: str, point: Point) -> bool:
-        """Whether an earlier life has written a metric at its step."""
+        """Whether an earlier process has written a metric at its step."""
         if run not in (self._earlier or {}):
             return False
         if (run, point.key) not in self._known:
             history = client.get_metric_history(self.ids[run], point.key)
-            self._known[run, point.key] = {(there.step, there.value) for there in history}
+            self._known[run, point.key] = {(stored.step, stored.value) for stored in history}
         return (point.step, point.value) in self._known[run, point.key]
 
-    def _tried(self, run: str, action: Callable[[], object]) -> None:
-        """Do it; what the store refuses, though it answers, is noted."""
+    def _attempt(self, run: str, action: Callable[[], object]) -> None:
+        """Call an action of the client; keep the message if the store answers and refuses it."""
         from mlflow.exceptions import MlflowException
 
         try:

@@ -1,4 +1,4 @@
-"""What every tracker says: how a run ends, where the runs are, and that the store could not be written."""
+"""Status and record of tracked runs, and the error of a store that cannot be written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class TrackingError(MbdError):
 
 @dataclass(frozen=True)
 class Record:
-    """Where the runs are: the store, the experiment's id there, and the run id of every key."""
+    """The runs of a study in a store: URI, id of the experiment, and the run id of each key."""
 
     uri: str
     experiment_id: str

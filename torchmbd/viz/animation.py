@@ -1,19 +1,19 @@
-"""One self-contained HTML file of a moving mechanism: play, time, deformation scale, mouse rotation, histories.
+"""Animation of a mechanism in one self-contained HTML file: play, time, deformation scale, mouse rotation, histories.
 
-The file needs no network and no library (viewer.html, a canvas). It holds, for each flexible body, not the nodes of
-every frame but the few shapes they are made of,
+The file needs no network and no library (viewer.html, a canvas). Displacements of a flexible body are stored as few shapes
+with weights over time,
 
     u(t) = sum_j weight_j(t) shape_j            singular value decomposition of the displacements, cut at 1e-5
 
-Deformation is shown relative to the joints: the affine field through the displacements of the body's joint nodes is
-taken off what is exaggerated, so the parts stay joined at any scale, and at scale 1 the picture is the true motion.
+Exaggerated is the deformation relative to the joints: displacements less the affine field through those of the body's joint
+nodes. So bodies stay joined at any scale, and at scale 1 the picture is the true motion.
 
     plates    triangles, colored by the size of that deformation
     beams     lines, colored the same way
     rigid     a link through the joint frames of the body; a box at the center of mass where there is only one
-    joints    white disks; a triangle where a joint stands on the ground
+    joints    white disks; a triangle where a joint is on the ground
 
-Below stand the histories that a problem asks for, each with its name, unit and limits; without one the strain energies.
+Below are the histories of the responses of a problem with names, units and limits; without a problem the strain energies.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from torchmbd.design.words import unit
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, cut_quads
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
-from torchmbd.viz.panels import full_name, panels_of, shown
+from torchmbd.viz.panels import display_unit, full_name, panels_of
 
 _VIEWER = Path(__file__).with_name("viewer.html")
-_NONE = np.empty(0, dtype=int)  # elements of a kind that a body has not
+_NONE = np.empty(0, dtype=int)  # no elements
 _TOLERANCE = 1e-5  # of the largest displacement: below a pixel at any useful scale
 
 
@@ -52,9 +52,9 @@ def animate(
 
     motion      a Trajectory
     lane        which design of the batch
-    scale       exaggeration of the deformation at the opening; None: the largest is drawn as 5 % of the picture
-    max_frames  of more time points every n-th is kept
-    problem     whose objective and constraints are drawn over time; None: strain energies
+    scale       factor of the deformation at first; None: the largest deformation is drawn as 5 % of the picture
+    max_frames  time points at most; of more every n-th is kept
+    problem     its objective and constraints are drawn over time; None: strain energies
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
     >>> mbd.viz.animate(motion, "arm.html", title="An arm swings").name
@@ -79,7 +79,7 @@ def animate(
 
 
 def require_motion(motion: Any) -> None:
-    """InputError for what is no motion."""
+    """InputError unless the argument is a motion."""
     if not hasattr(motion, "status"):
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
 
@@ -111,16 +111,16 @@ def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
     bodies, visited, largest = [], [], 0.0
     for body in drawn:
         state = motion.body(body.name)
-        mine = [side for side in sides if index.get(side.body.name) == index[body.name]]
+        own_frames = [side for side in sides if index.get(side.body.name) == index[body.name]]
         r, A = _array(state.r)[lane][frames], _array(state.A)[lane][frames]
         entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
         if state.mesh is None:
-            points = np.array(_unique(_array(side.point).tolist() for side in mine)).reshape(-1, 3)
+            points = np.array(_unique(_array(side.point).tolist() for side in own_frames)).reshape(-1, 3)
             center = _array(body.center.detach()).reshape(1, 3)
             entry |= {"points": points.tolist(), "center": center[0].tolist()}
             local = (points if len(points) > 1 else np.concatenate([points, center]))[None]
         else:
-            local, size = _flexible(entry, state, lane, frames, {node for side in mine for node in _nodes(side)})
+            local, size = _flexible(entry, state, lane, frames, {node for side in own_frames for node in _nodes(side)})
             largest = max(largest, size)
         visited.append(r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:]))))
         bodies.append(entry)
@@ -142,10 +142,10 @@ def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
 
 
 def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray) -> list[dict[str, Any]]:
-    """A strip for each history that a problem asks for; none where it asks for a mass or a frequency alone."""
+    """Return a strip for each history of the responses of a problem; none for masses and frequencies."""
     strips = []
     for panel in [] if problem is None else panels_of(problem):
-        factor, name = shown(unit(panel.history))
+        factor, name = display_unit(unit(panel.history))
         y = factor * _array(panel.history(motion))[lane][frames]
         limits = [factor * limit for limit, _ in panel.limits]
         label = f"{full_name(panel.history)} ({'; '.join(panel.asked)})"
@@ -154,7 +154,7 @@ def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray)
 
 
 def _energies(scene: dict[str, Any]) -> list[dict[str, Any]]:
-    """One strip with the strain energies of all flexible bodies."""
+    """Return one strip with the strain energies of all flexible bodies."""
     curves = [{"name": body["name"], "y": body["energy"]} for body in scene["bodies"] if "energy" in body]
     return [{"label": "strain energy", "unit": "J", "limits": [], "curves": curves}] if curves else []
 
@@ -183,7 +183,7 @@ def _flexible(
 
 
 def _triangles(mesh: Any) -> list[int]:
-    """Corners of the plates, quadrilaterals cut in two; none of a line."""
+    """Return the corners of the plates, quadrilaterals cut in two; none for a line."""
     if not isinstance(mesh, Mesh):
         return []
     return torch.cat([mesh.triangles, cut_quads(mesh.nodes, mesh.quads).flatten(0, 1)]).flatten().tolist()
@@ -200,21 +200,21 @@ def through_joints(x: np.ndarray, u: np.ndarray, joints: list[int]) -> np.ndarra
 
 
 def _low_rank(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split u [t, n] = weights [t, k] @ shapes [k, n], with the fewest k that keep 1e-5 of the largest value."""
+    """Return shapes [k, n] and weights [t, k] with u [t, n] = weights @ shapes, up to 1e-5 of the largest singular value."""
     U, s, Vt = np.linalg.svd(u, full_matrices=False)
     k = max(1, int((s > _TOLERANCE * s[0]).sum()))
     return Vt[:k], U[:, :k] * s[:k]
 
 
 def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
-    """Return where to draw a joint: on its second body, and on the ground if it stands there, a line between them."""
+    """Return the markers of a joint: on its second body, and on the ground if it is there, with a line between both."""
     if type(joint).__name__ == "Drive":
-        return []  # acts on directions only; the revolute beside it is drawn
+        return []  # a drive has no point; the revolute joint beside it is drawn
     sides = sorted((joint.a, joint.b), key=lambda side: side.body.name in index)  # the ground first
-    shown = sides if sides[0].body.name not in index else [joint.b]
+    drawn = sides if sides[0].body.name not in index else [joint.b]
     markers = [
         {"body": index.get(side.body.name, -1), "point": _array(side.point).tolist(), "node": _node(side)}
-        for side in shown
+        for side in drawn
     ]
     if len(markers) == 2:
         markers[1]["rail"] = markers[0]["point"]
@@ -222,12 +222,12 @@ def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
 
 
 def _nodes(side: Any) -> tuple[int, ...]:
-    """Mesh nodes that carry a frame."""
+    """Return the mesh nodes to which a frame is attached."""
     return (side.body.index,) if isinstance(side.body, BeamNode) else side.interpolation.nodes
 
 
 def _node(side: Any) -> int | None:
-    """The mesh node to draw a frame at."""
+    """Return the mesh node at which a frame is drawn."""
     if isinstance(side.body, BeamNode):
         return side.body.index
     if side.interpolation is None:
@@ -240,7 +240,7 @@ def _unique(points: Iterable[list[float]]) -> list[list[float]]:
 
 
 def _round(x: float) -> float:
-    """Round to 1, 2 or 5 times a power of ten, downwards, at least 1."""
+    """Return x rounded down to 1, 2 or 5 times a power of ten, at least 1."""
     power = 10.0 ** np.floor(np.log10(x))
     return max(1.0, float(power * max(step for step in (1, 2, 5) if step * power <= x)))
 

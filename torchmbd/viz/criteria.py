@@ -1,4 +1,4 @@
-"""Pictures of a question: its objective and constraints over time and over iterations, with their limits; the parts of a sum.
+"""Figures of the objective and the constraints of a problem over time and over iterations; the parts of a weighted sum.
 
 Names and units come from the responses (design/words.py); angles are drawn in degrees. Checked in tests/viz/test_criteria.py.
 """
@@ -17,7 +17,7 @@ from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError
 from torchmbd.viz.animation import require_motion
 from torchmbd.viz.figures import BAD, BEST, CYCLE, LINE, OTHER, figure_of, over_time, titled, wrapped
-from torchmbd.viz.panels import SIGNS, first_limits, full_name, panels_of, shown
+from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from torchmbd.integrate import Trajectory
     from torchmbd.optimization.optimizer import Iterate
 
-_SHORT = 24  # characters beside a low row
-_FAR = 3.0  # a limit that is this many ranges of the curves away from them is written, not drawn
+_SHORT = 24  # characters of the label of a low row
+_FAR = 3.0  # ranges of the curves: a limit that is farther away is written, not drawn
 
 
 def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
-    """The histories behind the objective and the constraints of a problem, with the limits; a curve for each design.
+    """The histories of the objective and the constraints of a problem, with their limits; a curve for each design.
 
     problem  an mbd.Problem
     motion   its motion, a lane for each design, as problem.simulate(X)
     labels   a name for each lane
     title    of the figure
 
-    None where the problem asks for no history, but for a mass or a frequency.
+    None for a problem of masses and frequencies, which has no histories.
 
     >>> arm = mbd.examples.arm()
     >>> energy = mbd.StrainEnergy("arm")
@@ -57,7 +57,7 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     figure, rows = figure_of(1.0 + 2.1 * len(panels), rows=len(panels))
     t = motion.t.numpy()
     for axes, panel in zip(rows, panels, strict=True):
-        factor, name = shown(unit(panel.history))
+        factor, name = display_unit(unit(panel.history))
         values = factor * np.asarray(panel.history(motion).detach())
         for y, label, color in zip(values, labels, _colors(len(labels)), strict=True):
             over_time(axes, t, y, label, color)
@@ -104,12 +104,12 @@ def criteria_over_iterations(
         steps = [iterate.iteration for iterate in searches[name]]
         for axes, curve in zip(rows, _curves(problem, searches[name]), strict=True):
             axes.plot(steps, curve, marker="o", ms=2.5, **style)
-    factor, name = shown(unit(problem.stated_objective))
+    factor, name = display_unit(unit(problem.stated_objective))
     rows[0].set_ylabel(_label(words(problem.stated_objective), name, _SHORT), fontsize=8)
     if all(value > 0.0 for line in rows[0].lines for value in np.asarray(line.get_ydata(), dtype=float)):
         rows[0].set_yscale("log")
     for axes, constraint, limit in zip(rows[1:], problem.constraints, first_limits(problem), strict=True):
-        factor, name = shown(unit(constraint.measure))
+        factor, name = display_unit(unit(constraint.measure))
         drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
         _limits(axes, drawn, [(factor * limit, constraint.kind)], name)
         axes.set_ylabel(_label(words(constraint.measure), name, _SHORT), fontsize=8)
@@ -121,7 +121,7 @@ def criteria_over_iterations(
 
 
 def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
-    """The parts of an objective that is a sum, each with its weight: a bar for each design; None for any other objective.
+    """The parts of an objective that is a sum, times their weights: a bar for each design; None for other objectives.
 
     Arguments as of `criteria_over_time`.
 
@@ -137,7 +137,7 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
     if not isinstance(problem.stated_objective, Total) or len(problem.stated_objective.terms) < 2:
         return None
     measure = problem.reference.measures[0]
-    if problem.sign < 0.0:  # it is the negative of what is asked for
+    if problem.sign < 0.0:  # the measure is the negative of the objective
         assert isinstance(measure, Total)
         [(_, measure)] = measure.terms
     assert isinstance(measure, Total)
@@ -172,21 +172,21 @@ def _require(problem: Any) -> None:
 
 
 def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
-    """Objective, and every constrained response, over the iterates; of several rows the one nearest to its limit."""
-    factor, _ = shown(unit(problem.stated_objective))
+    """Return objective and constrained responses over the iterates; of several rows the one nearest to its limit."""
+    factor, _ = display_unit(unit(problem.stated_objective))
     curves = [problem.sign * factor * np.array([iterate.objective for iterate in history])]
     scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
     for constraint, own in zip(problem.constraints, problem.constraint_rows, strict=True):
         part = scaled[:, problem.peaks + own.start : problem.peaks + own.stop]
         nearest = np.argmax(np.abs(part) if constraint.kind == "equal" else part, axis=1)
         values = part * problem.reference.scale[own] + problem.limits[own]
-        factor, _ = shown(unit(constraint.measure))
+        factor, _ = display_unit(unit(constraint.measure))
         curves.append(factor * np.take_along_axis(values, nearest[:, None], 1)[:, 0])
     return curves
 
 
 def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]], name: str) -> None:
-    """Draw limits that are near the curves; write those that are far."""
+    """Draw limits near the curves as lines, and write those that are far away."""
     good = values[np.isfinite(values)]
     low, high = (float(good.min()), float(good.max())) if good.size else (0.0, 1.0)
     reach = _FAR * max(high - low, 0.05 * max(abs(low), abs(high)))

@@ -1,10 +1,10 @@
-"""The design space: what was visited, where searches went, in which minimum they ended.
+"""Figure of the design space: evaluated designs, paths of searches, and the minima in which they ended.
 
 One variable: objective over the variable, all evaluations as dots, the paths of the starts on them.
-Two variables: evaluations as dots colored by their objective, contours between them where they are enough.
+Two variables: evaluations as dots colored by their objective; with contours if there are enough of them.
 More variables: the same in the plane in which the searches spread most (principal components of their designs, each variable
 divided by its range), without contours: designs that lie on top of each other may differ.
-Searches that end in the same minimum have the same color: its basin, as far as it was seen.
+Searches that end in the same minimum have the same color.
 Checked in tests/viz/test_design_map.py.
 """
 
@@ -91,7 +91,7 @@ def design_map(
 def _projected(
     paths: Mapping[str, np.ndarray], visited: tuple[np.ndarray, np.ndarray] | None, headings: list[str]
 ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, np.ndarray] | None, list[str]]:
-    """Paths and visited designs in the plane in which the paths spread most, with headings of its axes."""
+    """Return paths and visited designs in the plane in which the paths spread most, with headings of its axes."""
     X = np.concatenate([np.asarray(path, dtype=float) for path in paths.values()])
     middle, span = X.mean(0), np.ptp(X, axis=0)
     span = np.where(span > 0.0, span, 1.0)

@@ -1,6 +1,6 @@
-"""Where a laminated body is nearest to failure: the largest failure index of the motion over its cells, and over its beams.
+"""Figure of the largest failure index of a motion over the cells and beams of a laminated body.
 
-Plates and shells: colors on the mesh, seen from the side that shows most of it. Beams: the index along their axes.
+Plates and shells: colors on the mesh, seen along the axis in which it spreads least. Beams: the index along their axes.
 Checked in tests/viz/test_criteria.py.
 """
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from torchmbd.integrate import Trajectory
 
-_CHUNK = 500_000  # indices that are looked through at once
+_CHUNK = 500_000  # indices in memory at once
 _FACES = ("bottom", "top")
 
 
@@ -59,10 +59,10 @@ def failure_map(
 
 
 def _of_plates(motion: Trajectory, body: str, criterion: str) -> list[tuple[np.ndarray, str]]:
-    """Of every lane: the largest index of each cell, and a sentence on the largest of all."""
+    """Return for each lane the largest index of each cell, and a text about the largest of all."""
     plies = PlyHistory(motion, body)
     if plies.strength is None or criterion not in CRITERIA:
-        plies.failure(criterion)  # says what is wrong
+        plies.failure(criterion)  # raises InputError
     assert plies.strength is not None
     cells = int(plies.points[:, 0].max()) + 1
     found = []
@@ -80,12 +80,12 @@ def _of_plates(motion: Trajectory, body: str, criterion: str) -> list[tuple[np.n
 
 
 def _largest(index: Any, w: Tensor, points: int) -> tuple[Tensor, Tensor]:
-    """The largest index of every point over the times, and the number of its time."""
+    """Return the largest index of each point over the times, and the index of its time."""
     largest = torch.full((points,), -torch.inf, dtype=w.dtype)
     when = torch.zeros(points, dtype=torch.long)
     size = max(1, _CHUNK // points)
-    for k, some in enumerate(w.split(size)):
-        value, time = index(some.nan_to_num()).reshape(len(some), points).max(0)
+    for k, chunk in enumerate(w.split(size)):
+        value, time = index(chunk.nan_to_num()).reshape(len(chunk), points).max(0)
         when = torch.where(value > largest, time + k * size, when)
         largest = torch.maximum(largest, value)
     return largest, when
@@ -121,7 +121,7 @@ def _on_mesh(owner: Any, found: list[tuple[np.ndarray, str]], labels: Sequence[s
 
 
 def _flat(nodes: np.ndarray) -> np.ndarray:
-    """Nodes [n, 3] seen along the axis in which they spread least; in axes of the body where these do it."""
+    """Return the nodes [n, 3] seen along the axis in which they spread least [n, 2]; in body axes if they are flat in one."""
     spread = np.ptp(nodes, axis=0)
     axes = np.sort(np.argsort(-spread)[:2])
     if spread.min() <= 1e-9 * spread.max():
@@ -138,7 +138,7 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
     for axes, key in zip(rows, parts, strict=True):
         basis, strength = beams.basis(key)
         if strength is None:
-            beams.failure(criterion)  # says what is wrong
+            beams.failure(criterion)  # raises InputError
         assert strength is not None
         x = _lengths(owner.beams[key].matrices.length.detach())
         for lane, (label, color) in enumerate(zip(labels, CYCLE * len(labels), strict=False)):
@@ -157,7 +157,7 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
 
 
 def _lengths(sizes: Tensor) -> np.ndarray:
-    """How far both ends of elements are along their axes [m], element after element."""
+    """Return the positions of both ends of each element along the beam [m]."""
     return torch.stack([torch.cumsum(sizes, 0) - sizes, torch.cumsum(sizes, 0)], 1).flatten().numpy()
 
 

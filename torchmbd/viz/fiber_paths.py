@@ -65,7 +65,10 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
 
 
 def _plane(matrices: Any, axes: torch.Tensor) -> tuple[tuple[np.ndarray, np.ndarray], Any]:
-    """The grid x, y along the laminate's axes, and what brings numbers of cells to it (masked outside of the body)."""
+    """Return the grid x, y along the laminate's axes, and a function that interpolates numbers of cells to its points.
+
+    Points outside of the body are masked.
+    """
     from matplotlib.tri import LinearTriInterpolator, Triangulation
 
     split = {"triangle": [[0, 1, 2]], "quad": [[0, 1, 2], [0, 2, 3]]}

@@ -53,7 +53,7 @@ def convergence(
         top.legend(frameon=False, loc="upper right")
     bottom.set_ylabel("violation")
     if not any(value > 0.0 for values in violations.values() for value in values):
-        bottom.set_yticks([0.0])  # a scale of nothing says nothing
+        bottom.set_yticks([0.0])  # a scale would show rounding only
     bottom.set_xlabel("iteration")
     bottom.locator_params(axis="x", integer=True)
     top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
@@ -85,7 +85,7 @@ def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = ""
 
 
 def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> None:
-    """Draw a history [times]; one that is nan from a time on, as of a failed lane, ends there with a cross, and says so."""
+    """Draw a history [times]; the curve of a failed lane, nan from a time on, ends with a cross and a note in its label."""
     t, y = (_plain(x) for x in (t, y))
     good = np.flatnonzero(np.isfinite(y))
     last = int(good[-1]) if len(good) else 0
@@ -97,7 +97,7 @@ def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> Non
 
 
 def _plain(x: Any) -> np.ndarray:
-    """Numbers, of a tensor without its graph."""
+    """Return numbers as an array, a tensor detached."""
     return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=float)
 
 
@@ -148,13 +148,13 @@ def save(figure: Figure, path: str | Path) -> Path:
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"path = {str(path)!r}: allowed endings: .png, .pdf, .svg")
     for line in (line for axes in figure.axes for line in axes.lines):
-        line.set_in_layout(False)  # curves lie inside their axes: what surrounds these is arranged in half the time
+        line.set_in_layout(False)  # lines lie inside their axes: without them the layout takes half the time
     figure.savefig(path, dpi=160)
     return path
 
 
 def titled(figure: Figure, title: str) -> Figure:
-    """The figure with a title, in lines of its width."""
+    """Return the figure with a title, wrapped to its width."""
     if title:
         figure.suptitle("\n".join(textwrap.wrap(title, 75)), x=0.01, ha="left", fontsize=10)
     return figure
@@ -169,11 +169,11 @@ def degrees(axes: Axes, x: str = "", y: str = "") -> None:
             axis.set_major_locator(MaxNLocator(nbins=9, steps=[1.5, 3.0, 4.5, 9.0]))
 
 
-LINE = 95  # characters of the smallest letters that have room in the width of a figure
+LINE = 95  # characters of the smallest letters in the width of a figure
 
 
 def wrapped(text: str, width: int) -> str:
-    """A long title of an axis in several lines."""
+    """Return a text in lines of so many characters."""
     return "\n".join(line for part in text.splitlines() for line in textwrap.wrap(part, width))
 
 

@@ -1,6 +1,6 @@
-"""A motion as a film for slides and papers: GIF, or MP4 where ffmpeg is installed.
+"""Films of motions for slides and papers: GIF, or MP4 where ffmpeg is installed.
 
-The picture is that of animation.py, seen along one axis: the same scene, deformation exaggerated the same way.
+They show the scene of animation.py, with the same exaggeration of the deformation, seen along one axis.
 Drawn by matplotlib, without a display. Checked in tests/viz/test_film.py.
 """
 
@@ -62,15 +62,17 @@ def film(
         raise InputError(f"view = {view!r}; allowed: {', '.join(_ACROSS)}")
     shown = scene["scale"] if scale is None else float(scale)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    draw = _Drawing(figure, scene, shown, list(_ACROSS[axis]))
-    movie = FuncAnimation(figure, draw.frame, frames=len(draw.t), interval=1000.0 / frames_per_second, blit=False)
+    drawing = _Drawing(figure, scene, shown, list(_ACROSS[axis]))
+    movie = FuncAnimation(figure, drawing.frame, frames=len(drawing.t), interval=1000.0 / frames_per_second, blit=False)
     movie.save(path, writer=writers[_WRITERS[path.suffix]](fps=frames_per_second), dpi=100)
     return path
 
 
 def positions(body: dict[str, Any], frames: int, scale: float) -> np.ndarray:
-    """Points of a body of a scene in ground axes [frames, n, 3]: deformed nodes; joints of a rigid body, a single one with
-    the center of mass."""
+    """Return the points of a body of a scene in ground axes [frames, n, 3].
+
+    These are deformed nodes, or the joints of a rigid body; with the center of mass if there is only one joint.
+    """
     r, A = _array(body["r"], frames, 1, 3), _array(body["A"], frames, 3, 3)
     if "weights" not in body:
         points = body["points"]

@@ -1,6 +1,6 @@
-"""What a problem asks of a motion: every history of its objective and its constraints once, with limits and windows.
+"""The histories of the objective and the constraints of a problem, each once, with limits and windows.
 
-Pictures over time (criteria.py) and animations (animation.py) have a panel for each. Checked in tests/viz/test_criteria.py.
+Figures over time (criteria.py) and animations (animation.py) have a panel for each. Checked in tests/viz/test_criteria.py.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ SIGNS = {"at_most": "at most", "at_least": "at least", "equal": "equal to"}
 
 @dataclass
 class Panel:
-    """A history with what the problem asks of it."""
+    """A history with the responses, limits and windows that use it."""
 
     history: History
-    asked: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)  # such as "minimize integral of ..."
     limits: list[tuple[float, str]] = field(default_factory=list)  # number [SI], kind
     windows: list[tuple[float, float]] = field(default_factory=list)
 
 
 def panels_of(problem: Problem) -> list[Panel]:
-    """One for every history, in the order of the question."""
+    """Return a panel for each history, objective first."""
     found: list[Panel] = []
     limits = first_limits(problem)
     for asked, limit in [(problem.stated_objective, None), *zip(problem.constraints, limits, strict=True)]:
@@ -38,8 +38,8 @@ def panels_of(problem: Problem) -> list[Panel]:
             panel = next((known for known in found if known.history == history), None)
             if panel is None:
                 found.append(panel := Panel(history))
-            panel.asked.append(_asked(asked, limit, "minimize" if problem.sign > 0.0 else "maximize"))
-            # A limit of the history itself: not of its integral, nor of what is computed of its measure.
+            panel.asked.append(_question_words(asked, limit, "minimize" if problem.sign > 0.0 else "maximize"))
+            # Only limits of the history itself are drawn, not those of its integral or of other functions of it.
             if isinstance(asked, Constraint) and measure is outer and _of_one_unit(measure, history):
                 panel.limits.append((float(limit or 0.0), asked.kind))
             if (window := getattr(measure, "window", None)) is not None:
@@ -52,20 +52,20 @@ def _of_one_unit(measure: Measure, history: History) -> bool:
     return kinds and unit(measure) == unit(history)
 
 
-def _asked(asked: Measure | Constraint, limit: float | None, goal: str) -> str:
+def _question_words(asked: Measure | Constraint, limit: float | None, goal: str) -> str:
     if isinstance(asked, Measure):
         return f"{goal} {words(asked, bodies=False)}"
-    factor, name = shown(unit(asked.measure))
+    factor, name = display_unit(unit(asked.measure))
     return f"{words(asked.measure, bodies=False)} {SIGNS[asked.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
 
 
 def first_limits(problem: Problem) -> list[float]:
-    """The limit of every constraint [SI]: all rows of one have the same."""
+    """Return the limit of each constraint [SI]; its rows have the same limit."""
     return [float(problem.limits[rows.start]) for rows in problem.constraint_rows]
 
 
 def histories_of(measure: Measure) -> Iterator[tuple[History, Measure]]:
-    """Every history that a measure is made of, and the measure that takes it."""
+    """Yield every history of which a measure is computed, with the innermost measure that uses it."""
     values: list[Any] = [getattr(measure, f.name) for f in fields(measure)] if is_dataclass(measure) else []
     while values:
         value = values.pop(0)
@@ -77,13 +77,13 @@ def histories_of(measure: Measure) -> Iterator[tuple[History, Measure]]:
             values = [*value, *values]
 
 
-def shown(si: str | None) -> tuple[float, str]:
-    """The factor and the name of the unit in which numbers of an SI unit are drawn."""
+def display_unit(si: str | None) -> tuple[float, str]:
+    """Return factor and name of the unit in which numbers of an SI unit are drawn: degrees for angles."""
     return (180.0 / math.pi, "deg") if si == "rad" else (1.0, si or "")
 
 
 def full_name(history: History) -> str:
-    """A history in words, with the point and the direction that it is of."""
+    """Return a history in words, with its point and direction."""
     node, axis = (getattr(history, name, None) for name in ("node", "axis"))
     own = [node, None if isinstance(axis, str) else axis]
     return ", ".join([words(history), *(str(x) for x in own if x is not None)])

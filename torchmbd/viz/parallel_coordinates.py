@@ -1,4 +1,4 @@
-"""All starts of a study at once: a line for each design, over one axis for each variable and one for the objective.
+"""Parallel coordinates of designs: a line for each, over one axis for each variable and one for the objective.
 
 Checked in tests/viz/test_criteria.py.
 """
@@ -17,7 +17,7 @@ from torchmbd.viz.figures import BEST, OTHER, figure_of, titled, wrapped
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ROOM = 3  # lines below an axis
+_LINES = 3  # of a heading below an axis
 
 
 def parallel_coordinates(
@@ -76,7 +76,7 @@ def parallel_coordinates(
         axes.vlines(k, 0.0, 1.0, color="#444444", lw=0.8, zorder=0)  # between its numbers, not through them
         for edge, text, va in ((-0.03, low[k], "top"), (1.03, high[k], "bottom")):
             axes.text(k, edge, f"{text:.4g}", ha="center", va=va, fontsize=7)
-    if len(_lines(objective)) > _ROOM:  # a long objective has its own line below
+    if len(_lines(objective)) > _LINES:  # a long objective has its own line below
         axes.set_xlabel(wrapped(f"objective: {objective}", 90), fontsize=8, labelpad=8)
         objective = "objective" + "".join(objective.rpartition(" [")[1:]) * objective.endswith("]")
     words = [*headings, objective]

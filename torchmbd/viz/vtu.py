@@ -1,4 +1,4 @@
-"""Meshes, modes and motions for ParaView: VTU files, and a PVD file that strings them along the time.
+"""Meshes, modes and motions for ParaView: VTU files, and a PVD file that lists them with their times.
 
     save_mesh(body, "rod.vtu")            the undeformed mesh, with the zone and x-axis of the laminates, and
                                           the fibers of each layer
@@ -71,9 +71,9 @@ def save_modes(body: Any, path: str | Path) -> Path:
     'arm.vtu'
     """
     with torch.no_grad():
-        made = body.structure()
-    values, turn = torch.linalg.eigh(made["Kr"])
-    shapes = (made["psi"] @ turn)[:, :3]
+        structure = body.structure()
+    values, turn = torch.linalg.eigh(structure["Kr"])
+    shapes = (structure["psi"] @ turn)[:, :3]
     size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
     fields = {}
     for k, value in enumerate(values.tolist()):
@@ -109,8 +109,8 @@ def save_motion(
     for part, body in enumerate((*motion.system.bodies, *motion.system.beams)):
         if isinstance(body, BeamNode):
             continue  # drawn with its beam
-        bends = isinstance(body, FlexibleBody | FlexibleBeam)
-        frame = _flexible(motion, body, lane, criterion) if bends else _rigid(motion, body, lane)
+        flexible = isinstance(body, FlexibleBody | FlexibleBeam)
+        frame = _flexible(motion, body, lane, criterion) if flexible else _rigid(motion, body, lane)
         if frame is None:
             continue
         for number, index in enumerate(frames.tolist()):
@@ -169,7 +169,7 @@ def _array(name: str, values: Any) -> str:
 
 
 def _cells(mesh: Any) -> list[tuple[int, Any]]:
-    """Plates in the order of their numbers, then lines."""
+    """Return the cells by VTK type: plates in the order of their numbers, then lines."""
     if isinstance(mesh, BeamLine):
         return [(_LINE, mesh.elements)]
     return [(_TRIANGLE, mesh.triangles), (_QUAD, mesh.quads), (_LINE, mesh.lines)]
@@ -199,7 +199,7 @@ def _flexible(motion: Any, body: Any, lane: int, criterion: str | None) -> Any:
 
 
 def _rigid(motion: Any, body: Any, lane: int) -> Any:
-    """Lines from the origin of the body to its joints; None for a body without joints."""
+    """Return a function of frames: lines from the origin of a rigid body to its joints; None for a body without joints."""
     sides = [side for joint in motion.system.joints for side in (joint.a, joint.b) if side.body.name == body.name]
     if not sides:
         return None
