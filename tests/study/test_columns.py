@@ -39,7 +39,9 @@ def test_criteria_of_two_bodies_are_named_by_them():
     measures = [mbd.Integral(mbd.StrainEnergy(body)) for body in ("inner", "outer")]
     reference = SimpleNamespace(scale=np.ones(1))
     constraint = SimpleNamespace(measure=measures[1])
-    problem = SimpleNamespace(asked=measures[0], constraints=[constraint], reference=reference, limits=np.array([2.0]))
+    problem = SimpleNamespace(
+        stated_objective=measures[0], constraints=[constraint], reference=reference, limits=np.array([2.0])
+    )
     first, other = Evaluation(4.0, np.array([0.0])), Evaluation(2.0, np.array([1.0]))
     found = _criteria(cast(Any, problem), first, [other])
     assert found == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
