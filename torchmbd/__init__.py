@@ -6,8 +6,8 @@ problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
 study = mbd.load(run, model="arm.py")    a tracked study as objects again
 
-The names are those of torchmbd.api, which is imported when the first of them is asked for: torch takes seconds, and
-`torchmbd --help`, `torchmbd best` and the processes beside a study do without.
+The names are those of torchmbd.api, which is imported at the first access to one of them: it imports torch, which takes
+seconds, and `torchmbd --help` and `torchmbd best` do not need it.
 """
 
 from __future__ import annotations

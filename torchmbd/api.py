@@ -1,4 +1,4 @@
-"""Every public name, in one place: what `mbd.` offers. `import torchmbd` alone loads none of it, see there.
+"""All public names of `mbd.`; `import torchmbd` alone imports none of them, see torchmbd/__init__.py.
 
 Over 300 lines: a line for each name.
 Checked in tests/test_api.py.
@@ -126,7 +126,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """`Study`, with all that tracks and reports, is imported when it is asked for."""
+    """Import `Study` at the first access: it imports tracking and reports."""
     if name != "Study":
         raise AttributeError(f"module 'torchmbd.api' has no attribute {name!r}")
     from torchmbd.study.study import Study
@@ -146,7 +146,7 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
     >>> study.x.shape, study.value > 0.0, study.motion.status
     ((2,), True, ['ok'])
     """
-    from torchmbd.study.stored_run import load_run  # the experiment floor is imported when a study is wanted
+    from torchmbd.study.stored_run import load_run  # imports pydantic, rich and figures
 
     return load_run(run, uri, model)
 
