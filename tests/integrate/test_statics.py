@@ -191,3 +191,15 @@ def test_stresses_of_an_equilibrium():
     one, other = (mbd.PlyHistory(m, "rod").stress().detach() for m in (rest, motion))
     assert float(one.abs().max()) > 1e3
     assert_close(one[:, 0], other[:, -1], rtol=1e-6, atol=1e-3)
+
+
+def test_frequencies_are_refused_under_transforms():
+    """They have values only: a derivative would be zero."""
+    arm, angles = mbd.examples.arm(), mbd.deg([45.0, -45.0])
+
+    def frequencies(x: torch.Tensor) -> torch.Tensor:
+        return mbd.equilibrium(arm, designs={"arm.laminate.angles": x}).frequencies
+
+    assert bool((frequencies(angles) > 0.0).all())
+    with pytest.raises(mbd.InputError, match="frequencies of an equilibrium are differentiated"):
+        torch.func.jvp(frequencies, (angles,), (torch.ones_like(angles),))

@@ -23,6 +23,7 @@ from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import entry_labels, lanes_of_batch, plain, trajectory_of, variable_names
 from torchmbd.math.checked_numbers import reals
+from torchmbd.math.gradients import in_transform
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
@@ -58,7 +59,15 @@ class Equilibrium(Trajectory):
 
     @property
     def frequencies(self) -> Tensor:
-        """Natural frequencies [lanes, freedoms] [Hz] at the last time; see Vibrations. Values only."""
+        """Natural frequencies [lanes, freedoms] [Hz] at the last time; see Vibrations.
+
+        Values only: InputError under torch.func, where their derivatives would be zero.
+        """
+        if in_transform(self.q):
+            raise InputError(
+                "frequencies of an equilibrium are differentiated, and have values only; allowed: mbd.Frequency of a body, "
+                "mbd.ExactBeam.frequencies, or finite differences"
+            )
         return torch.stack([x.frequencies for x in self.vibrations])
 
     @property
