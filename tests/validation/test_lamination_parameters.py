@@ -16,7 +16,7 @@ import torch
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import freedoms, solved, stiffness
 from torchmbd.fem.elements import PlateMatrices
-from torchmbd.fem.materials.laminate import turning
+from torchmbd.fem.materials.laminate import strain_rotations
 
 PLY = mbd.Ply(E1=54e9, E2=18e9, G12=9e9, G13=9e9, G23=9e9, nu12=0.25, density=1550.0)
 EDGES = ("left_edge", "right_edge", "bottom_edge", "top_edge")
@@ -85,7 +85,7 @@ def deflections(n: int, D: np.ndarray, As: np.ndarray) -> list[tuple[float, floa
 @pytest.mark.thorough
 def test_plate_of_tacs():
     X = laminate().stiffness()
-    T, R = (x[0] for x in turning(torch.full((1,), np.pi / 4, dtype=torch.float64)))
+    T, R = (x[0] for x in strain_rotations(torch.full((1,), np.pi / 4, dtype=torch.float64)))
     D, As = ((turn.T @ own @ turn).detach().numpy() for turn, own in ((T, X.D), (R, X.As)))
     A = (T.T @ X.A @ T).detach().numpy()
     (force, high), (pressure, highest) = deflections(10, D, As)
