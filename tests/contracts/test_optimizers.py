@@ -265,7 +265,7 @@ def test_contradictory_constraints(method):
     result = solve(problem, method, max_iterations=200)
     assert result.status == "infeasible"
     assert result.violation == pytest.approx(1.0, abs=1e-6)  # at x1 = 0, and no design has less
-    assert "constraints [0, 1] fight" in result.message
+    assert "constraints [0, 1] conflict" in result.message
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -4,6 +4,7 @@
 
 Inputs are named as the parameters, with colons: "rod:laminate:angles". All numbers are SI units and radians, without units of
 OpenMDAO. The Jacobian is one gradient of all responses; OpenMDAO multiplies with it in both directions.
+A function over 60 lines: the class of the component is made inside it, when OpenMDAO is imported.
 Source: J. S. Gray et al., OpenMDAO: an open-source framework for multidisciplinary design, analysis, and optimization,
 Struct. Multidisc. Optim. 59 (2019) 1075-1104, doi:10.1007/s00158-019-02211-z.
 Checked in tests/design/test_openmdao_component.py.

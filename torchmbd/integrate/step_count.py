@@ -109,13 +109,13 @@ def needed_steps(
     steps: int,
     statistics: Mapping[str, Any],
     status: Sequence[str],
-    faults: Mapping[int, str],
+    start_errors: Mapping[int, str],
     contacts: Mapping[int, UnresolvedContact],
 ) -> int:
-    """How many steps the lanes of a motion of so many need; lanes without an initial state (`faults`) need no more."""
+    """How many steps the lanes of a motion of so many need; lanes without an initial state (`start_errors`) need no more."""
     needed = steps
     for lane, reason in enumerate(status):
-        if lane in faults:
+        if lane in start_errors:
             continue
         if lane in contacts:
             needed = max(needed, steps * contacts[lane].substeps)

@@ -81,18 +81,17 @@ def optimize(
 
     with shown(progress, method, max_iterations) as show:
         report = both(lambda one: show(one.iteration, one.objective), callback)
-        search = Search(
+        search = Search.of(
+            problem,
             problem.evaluate,
             x,
             lower,
             upper,
             scale=variable_scale(x, lower, upper) if scaling else None,
-            equalities=getattr(problem, "equalities", None),
             feasibility=feasibility,
             eager_gradients=eager_gradients,
             max_analyses=max_analyses,
             report=report,
-            tighten=getattr(problem, "with_least_bound", None),
         )
         return run_start(search, function, method, max_iterations, options, problem)
 
@@ -153,7 +152,7 @@ def restore_feasibility(
         return function(search, remaining, **options)
     if least.violation <= search.feasibility:
         return Ending(least.y, "max_iterations", f"{ending.message}; a feasible design was found")
-    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.conflicting} fight"
+    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.conflicting} conflict"
     return Ending(least.y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 

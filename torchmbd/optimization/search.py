@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import itemgetter
+from typing import Any, Self
 
 import numpy as np
 
@@ -79,6 +80,16 @@ class Search:
         self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
         self._cache = MemoryStore[Evaluation]()  # physical units
         self._ranks: dict[bytes, tuple[tuple[bool, float], np.ndarray]] = {}  # with y, of what succeeded
+
+    @classmethod
+    def of(cls, problem: Any, evaluate_batch: EvaluateBatch, *box: np.ndarray, **settings: Any) -> Self:
+        """Return a search of a problem, with the equalities and the extra variable that the problem may have.
+
+        box       start, lower, upper [n]
+        settings  keyword arguments of the class
+        """
+        equalities, tighten = getattr(problem, "equalities", None), getattr(problem, "with_least_bound", None)
+        return cls(evaluate_batch, *box, equalities=equalities, tighten=tighten, **settings)
 
     @property
     def size(self) -> int:

@@ -146,10 +146,10 @@ def _check_nodes(nodes: Tensor) -> None:
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
     warn_unusual("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
-    twin = _repeated(nodes.numpy())
-    if twin:
+    duplicate = _repeated(nodes.numpy())
+    if duplicate:
         raise InputError(
-            f"BeamLine: nodes {twin[0]} and {twin[1]} share one place {nodes[twin[1]].tolist()}; merge them"
+            f"BeamLine: nodes {duplicate[0]} and {duplicate[1]} share one place {nodes[duplicate[1]].tolist()}; merge them"
         )
 
 
@@ -162,10 +162,10 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         raise InputError(
             f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
         )
-    twin = _repeated(np.sort(elements.numpy(), axis=1))
-    if twin:
+    duplicate = _repeated(np.sort(elements.numpy(), axis=1))
+    if duplicate:
         raise InputError(
-            f"BeamLine: elements {twin[0]} and {twin[1]} are duplicates, nodes {elements[twin[1]].tolist()}"
+            f"BeamLine: elements {duplicate[0]} and {duplicate[1]} are duplicates, nodes {elements[duplicate[1]].tolist()}"
         )
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()

@@ -209,11 +209,11 @@ def _radial(places: Tensor, points: Tensor, radius: float) -> tuple[Tensor, Tens
     s = (arm.norm(dim=-1) / radius).clamp(max=1.0)
     phi, slope = (1 - s) ** 4 * (4 * s + 1), (-20.0 * (1 - s) ** 3 / radius**2)[..., None] * arm
     total = phi.sum(1, keepdim=True)
-    bare = (total[:, 0] == 0.0).nonzero().flatten()
-    if len(bare):
+    no_control = (total[:, 0] == 0.0).nonzero().flatten()
+    if len(no_control):
         raise InputError(
-            f"radius of a FiberField is {radius!r} m: cell {int(bare[0])} and {len(bare) - 1} others have no control so near; "
-            "allowed: a larger radius, or more controls"
+            f"radius of a FiberField is {radius!r} m: cell {int(no_control[0])} and {len(no_control) - 1} others "
+            "have no control so near; allowed: a larger radius, or more controls"
         )
     W = phi / total
     return W, (slope.mT - W[:, None] * slope.sum(1)[..., None]) / total[:, None]

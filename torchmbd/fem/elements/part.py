@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -23,6 +23,7 @@ class MassPoints(NamedTuple):
     arm: Float[Tensor, "*lanes points 3"] | None = None
 
 
+@runtime_checkable
 class Part(Protocol):
     """A part of an assembly. `pattern`: of its stiffness, size 6 * nodes of the mesh."""
 

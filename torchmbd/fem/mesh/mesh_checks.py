@@ -124,11 +124,11 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
         raise InputError(f"Mesh: {mesh.cell_name(start + k)} has nodes {corners[k].tolist()}; allowed: 0 to {n - 1}")
     ordered = np.sort(corners.numpy(), axis=1)
     _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
-    twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
-    if len(twin):
-        k = int(twin[0])
+    duplicate = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
+    if len(duplicate):
+        k = int(duplicate[0])
         one, two = mesh.cell_name(start + int(first[inverse.ravel()[k]])), mesh.cell_name(start + k)
-        _refuse(mesh, f"Mesh: {one} and {two} are duplicates, nodes {corners[k].tolist()}", len(twin))
+        _refuse(mesh, f"Mesh: {one} and {two} are duplicates, nodes {corners[k].tolist()}", len(duplicate))
     p = mesh.nodes[corners]
     ahead, back, area = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p, directed_area(p)
     height = torch.linalg.cross(ahead, back)  # of every corner: twice its triangle's directed area

@@ -79,9 +79,9 @@ class SectionMesh:
                 f"SectionMesh: node {int(bad[0])} is at {self.nodes[bad[0]].tolist()}; allowed: finite coordinates"
             )
         _, first, inverse = np.unique(self.nodes.numpy(), axis=0, return_index=True, return_inverse=True)
-        twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.nodes)))
-        if len(twin):
-            pair = (int(first[inverse.ravel()[twin[0]]]), int(twin[0]))
+        duplicate = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.nodes)))
+        if len(duplicate):
+            pair = (int(first[inverse.ravel()[duplicate[0]]]), int(duplicate[0]))
             raise InputError(f"SectionMesh: nodes {pair[0]} and {pair[1]} share one place; merge them")
         if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
             raise InputError("SectionMesh: plane_angle holds numbers that are not finite; allowed: finite, in rad")

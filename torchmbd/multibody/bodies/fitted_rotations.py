@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.fem.elements import Assembly
+
 
 class FittedRotations:
     """Adds fitted rotations to the motion of nodes.
@@ -27,6 +29,16 @@ class FittedRotations:
         square = (self.d * self.d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype)
         T = x.new_zeros(len(x), 3, 3).index_add(0, self.at, square - self.d[:, :, None] * self.d[:, None, :])
         self.inverse = torch.from_numpy(np.linalg.pinv(T.numpy(), rcond=1e-9, hermitian=True)) if self.any else T
+
+    @classmethod
+    def of(cls, assembly: Assembly) -> FittedRotations | None:
+        """Return the rotations of nodes that have only displacements; None if there are none of these."""
+        missing = torch.bincount(assembly.freedoms.absent // 6, minlength=len(assembly.mesh.nodes)) == 3
+        if not missing.any():
+            return None
+        nodes = torch.cat([torch.stack([p.pattern.rows, p.pattern.cols], 1) // 6 for p in assembly.parts.values()])
+        pairs = torch.unique(nodes[nodes[:, 0] != nodes[:, 1]], dim=0)
+        return cls(assembly.mesh.nodes, pairs, missing)
 
     def __call__(self, psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes n 6 m"]:
         if not self.any:

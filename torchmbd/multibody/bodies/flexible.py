@@ -68,28 +68,14 @@ Node = str | int
 InterfaceArgument = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]
 
 
-def _is_part(x: Any) -> bool:
-    return not isinstance(x, type) and all(hasattr(x, name) for name in ("pattern", "values", "stressed", "masses"))
-
-
 def _check_parts(name: str, mesh: Any, parts: Any) -> None:
     """InputError for a mesh or parts of a wrong type."""
     if not isinstance(mesh, (Mesh, BeamLine)):
         raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
-    if not isinstance(parts, Mapping) or not parts or not all(map(_is_part, parts.values())):
+    if not isinstance(parts, Mapping) or not parts or not all(isinstance(x, Part) for x in parts.values()):
         raise InputError(
             f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
         )
-
-
-def _fitted_rotations(assembly: Assembly) -> FittedRotations | None:
-    """Rotations for the nodes that have only displacements; None if there are none of these."""
-    missing = torch.bincount(assembly.freedoms.absent // 6, minlength=len(assembly.mesh.nodes)) == 3
-    if not missing.any():
-        return None
-    nodes = torch.cat([torch.stack([p.pattern.rows, p.pattern.cols], 1) // 6 for p in assembly.parts.values()])
-    pairs = torch.unique(nodes[nodes[:, 0] != nodes[:, 1]], dim=0)
-    return FittedRotations(assembly.mesh.nodes, pairs, missing)
 
 
 class FlexibleBody(MatrixMethods, nn.Module):
@@ -156,7 +142,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
         self.free = self.assembly.freedoms.free
-        self._rotations = _fitted_rotations(self.assembly)
+        self._rotations = FittedRotations.of(self.assembly)
         self.interfaces = interfaces.frames
         self.reduction = reduced(name, self.assembly, reduction, modes, interfaces.kept, self.reference, updated)
         self.modes = self.reduction.size

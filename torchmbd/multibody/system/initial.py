@@ -23,6 +23,7 @@ The start of undeformed bodies depends on the attached points and the laws of dr
 design, the start of the first design is that of all (`SharedStart`). Positions and velocities that are Parameters of bodies
 are data of a design, "q0" and "v0".
 Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).
+Over 300 lines: positions, velocities and their derivatives share the steps above.
 Checked in tests/multibody/system/test_initial.py.
 """
 

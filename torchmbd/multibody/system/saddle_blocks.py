@@ -8,6 +8,7 @@
 
 `stiffness`, `damping`: factors of Kr and D added to the modal mass, and derivatives of all other forces by coordinates
 and rates, make the iteration matrix of an implicit integrator out of the same text.
+Over 300 lines: one block for each term of equations.py.
 Checked in tests/multibody/system/test_equations.py: every column is the difference of the residual that it stands for.
 """
 

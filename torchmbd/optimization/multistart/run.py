@@ -148,24 +148,15 @@ def multistart(
     eager_gradients = true_or_false("eager_gradients", eager_gradients)
     initial, lower, upper = checked_box(problem)
     points = np.array([checked_box(problem, point)[0] for point in recipe(starts, initial).points(problem)])
-    scale = variable_scale(initial, lower, upper) if scaling else None
-    equalities = getattr(problem, "equalities", None)
+    settings = {
+        "scale": variable_scale(initial, lower, upper) if scaling else None,
+        "feasibility": feasibility,
+        "eager_gradients": eager_gradients,
+        "max_analyses": max_analyses,
+    }
 
     def runner(index: int, evaluate_batch: EvaluateBatch, report: Report) -> OptimizationResult:
-        search = Search(
-            evaluate_batch,
-            points[index],
-            lower,
-            upper,
-            scale=scale,
-            equalities=equalities,
-            feasibility=feasibility,
-            eager_gradients=eager_gradients,
-            max_analyses=max_analyses,
-            index=index,
-            report=report,
-            tighten=getattr(problem, "with_least_bound", None),
-        )
+        search = Search.of(problem, evaluate_batch, points[index], lower, upper, **settings, index=index, report=report)
         return run_start(search, function, method, max_iterations, options, problem)
 
     span = np.where(np.isfinite(upper - lower), upper - lower, variable_scale(initial, lower, upper))
