@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from torch.autograd import forward_ad
 from torch.testing import assert_close
 
 import torchmbd as mbd
@@ -201,5 +202,10 @@ def test_frequencies_are_refused_under_transforms():
         return mbd.equilibrium(arm, designs={"arm.laminate.angles": x}).frequencies
 
     assert bool((frequencies(angles) > 0.0).all())
-    with pytest.raises(mbd.InputError, match="frequencies of an equilibrium are differentiated"):
+    refused = pytest.raises(mbd.InputError, match="frequencies of an equilibrium have values only")
+    with refused:
         torch.func.jvp(frequencies, (angles,), (torch.ones_like(angles),))
+    with refused:
+        torch.func.grad(lambda x: frequencies(x).sum())(angles)
+    with refused, forward_ad.dual_level():
+        frequencies(forward_ad.make_dual(angles, torch.ones_like(angles)))

@@ -16,6 +16,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
 
 from torchmbd.errors import InputError, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
@@ -61,12 +62,12 @@ class Equilibrium(Trajectory):
     def frequencies(self) -> Tensor:
         """Natural frequencies [lanes, freedoms] [Hz] at the last time; see Vibrations.
 
-        Values only: InputError under torch.func, where their derivatives would be zero.
+        Values only: InputError under torch.func and dual numbers, where their derivatives would be zero.
         """
-        if in_transform(self.q):
+        if in_transform(self.q) or unpack_dual(self.q).tangent is not None:
             raise InputError(
-                "frequencies of an equilibrium are differentiated, and have values only; allowed: mbd.Frequency of a body, "
-                "mbd.ExactBeam.frequencies, or finite differences"
+                "frequencies of an equilibrium have values only, which torch.func and dual numbers cannot differentiate; "
+                "allowed: mbd.Frequency of a body, mbd.ExactBeam.frequencies, or finite differences"
             )
         return torch.stack([x.frequencies for x in self.vibrations])
 
