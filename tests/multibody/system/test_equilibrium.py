@@ -191,3 +191,30 @@ def test_springs_and_dampers_count():
     assert float(found.frequencies[0, 0]) == pytest.approx(math.sqrt(k / m) / (2 * math.pi), rel=1e-12)
     assert found.vibrations[0].poles.real.tolist() == pytest.approx([-c / (2 * m)] * 2, rel=1e-10)
     assert system.describe().frequencies == pytest.approx(found.frequencies[0].tolist())
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e8, 1e10])
+def test_a_light_pendulum_beside_a_stiff_mount_comes_to_rest(stiffness):
+    """Independent parts: neither the place of rest nor the frequency of one knows the stiffness of the other."""
+    ground, m, length = mbd.Ground(), 0.01, 0.1
+    bob = mbd.RigidBody("bob", m, (1e-6, 1e-6, 1e-6), position=(length, 0.0, 0.0))
+    block = mbd.RigidBody("block", 1.0, (0.1, 0.1, 0.1))
+    hinge = mbd.Revolute(ground.at(), bob.at(-length, 0, 0), "z")
+    mount = mbd.Bushing(ground.at(), block.at(), stiffness, turning_stiffness=stiffness)
+    found = mbd.equilibrium(mbd.System([bob, block], [hinge], [mount], gravity=(0.0, -G, 0.0)))
+    assert found.body("bob").r[0, 0].tolist() == pytest.approx([0.0, -length, 0.0], abs=1e-8)
+    swing = math.sqrt(m * G * length / (m * length**2 + 1e-6)) / (2 * math.pi)
+    assert float(found.frequencies[0, 0]) == pytest.approx(swing, rel=1e-7)
+
+
+@pytest.mark.parametrize("pull", [1e3, 1e9])
+def test_springs_that_pull_against_each_other_balance(pull):
+    """Forces of 1e9 N that cancel leave 1e-7 N of rounding beside a weight of 7 N."""
+    m, k, ground, a = 0.7, 1e6, mbd.Ground(), box("a")
+    springs = [
+        mbd.AxialSpringDamper(ground.at(), a.at(), axis="y", stiffness=k, rest=rest, name=name)
+        for name, rest in (("up", pull / k), ("down", -pull / k))
+    ]
+    system = mbd.System([a], [mbd.Prismatic(ground.at(), a.at(), axis="y")], springs, gravity=(0.0, -G, 0.0))
+    found = mbd.equilibrium(system)
+    assert float(found.q[0, 0, 1]) == pytest.approx(-m * G / (2 * k), abs=1e-14 * pull)

@@ -39,7 +39,7 @@ _FORCE, _CLOSED = (
     1e-10,
     1e-11,
 )  # largest unbalanced force, as a share of the largest force of all steps; violation of a joint
-_ROUNDING = 1e-14  # of stiffness times coordinates
+_ROUNDING = 1e-14  # of the terms that cancel in forces
 _SAME = 1e-6  # of forces, and of joints, after a turn of a steady rotation
 _UNSTEADY = (
     "no steady rotation: joints or forces are others after a turn by 1 rad; allowed: gravity along the axis, and joints and "
@@ -51,6 +51,7 @@ _MIRRORED = (
 )
 _SMALLER = "allowed: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
 _NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
+_SOFT = 1e-9  # of the same: a freedom that forces of rounding would move far, as the spin of an arm between ball joints
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,8 @@ def _find_equilibrium(
     rest, largest = Linearization.of(dynamics, q, t, rotation=rotation), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
-        if _balanced(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
+        small = _FORCE * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
+        if _balanced(rest, small):
             if _mirrored(T, dynamics.values().data, q, t):
                 return _failed(T, start, _MIRRORED)
             if rotation is not None:
@@ -165,7 +167,7 @@ def _find_equilibrium(
             return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest))
         if not bool(torch.isfinite(rest.forces).all()):
             break
-        q = equations.advance(T, q[:, None, None], _step(rest, unstable)[:, None, None])[:, 0, 0]
+        q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
         rest = Linearization.of(dynamics, q, t, rotation=rotation)
     forces = rest.unbalanced.abs().nan_to_num(torch.inf)
     worst = int(rest.active[int(forces.argmax())])
@@ -196,7 +198,7 @@ def _steady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation: 
     T = dynamics.topology
     turned = rotation.turned(T, q[:, None, None])[:, 0, 0]
     after = Linearization.of(dynamics, turned, t + rotation.period, rotation=rotation)
-    small = _SAME * largest + _ROUNDING * _elastic(T, rest, q)
+    small = _SAME * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
     change = after.forces - rotation.turned_forces(T, rest.forces)
     return _balanced(after, small, _SAME) and float(change.abs().max()) <= small
 
@@ -212,15 +214,24 @@ def _balanced(rest: Linearization, small: float, gap: float = _CLOSED) -> bool:
     return closed and (not free.numel() or float(free.abs().max()) <= small)
 
 
-def _elastic(T: Any, rest: Linearization, q: Tensor) -> float:
-    """Size of the terms that cancel in elastic forces: stiffness times coordinates."""
+def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> float:
+    """Size of the terms that cancel in forces: stiffness times coordinates, forces of joints, springs against each other."""
+    T, data = dynamics.topology, dynamics.values().data
     n = 3 * T.bodies
     size = torch.cat([q[:n], torch.ones_like(q[:n]), q[7 * T.bodies :]]).abs()
-    return float((rest.K.abs() @ size).max())
+    terms = [rest.K.abs() @ size, rest.Phi_q.abs().T @ rest.lam.abs()]
+    if T.actions:
+        at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
+        states = equations.action_states(T, data, at, q.new_zeros(T.n_v, 1, 1))
+        terms += [f.abs().flatten() for f in equations.strengths(T, data, states, t)]
+    return max(float(x.max()) for x in terms if x.numel())
 
 
-def _step(rest: Linearization, unstable: bool) -> Tensor:
-    """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind."""
+def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
+    """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind.
+
+    small   size of forces that balance: they move no freedom that has hardly any stiffness
+    """
     active, J = rest.active, rest.Phi_q[:, rest.active]
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
     forces = rest.N.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
@@ -229,7 +240,10 @@ def _step(rest: Linearization, unstable: bool) -> Tensor:
     else:
         values, vectors = _stiffness(rest)
         largest = float(values.abs().max()) if len(values) else 0.0
-        slide = -vectors @ ((vectors.T @ forces) / values.abs().clamp_min(1e-9 * largest or 1.0))
+        along = vectors.T @ forces
+        at_rest = (values.abs() < _SOFT * largest) & (along.abs() * len(along) ** 0.5 <= small)
+        along = torch.where(at_rest, 0.0, along)
+        slide = -vectors @ (along / values.abs().clamp_min(_NO_STIFFNESS * largest or 1.0))
     total = close + rest.N @ slide
     step = torch.zeros_like(rest.forces)
     step[active] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
