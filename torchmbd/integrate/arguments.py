@@ -20,6 +20,7 @@ from torchmbd.integrate.native.library import BACKENDS
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed
+from torchmbd.math.pair import value
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import Start, System
 from torchmbd.results.motion_data import MotionData
@@ -100,7 +101,8 @@ def check_backend(backend: Any) -> None:
 def start_of(system: System, start: Any) -> Start:
     """The initial state that `start` describes; InputError says what is allowed."""
     if isinstance(start, MotionData):
-        return Start.of_motion(system, start.q[:, -1], start.v[:, -1])
+        Kr = start.dynamics.data.get("Kr")
+        return Start.of_motion(system, start.q[:, -1], start.v[:, -1], None if Kr is None else value(Kr))
     return Start.of(system, start)
 
 

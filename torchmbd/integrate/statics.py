@@ -235,7 +235,7 @@ def equilibrium(
     initial = start_of(system, start)
     if initial.in_equilibrium:
         raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
-    system = system.starting(initial)
+    system = system.starting(replace(initial, is_guess=True))
     given = checked_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
         warn_static_truncation(system)

@@ -81,7 +81,7 @@ class BodyMotion(Summary):
 
     @property
     def w(self) -> Tensor:
-        """Modal coordinates [lanes, times, modes]."""
+        """Modal coordinates [lanes, times, modes]; derivatives are in the moving basis of `psi`, not of single modes."""
         return self.motion.signals.values("q", self._T.w_slice(self._flexible()))
 
     @property

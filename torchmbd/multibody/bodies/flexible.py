@@ -343,6 +343,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
     def bent(self, modal: Sequence[float] | Tensor | None = None, rate: Sequence[float] | Tensor | None = None) -> Self:
         """Set initial modal coordinates and rates [modes], of the mode shapes of each design (`structure`); None: zero.
+        Their gradients know how single modes turn (system/modal_start.py); InputError where modes of one frequency would.
         A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
         set_modal_start(self, modal, rate)
         return self

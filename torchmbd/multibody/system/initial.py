@@ -1,8 +1,8 @@
 """Consistent initial conditions: joints closed by Newton's method, then compatible velocities.
 
-Modal coordinates start at zero, undeformed and at rest in their body frames; the rigid coordinates move as little as
-possible (minimum norm) from the given approximate positions and velocities. Velocities f that were not given are as small as
-possible; velocities g that were given change only where no f would satisfy the constraints:
+Modal coordinates start as they were given (modal_start.py), by default undeformed and at rest in their body frames; the
+rigid coordinates move as little as possible (minimum norm) from the given approximate positions and velocities. Velocities f
+that were not given are as small as possible; velocities g that were given change only where no f would satisfy the constraints:
 
     q <- q o s,  s = -K Phi(q, t0)           repeated until closed; all coordinates are given
     v = v0 + s,  s = -K (J v0 + Phi_t)       v0 = 0 where no velocity was given

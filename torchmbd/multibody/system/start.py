@@ -6,7 +6,8 @@
     a state         the last one of another motion
 
 Joints are then closed by the smallest rigid displacement, and rates made compatible; modal coordinates do not change.
-Differentiable by the design and by the tensors of a mapping or a state.
+Differentiable by the design and by the tensors of a mapping or a state; modal coordinates are those of the modes of each
+design (modal_start.py).
 Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
 """
 
@@ -61,11 +62,15 @@ class Start:
     in_equilibrium   whether it is the static equilibrium
     given            "body.quantity" -> numbers [...] or [lanes, ...]
     state            q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
+    stiffness        Kr [modes, modes, bodies, 1, lanes] of the designs of this state, in whose modes its coordinates are
+    is_guess         whether a search begins there, whose result does not depend on it
     """
 
     in_equilibrium: bool = False
     given: Mapping[str, Tensor] = field(default_factory=dict)
     state: tuple[Tensor, Tensor] | None = None
+    stiffness: Tensor | None = None
+    is_guess: bool = False
 
     @classmethod
     def of(cls, system: Any, start: Any) -> Start:
@@ -80,7 +85,7 @@ class Start:
         return cls(given={name: _checked(system, name, x) for name, x in start.items()})
 
     @classmethod
-    def of_motion(cls, system: Any, q: Tensor, v: Tensor) -> Start:
+    def of_motion(cls, system: Any, q: Tensor, v: Tensor, stiffness: Tensor | None = None) -> Start:
         """The start in a state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies and modes."""
         T = system.topology
         if q.shape[1:] != (T.n_q,) or v.shape[1:] != (T.n_v,):
@@ -89,7 +94,7 @@ class Start:
             )
         if not all_true(torch.isfinite(q)) or not all_true(torch.isfinite(v)):
             raise InputError("start is a motion whose last state is not finite; allowed: motions that are ok")
-        return cls(state=(q, v))
+        return cls(state=(q, v), stiffness=stiffness)
 
     @property
     def tensors(self) -> list[Tensor]:

@@ -42,8 +42,9 @@ from torchmbd.multibody.system.design_tangents import tangents_of
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
-from torchmbd.multibody.system.initial import START_DATA, start_of_bodies
+from torchmbd.multibody.system.initial import start_of_bodies
 from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
+from torchmbd.multibody.system.modal_start import in_moving_basis
 from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import Start
@@ -356,8 +357,12 @@ class System(nn.Module):
             or any(name in body._parameters for body in self.bodies for name in _START_VARIABLES)
             or self._start.tensors
         ):
-            data |= start_of_bodies(T, [*flexible, *rigid])
-            data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START_DATA})
+            start = start_of_bodies(T, [*flexible, *rigid])
+            start |= self._start.data(T, [*flexible, *rigid], start)
+            if not self._start.is_guess:
+                stiffness = {body.name: stage["Kr"] for body, stage in zip(flexible, stages, strict=True)}
+                start = in_moving_basis(T, stiffness, self._start.stiffness, start)
+            data |= start
         if T.beams is not None:
             forces = [force for force in self.forces if force.beams(AttachmentTable())]
             data |= beam_data([beams[f.name].data if isinstance(f, BeamChain) else f.beam_data() for f in forces])
