@@ -205,3 +205,72 @@ def test_a_spring_beside_the_axis_is_no_steady_rotation():
     hold = mbd.Bushing(GROUND.at(0.3, 0, 0), bar.at(), (10.0, 10.0, 10.0), name="hold")
     with pytest.raises(mbd.InputError, match="no steady rotation: joints or forces are others after a turn"):
         mbd.equilibrium(mbd.System([own, bar], joints, forces=[hold]), spin=(0.0, 0.0, SPEED))
+
+
+def turning_mass(*forces: Any, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> mbd.System:
+    """A rotor about x: forces are functions of its body."""
+    rotor = mbd.RigidBody("rotor", 1.0, (0.02, 0.01, 0.01), position=at)
+    return mbd.System([rotor], [], [force(rotor) for force in forces], free=["rotor"])
+
+
+def bearing(along: Any = 1e6, damping: Any = 0.0, tilt: Any = (0.0, 1e4, 1e4), x: float = 0.0) -> Any:
+    return lambda rotor: mbd.Bushing(GROUND.at(x, 0, 0), rotor.at(x, 0, 0), along, damping, tilt, name=f"bearing_{x:g}")
+
+
+def spring(axis: str, stiffness: float, x: float = 0.0) -> Any:
+    return lambda rotor: mbd.AxialSpringDamper(
+        GROUND.at(x, 0, 0), rotor.at(x, 0, 0), axis=axis, stiffness=stiffness, name=f"spring_{axis}_{x:g}"
+    )
+
+
+SPIN = (300.0, 0.0, 0.0)
+
+
+def test_bearings_alike_across_the_axis():
+    """Whirling at 1000 rad/s is seen at 1000 -+ 300; tilting k / I = 1e6 with the gyroscopic moment of J = 2 I as well:
+    I w^2 -+ J 300 w - k = 0 in the ground, a round rotor, seen at w -+ 300."""
+    rest = mbd.equilibrium(turning_mass(bearing()), spin=SPIN, unstable=True)
+    tilt = [math.sqrt(300.0**2 + 1e6) + sign * 300.0 for sign in (-1.0, 1.0)]  # in the ground
+    seen = [tilt[0] + 300.0, tilt[1] - 300.0]
+    wanted = sorted([0.0, 700.0, 1000.0, 1300.0, *seen])
+    assert (2.0 * math.pi * rest.frequencies[0]).tolist() == pytest.approx(wanted, rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("forces", "named"),
+    [
+        ([bearing((1e6, 1e6, 0.5e6))], "the stiffness against displacement [yz] of 'rotor'"),
+        ([bearing((1e6, 1e6, 1.001e6))], "the stiffness against displacement [yz] of 'rotor'"),
+        ([bearing(tilt=(0.0, 1e4, 2e4))], "the stiffness against rotation [yz] of 'rotor'"),
+        ([bearing(damping=(0.0, 3.0, 5.0))], "the damping against displacement [yz] of 'rotor'"),
+        (
+            [bearing(x=-0.2), bearing((1e6, 1e6, 2e6), x=0.2)],
+            "the stiffness against (rotation|displacement) [yz] of 'rotor'",
+        ),
+        ([spring("x", 1e6), spring("y", 1e10, 0.1), spring("z", 1e10, 0.1), spring("y", 9.0)], "the stiffness"),
+        (
+            [bearing(), lambda rotor: mbd.PlaneContact(GROUND.at(), rotor.at(), radius=0.06)],
+            "joints or forces are others",
+        ),
+    ],
+)
+def test_supports_of_two_stiffnesses_are_no_steady_rotation(forces, named):
+    with pytest.raises(mbd.InputError, match=f"no steady rotation: {named}"):
+        mbd.equilibrium(turning_mass(*forces), spin=SPIN, unstable=True)
+
+
+def test_two_springs_that_are_alike_turn_steadily():
+    """Tilting is free: nutation at J / I 300 = 600 rad/s in the ground, seen at 300 as is what stands still."""
+    rest = mbd.equilibrium(turning_mass(*(spring(axis, 1e6) for axis in "xyz")), spin=SPIN, unstable=True)
+    wanted = [0.0, 300.0, 300.0, 700.0, 1000.0, 1300.0]
+    assert (2.0 * math.pi * rest.frequencies[0]).tolist() == pytest.approx(wanted, abs=1e-4)
+
+
+def test_a_point_that_meets_a_plane_at_some_angle_is_no_steady_rotation():
+    """Out of reach at the start and after a turn by 1 rad, but not all around."""
+    tip = turning_mass(
+        bearing(tilt=0.0),
+        lambda rotor: mbd.PlaneContact(GROUND.at(0, 0, -0.09), rotor.at(0, 0, 0.1), stiffness=1e3),
+    )
+    with pytest.raises(mbd.InputError, match="no steady rotation: joints or forces are others after a turn by 3 rad"):
+        mbd.equilibrium(tip, spin=SPIN, unstable=True)

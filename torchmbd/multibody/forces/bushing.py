@@ -1,7 +1,8 @@
 """Bushing: springs and dampers along and about the three axes of a frame.
 
 Displacements of the point of b in the axes of a, and for small rotations the angles of b against a about them.
-Rotations are measured from the given initial positions.
+Rotations are measured from the given initial positions. Where one axis is free, with neither stiffness nor damping about it, as
+in a bearing, the tilt of this axis is measured: it does not depend on the turn about it, however far.
 """
 
 from __future__ import annotations
@@ -68,11 +69,14 @@ class Bushing(ForceElement):
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
+        free = [axis for axis, about in zip("xyz", self.about, strict=True) if about == Spring()]
         for axis, along, about in zip("xyz", self.along, self.about, strict=True):
             if along != Spring():
                 yield Applied(Along, (attachments.point(a), attachments.point(b), attachments.axis(a, axis)), along)
             if about != Spring():
                 x, y = other_axes(axis)
+                if free == [y]:
+                    x, y = y, x  # the tilt of the free axis; its angle about -axis has the same linear spring
                 yield Applied(
                     Turn, (attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)), about
                 )

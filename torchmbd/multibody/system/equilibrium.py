@@ -14,7 +14,7 @@ Derivatives by the design are those of one more step with the exact matrix, the 
     dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
 
 Drives are fixed at their value at time t; their rates do not matter. In a steady rotation of the whole system
-(steady_rotation.py) inertia forces are loads, drives run, and forces must balance after a turn by one radian too.
+(steady_rotation.py) inertia forces are loads, drives run, and the state must be the same at every turn (steady_state.py).
 Checked in tests/multibody/system/test_equilibrium.py, tests/sensitivity/test_rest.py.
 """
 
@@ -33,6 +33,7 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import NEGATIVE_MASS, Linearization, Vibrations
 from torchmbd.multibody.system.load_steps import LoadSteps
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
+from torchmbd.multibody.system.steady_state import unsteady
 
 _STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
 _FORCE, _CLOSED = (
@@ -40,11 +41,7 @@ _FORCE, _CLOSED = (
     1e-11,
 )  # largest unbalanced force, as a share of the largest force of all steps; violation of a joint
 _ROUNDING = 1e-14  # of the terms that cancel in forces
-_SAME = 1e-6  # of forces, and of joints, after a turn of a steady rotation
-_UNSTEADY = (
-    "no steady rotation: joints or forces are others after a turn by 1 rad; allowed: gravity along the axis, and joints and "
-    "drives to the ground that turn with the spin about its axis"
-)
+_SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
 _MIRRORED = (
     "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
     "less than a quarter of a turn from it"
@@ -160,8 +157,9 @@ def _find_equilibrium(
             if _mirrored(T, dynamics.values().data, q, t):
                 return _failed(T, start, _MIRRORED)
             if rotation is not None:
-                if not _steady(dynamics, rest, q, t, rotation, largest):
-                    return _failed(T, start, _UNSTEADY)
+                same = _SAME * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
+                if why := unsteady(dynamics, rest, q, t, rotation, same):
+                    return _failed(T, start, why)
                 if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
                     return _failed(T, start, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}")
             return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest))
@@ -170,9 +168,9 @@ def _find_equilibrium(
         q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
         rest = Linearization.of(dynamics, q, t, rotation=rotation)
     forces = rest.unbalanced.abs().nan_to_num(torch.inf)
-    worst = int(rest.active[int(forces.argmax())])
+    worst = T.rate_name(int(rest.active[int(forces.argmax())]), "force", "torque")
     failure = (
-        f"no static equilibrium in {_STEPS} steps: {float(forces.max()):.3g} N or N m remain on {_force(T, worst)}; "
+        f"no static equilibrium in {_STEPS} steps: {float(forces.max()):.3g} N or N m remain on {worst}; "
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
     return _failed(T, start, failure)
@@ -190,26 +188,13 @@ def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
     return False
 
 
-def _steady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
-    """Whether joints and all forces are the same after a turn by one radian.
-
-    Forces that move nothing count too: where they change, the loads of joints and the stiffness are unsteady.
-    """
-    T = dynamics.topology
-    turned = rotation.turned(T, q[:, None, None])[:, 0, 0]
-    after = Linearization.of(dynamics, turned, t + rotation.period, rotation=rotation)
-    small = _SAME * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
-    change = after.forces - rotation.turned_forces(T, rest.forces)
-    return _balanced(after, small, _SAME) and float(change.abs().max()) <= small
-
-
 def _failed(T: Any, start: Tensor, failure: str) -> Balance:
     return Balance(start, start.new_zeros(T.rows), start.new_zeros(T.n_v, T.n_v + T.rows), failure, "")
 
 
-def _balanced(rest: Linearization, small: float, gap: float = _CLOSED) -> bool:
-    """Whether joints are closed to `gap`, and the forces along all freedoms are at most `small`."""
-    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < gap
+def _balanced(rest: Linearization, small: float) -> bool:
+    """Whether joints are closed, and the forces along all freedoms are at most `small`."""
+    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
     free = rest.N.T @ rest.unbalanced
     return closed and (not free.numel() or float(free.abs().max()) <= small)
 
@@ -282,25 +267,10 @@ def _instability(T: Any, rest: Linearization) -> str:
     row = int(rest.active[int((rest.N @ vectors[:, 0]).abs().argmax())])
     if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
         return (
-            f"the static equilibrium is unstable: {_freedom(T, row)} falls away from it; "
+            f"the static equilibrium is unstable: {T.rate_name(row)} falls away from it; "
             "allowed: initial positions near a stable one, or start='assembled'"
         )
     return (
-        f"the mechanism is free to move without a force: {_freedom(T, row)} has no static equilibrium of its own; "
+        f"the mechanism is free to move without a force: {T.rate_name(row)} has no static equilibrium of its own; "
         "allowed: a drive, a lock, a spring or a joint that holds it, or start='assembled'"
     )
-
-
-def _force(T: Any, row: int) -> str:
-    return _row(T, row, "force", "torque")
-
-
-def _freedom(T: Any, row: int) -> str:
-    return _row(T, row, "displacement", "rotation")
-
-
-def _row(T: Any, row: int, straight: str, about: str) -> str:
-    if row < 6 * T.bodies:
-        kind = straight if row < 3 * T.bodies else about
-        return f"{kind} {'xyz'[row // T.bodies % 3]} of {T.names[row % T.bodies]!r}"
-    return f"a mode of {T.names[(row - 6 * T.bodies) % T.flexible]!r}"

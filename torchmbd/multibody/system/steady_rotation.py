@@ -10,6 +10,7 @@ Checked in tests/multibody/system/test_steady_rotation.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -77,17 +78,18 @@ class SteadyRotation:
         r, p, w = equations.split_q(T, q)
         axis = (self.spin / self.spin.norm())[:, None, None, None]
         arm = r - self.center[:, None, None, None]
-        step = [_turned_one_radian(axis, arm) - arm, matvec_t(rotation_matrix(p), axis), 0.0 * w]
+        step = [_turned(axis, arm) - arm, matvec_t(rotation_matrix(p), axis), 0.0 * w]
         return equations.advance(T, q, cat([x.flatten(0, 1) for x in step]))
 
-    def turned_forces(self, T: Topology, forces: Tensor) -> Tensor:
-        """Forces [n_v] after a turn by one radian: those in ground axes turn, torques in body axes and modal forces stay."""
+    def turned_forces(self, T: Topology, forces: Tensor, angle: float = 1.0) -> Tensor:
+        """Forces, or increments of coordinates, [n_v] after a turn by an angle [rad]: those in ground axes turn, those in body
+        axes and modal ones stay."""
         n = 3 * T.bodies
         axis = (self.spin / self.spin.norm())[:, None]
-        return torch.cat([_turned_one_radian(axis, forces[:n].reshape(3, -1)).flatten(), forces[n:]])
+        return torch.cat([_turned(axis, forces[:n].reshape(3, -1), angle).flatten(), forces[n:]])
 
 
-def _turned_one_radian(axis: Tensor, x: Tensor) -> Tensor:
-    """Vectors x [3, ...] turned by one radian about an axis."""
-    once, one = cross(axis, x), torch.ones((), dtype=x.dtype)
-    return x + one.sin() * once + (1.0 - one.cos()) * cross(axis, once)
+def _turned(axis: Tensor, x: Tensor, angle: float = 1.0) -> Tensor:
+    """Vectors x [3, ...] turned by an angle [rad] about an axis."""
+    once = cross(axis, x)
+    return x + math.sin(angle) * once + (1.0 - math.cos(angle)) * cross(axis, once)

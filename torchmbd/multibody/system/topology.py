@@ -181,6 +181,13 @@ class Topology:
         """Rows of q with the modal coordinates of a flexible body (its own modes, without padding)."""
         return [7 * self.bodies + a * self.flexible + flexible for a in range(self.own_modes[flexible])]
 
+    def rate_name(self, row: int, straight: str = "displacement", about: str = "rotation") -> str:
+        """What row `row` of v stands for, for messages: "rotation x of 'rod'"; other words for forces."""
+        if row < 6 * self.bodies:
+            kind = straight if row < 3 * self.bodies else about
+            return f"{kind} {'xyz'[row // self.bodies % 3]} of {self.names[row % self.bodies]!r}"
+        return f"a mode of {self.names[(row - 6 * self.bodies) % self.flexible]!r}"
+
 
 def _arguments(g: Any, kinds: Sequence[Primitive | Action]) -> list[list[Any]]:
     result, start = [], 0

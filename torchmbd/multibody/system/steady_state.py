@@ -1,0 +1,82 @@
+"""Whether a state that rotates as a whole is steady: the same to an observer who turns with it, at every angle.
+
+    f(q o turn, t + angle / speed) = turn f(q, t),    Phi = 0        forces and joints, at `_ANGLES`
+    Phi_q, N'K N, N'C N                                              directions of joints, stiffness and damping, after 1 rad
+
+Supports of two stiffnesses have no force on their axis, whatever the turn: it is their stiffness that changes, and vibrations
+then have coefficients that are periodic in time, not constant ones.
+Checked in tests/multibody/system/test_steady_rotation.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
+
+_ANGLES = (
+    32  # turns by 1 rad, 2 rad, ...: no two within 0.01 rad, no gap above 0.4 rad, so that contacts are met all around
+)
+_SAME = 1e-6  # of joints; of the stiffness and the damping of a freedom
+_ROUNDING = 1e-13  # of the largest entry of stiffness, or of damping
+_ALLOWED = "allowed: supports that are alike across the axis, or simulate(), which follows the motion in time"
+_OTHERS = (
+    "no steady rotation: joints or forces are others after a turn by {} rad; allowed: gravity along the axis, and joints and "
+    "drives to the ground that turn with the spin about its axis"
+)
+
+
+def unsteady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation: SteadyRotation, small: float) -> str:
+    """Why the state q [n_q] at time t, linearized as `rest`, is not steady, else ""; small: size of forces that count as none.
+
+    Forces that move nothing count too: where they change, the loads of joints and the stiffness are unsteady.
+    """
+    T, turned = dynamics.topology, q
+    for k in range(1, _ANGLES + 1):
+        turned = rotation.turned(T, turned[:, None, None])[:, 0, 0]
+        forces, phi = _loads(dynamics, turned, t + k * rotation.period, rotation)
+        change = forces - rotation.turned_forces(T, rest.forces, k)
+        if not float(change.abs().max()) <= small or (phi.numel() and not float(phi.abs().max()) < _SAME):
+            return _OTHERS.format(k)
+    after = Linearization.of(
+        dynamics, rotation.turned(T, q[:, None, None])[:, 0, 0], t + rotation.period, rotation=rotation
+    )
+    return _changed_tangents(T, rest, after, rotation)
+
+
+def _loads(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation) -> tuple[Tensor, Tensor]:
+    """Forces without those of joints [n_v], and violations of joints [rows], at q and time t."""
+    T, data, wide = dynamics.topology, dynamics.values().data, q[:, None, None]
+    at = equations.placement(T, data, wide, T.prescribed(t, data))
+    forces = equations.dynamic_residual(T, data, at, *rotation.rates(T, wide), q.new_zeros(T.rows, 1, 1))
+    return forces[:, 0, 0], equations.constraints(T, at)[:, 0, 0] if T.rows else q.new_zeros(0)
+
+
+def _changed_tangents(T: Any, rest: Linearization, after: Linearization, rotation: SteadyRotation) -> str:
+    """What differs in the equations of small vibrations after a turn by 1 rad, else ""."""
+    full = rest.forces.new_zeros(T.n_v, rest.N.shape[1])
+    full[rest.active] = rest.N
+    N = torch.stack([rotation.turned_forces(T, x) for x in full.T], 1) if full.shape[1] else full
+    J = after.Phi_q / after.Phi_q.norm(dim=1, keepdim=True).clamp_min(1e-300)
+    if after.N.shape[1] != N.shape[1] or float((J @ N).abs().amax() if N.numel() and len(J) else 0.0) > _SAME:
+        return _OTHERS.format(1)
+    if not N.shape[1]:
+        return ""
+    K, active = rest.reduced(rest.K), rest.active
+    _, axes = torch.linalg.eigh(0.5 * (K + K.T))  # soft freedoms apart from stiff ones
+    before, now = rest.N @ axes, N[active] @ axes
+    # Damping first: at rest, dampers push what turns sideways, which is a stiffness.
+    for name, x, y in (("damping", rest.C, after.C), ("stiffness", rest.K, after.K)):
+        one = before.T @ x[active][:, active] @ before
+        difference = now.T @ y[active][:, active] @ now - one
+        size = one.abs().amax(1) + _ROUNDING / _SAME * float(x.abs().max())
+        share = difference.abs() / (size[:, None] * size).sqrt().clamp_min(1e-300)
+        if float(share.max()) > _SAME:
+            row = T.rate_name(int(active[int(before[:, int(share.amax(1).argmax())].abs().argmax())]))
+            return f"no steady rotation: the {name} against {row} is another after a turn by 1 rad; {_ALLOWED}"
+    return ""
