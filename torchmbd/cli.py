@@ -238,16 +238,15 @@ def ui(
     """
     from torchmbd.study.listing import print_links
     from torchmbd.tracking.server import serving
-    from torchmbd.tracking.store import sqlite_file, store_uri
+    from torchmbd.tracking.store import store_uri
 
     console = Console()
     store = store_uri(uri)
-    served = sqlite_file(store)
-    if served is not None and not served.exists():
+    if store.file is not None and not store.file.exists():
         raise InputError(f"uri = {store!r}: no study has been here yet; allowed: a store of studies, see torchmbd run")
-    if store.startswith(("http:", "https:")):
+    if store.served:
         console.print(f"{store} is a server already.", soft_wrap=True)
-        print_links(store, store.rstrip("/"), console)
+        print_links(store, store.page, console)
         return 0
     with serving(store, host, port) as server:
         print_links(store, f"http://{host}:{port}", console)

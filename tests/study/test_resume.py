@@ -221,7 +221,7 @@ def test_a_full_disk_is_a_message_and_no_loss(write, folder, monkeypatch):
     full = shell(100)
     assert full.returncode == 1
     assert "Traceback" not in full.stderr
-    assert "Nothing is lost" in full.stdout
+    assert "The last evaluations are not on disk" in full.stdout
     assert len(table(full.stdout)) == 12
     again = shell("unlimited")
     assert again.returncode == 0, again.stdout + again.stderr

@@ -27,7 +27,7 @@ from pydantic_core import PydanticCustomError
 from torchmbd.errors import InputError
 from torchmbd.process import ONE_THREAD
 from torchmbd.study.file_errors import StudyError, located
-from torchmbd.study.paths import studies_folder
+from torchmbd.study.paths import make_studies_folder
 from torchmbd.study.schema import Section
 from torchmbd.study.validation import validate
 from torchmbd.study.yaml_file import read_yaml
@@ -66,8 +66,7 @@ class Slurm(Section):
             raise InputError(
                 f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
             ) from None
-        n, folder = self.workers_per_job, studies_folder()
-        folder.mkdir(parents=True, exist_ok=True)
+        n, folder = self.workers_per_job, make_studies_folder()
         cluster = SLURMCluster(
             queue=self.partition,
             account=self.account,

@@ -23,6 +23,7 @@ from torchmbd.study.metric_names import (
 from torchmbd.study.progress import drop_order, gain_heading, print_table, violation_cell, wrapped_heading
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
+from torchmbd.tracking.uri import hidden
 
 _OUTCOME = ("best_objective", REDUCTION, INCREASE, "violation", STARTS, CONVERGED, EVALUATIONS)
 _IGNORED = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key", "files")
@@ -35,7 +36,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     store = store_uri(uri)
     entry = find(store, run) if run else next(iter(studies(store)), None)
     if entry is None:
-        console.print(f"No studies yet in {escape(store)}.", soft_wrap=True)
+        console.print(f"No studies yet in {escape(str(store))}.", soft_wrap=True)
         return
     found = [child for child in children(store, entry) if "objective" in child.metrics][:count]
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
@@ -110,7 +111,7 @@ def differences(first: Entry, second: Entry) -> list[tuple[str, str, str]]:
         for name in dict.fromkeys([*left, *right]):
             values = left.get(name, "-"), right.get(name, "-")
             if values[0] != values[1] and not name.startswith(_IGNORED):
-                found.append((name, *values))
+                found.append((name, *map(hidden, values)))
     return found
 
 

@@ -45,7 +45,8 @@ class Evaluations:
         self.trouble: str | None = None  # why evaluations are kept in memory
         self._waiting: dict[tuple[bytes, bool], tuple[int, str, bytes]] = {}
         try:
-            file.parent.mkdir(parents=True, exist_ok=True)
+            file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            file.touch(mode=0o600)
             self._base = sqlite3.connect(file, timeout=_SECONDS)
             self._base.execute("pragma journal_mode=wal")
             self._base.execute("pragma synchronous=full")  # a power cut costs no batch either

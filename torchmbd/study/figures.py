@@ -28,13 +28,14 @@ from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import relative_to_store, store_uri
+from torchmbd.tracking.uri import StoreURI
 
 SENTENCE = "sentence"
 PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
 
 
 def run_figures(
-    plan: FiguresPlan, console: Console, tracker: MlflowTracker | None = None, uri: str | None = None
+    plan: FiguresPlan, console: Console, tracker: MlflowTracker | None = None, uri: str | StoreURI | None = None
 ) -> int:
     """Draw and track the figures; return the exit code. `tracker`, `uri` as in run.run_study."""
     start_time = time.monotonic()

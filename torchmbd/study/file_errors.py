@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from torchmbd.errors import InputError
+from torchmbd.tracking.uri import hidden
 
 _MOST = 20  # faults in a message
 _LONGEST = 2000  # characters of a fault
@@ -31,7 +32,7 @@ class Fault:
     def __str__(self) -> str:
         place = f"line {self.where}: " if isinstance(self.where, int) else f"in {self.where}: " if self.where else ""
         joint = "" if self.text.startswith((":", " ")) or not self.path else " "
-        return f"{place}{dotted(self.path)}{joint}{self.text if self.path else self.text.lstrip(': ')}".strip()
+        return hidden(f"{place}{dotted(self.path)}{joint}{self.text if self.path else self.text.lstrip(': ')}".strip())
 
 
 class StudyError(InputError):
@@ -84,6 +85,8 @@ def mentioned(text: str, lines: Lines) -> Path:
 def shown(value: object, limit: int = 60) -> str:
     """Write a value for a message, cut to one short line."""
     text = (
-        {True: "true", False: "false", None: "null"}[value] if value is None or isinstance(value, bool) else repr(value)
+        {True: "true", False: "false", None: "null"}[value]
+        if value is None or isinstance(value, bool)
+        else hidden(repr(value))
     )
     return text if len(text) <= limit else f"{text[: limit - 3]}..."

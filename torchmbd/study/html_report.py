@@ -31,6 +31,7 @@ from torchmbd.summary import few
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
 from torchmbd.tracking.mlflow_tracker import FILES
 from torchmbd.tracking.store import store_uri
+from torchmbd.tracking.uri import StoreURI, hidden
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
@@ -54,7 +55,7 @@ _OUTCOME = {
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
 
 
-def write_report(run: str, path: Path | None = None, uri: str | None = None) -> Path:
+def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None = None) -> Path:
     """Write the report of a study and return its path; `run` as in torchmbd.load."""
     store = store_uri(uri)
     entry = find(store, run)
@@ -70,7 +71,7 @@ def write_report(run: str, path: Path | None = None, uri: str | None = None) -> 
     return path
 
 
-def _page(store: str, entry: Entry, scratch: Path) -> str:
+def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
     given = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
     _require_files(store, entry)
@@ -91,13 +92,13 @@ def _page(store: str, entry: Entry, scratch: Path) -> str:
         page = escape(motion.read_text(encoding="utf-8"), quote=True)
         parts += ["<h2>Motion of the best design</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
     if config:
-        parts += ["<h2>Experiment</h2>", f"<pre>{escape((given or config).read_text(encoding='utf-8'))}</pre>"]
-    parts += ["<h2>Where it comes from</h2>", _rows({k: entry.tags[k] for k in _PROVENANCE if k in entry.tags})]
+        parts += ["<h2>Experiment</h2>", f"<pre>{escape(hidden((given or config).read_text(encoding='utf-8')))}</pre>"]
+    parts += ["<h2>Where it comes from</h2>", _rows({k: hidden(entry.tags[k]) for k in _PROVENANCE if k in entry.tags})]
     head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(entry.name)}</title>'
     return f"{head}<style>{_STYLE}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
 
 
-def _require_files(store: str, entry: Entry) -> None:
+def _require_files(store: StoreURI, entry: Entry) -> None:
     """InputError for a run whose store lacks files that the study has written: its report would be incomplete."""
     written = entry.tags.get(FILES, "config.yaml").splitlines()
     present = {name for folder in {name.rpartition("/")[0] for name in written} for name in files(store, entry, folder)}
@@ -114,7 +115,7 @@ def _rows(values: dict[str, str]) -> str:
     return f"<table>{rows}</table>"
 
 
-def _children(store: str, entry: Entry) -> str:
+def _children(store: StoreURI, entry: Entry) -> str:
     """Return a table of the starts or points, the best first."""
     found = children(store, entry)
     if not found:
@@ -144,7 +145,7 @@ def _number(metric: str, value: float) -> str:
     return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
 
 
-def _pictures(store: str, entry: Entry, scratch: Path) -> list[str]:
+def _pictures(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:
     names = [name for name in files(store, entry, "figures") if name.endswith(".png")]
     parts = ["<h2>Figures</h2>"] if names else []
     for name in sorted(names):

@@ -31,10 +31,12 @@ from torchmbd.study.metric_names import (
 )
 from torchmbd.study.paths import problem_key
 from torchmbd.study.settings import StudySettings
+from torchmbd.study.yaml_file import without_user
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import relative_to_store
+from torchmbd.tracking.uri import hidden
 
 PARENT = "study"
 
@@ -65,14 +67,14 @@ class Journal:
             tags["question"] = tags["mlflow.note.content"] = study.question  # the description of the run
         if origin is not None:
             tags["mlflow.source.name"] = relative_to_store(self.tracker.uri, origin.file)
-            tags |= {"overrides": " ".join(origin.overrides)} if origin.overrides else {}
+            tags |= {"overrides": hidden(" ".join(origin.overrides))} if origin.overrides else {}
             tags |= {"seed": str(origin.data.starts.seed)} if origin.data.starts is not None else {}
         self.tracker.begin(PARENT, study.name, params=flat(resolved), tags=tags)
         self._open = [PARENT]
         self.tracker.view(PARENT, self._columns(kind), "metrics.objective", study.sign > 0.0)
         self.text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
         if origin is not None and origin.file.is_file():
-            self.text("config_as_given.yaml", origin.file.read_text(encoding="utf-8"))
+            self.text("config_as_given.yaml", without_user(origin.file.read_text(encoding="utf-8")))
 
     def _columns(self, kind: str) -> list[str]:
         """Return the columns of the table of the children in MLflow."""

@@ -18,6 +18,7 @@ from torchmbd.study.progress import print_table, wrapped_heading
 from torchmbd.tracking.catalog import Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
 from torchmbd.tracking.store import store_uri
+from torchmbd.tracking.uri import StoreURI
 
 _RECENT = 3  # studies whose links are printed
 _COMPARED = 32  # runs in the link of a comparison, at most
@@ -42,9 +43,9 @@ def print_studies(uri: str | None, console: Console) -> None:
     store = store_uri(uri)
     found = studies(store)
     if not found:
-        console.print(f"No studies yet in {escape(store)}.", soft_wrap=True)
+        console.print(f"No studies yet in {escape(str(store))}.", soft_wrap=True)
         return
-    table = Table(title=f"studies in {escape(store)}", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
+    table = Table(title=f"studies in {escape(str(store))}", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "better by", "run"):
         numbers = heading in ("took", "best objective", "better by")
         name = heading in ("experiment", "study")
@@ -59,7 +60,7 @@ def print_studies(uri: str | None, console: Console) -> None:
     print_table(table, console, [2, 4, 0, 7])
 
 
-def print_links(store: str, base: str, console: Console) -> None:
+def print_links(store: StoreURI, base: str, console: Console) -> None:
     """Print the links of every experiment and of the latest studies."""
     found = studies(store)
     if not found:

@@ -23,7 +23,7 @@ from torchmbd.design import Problem
 from torchmbd.math.digest import digest, source_digest
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.settings import StudySettings
-from torchmbd.tracking.store import sqlite_file
+from torchmbd.tracking.uri import StoreURI
 
 _PACKAGE = Path(__file__).parents[1]
 _NOT_HASHED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization")  # no evaluation depends on them
@@ -32,6 +32,19 @@ _NOT_HASHED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization
 def studies_folder() -> Path:
     """Return the folder of all studies (absolute)."""
     return Path(os.environ.get("TORCHMBD_STORE") or ".torchmbd").absolute()
+
+
+def make_studies_folder() -> Path:
+    """Return the folder of all studies, made for the user alone if it is new."""
+    folder = studies_folder()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder
+
+
+def private(path: str, flags: int) -> int:
+    """Open a file that the user alone can read, as the `opener` of `open`."""
+    return os.open(path, flags, mode=0o600)
 
 
 def evaluations_file() -> Path:
@@ -53,7 +66,7 @@ def problem_key(problem: Any) -> str:
     return _hash([built, _code(_PACKAGE), torch.__version__])
 
 
-def study_key(study: StudySettings, uri: str) -> str:
+def study_key(study: StudySettings, uri: StoreURI | str) -> str:
     """Return the hash of all that the evaluated designs and the record of a study depend on."""
     problem = study.problem
     box = [np.asarray(x, dtype=float) for x in (problem.start, problem.lower, problem.upper)]
@@ -64,13 +77,13 @@ def study_key(study: StudySettings, uri: str) -> str:
     return _hash([asked, problem_key(study.simulated), study.name, study.experiment, relative_store(uri)])
 
 
-def relative_store(uri: str) -> str:
-    """Return the URI of a SQLite store relative to the folder of studies, so that both can be copied; other URIs unchanged."""
-    file = sqlite_file(uri)
-    return uri if file is None else f"sqlite:///{os.path.relpath(file, studies_folder())}"
+def relative_store(uri: StoreURI | str) -> str:
+    """Return the text of a URI, a SQLite file relative to the folder of studies, so that both can be copied."""
+    file = StoreURI(uri).file
+    return str(StoreURI(uri)) if file is None else f"sqlite:///{os.path.relpath(file, studies_folder())}"
 
 
-def figures_key(plan: FiguresPlan, uri: str) -> str:
+def figures_key(plan: FiguresPlan, uri: StoreURI | str) -> str:
     """Return the hash of an experiment file of figures, with its store."""
     return _hash([plan.study.resolved(), plan.name, relative_store(uri)])
 

@@ -3,6 +3,7 @@
 Runs end with the status FINISHED, KILLED (Ctrl-C, with the results so far) or FAILED (an exception, or no start succeeded).
 Results are tracked before pictures are drawn, so that an error in a picture loses no result. Every evaluation is on disk
 before it is returned (evaluations.py): the same command continues a study, however it ended (unfinished.py).
+Over 300 lines: what is printed at each way in which a study ends.
 Checked in tests/study/test_run.py, test_resume.py.
 """
 
@@ -42,6 +43,7 @@ from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
 from torchmbd.tracking.catalog import Entry, find
 from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.store import own_files, store_uri
+from torchmbd.tracking.uri import StoreURI
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
@@ -53,7 +55,7 @@ def run_study(
     workers: int = 1,
     scheduler: str | None = None,
     fresh: bool = False,
-    uri: str | None = None,
+    uri: str | StoreURI | None = None,
     evaluator: Any = None,
     rerun_finished: bool = False,
 ) -> int:
@@ -80,8 +82,8 @@ def run_study(
             file, overrides = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
             claim = claim_study(study_key(study, uri), study.name, file, overrides, uri, fresh)
             unfinished = stack.enter_context(claim)
-            if unfinished.run_id and not rerun_finished and (entry := _finished_run(unfinished)):
-                return _print_finished(study.name, unfinished, entry, console)
+            if unfinished.run_id and not rerun_finished and (entry := _finished_run(unfinished, uri)):
+                return _print_finished(study.name, unfinished, uri, entry, console)
             tracker = MlflowTracker(study.experiment, uri, unfinished.id)
         if fresh:  # `claim_study` has refused a study that is running in another process
             store.forget()
@@ -107,31 +109,30 @@ def run_study(
             status = "KILLED"
         finally:
             journal.end_all(status)
-            record = close_tracker(tracker, unfinished, console)
+            record = close_tracker(tracker, unfinished, console, store.trouble)
             study.outcome = Outcome(status, result, None if record is None else record.runs.get(PARENT))
-        for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
-            if trouble:
-                console.print(f"{what}: {escape(trouble)}", style="red", soft_wrap=True)
+        if journal.trouble:
+            console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known"
         duration = f"{time.monotonic() - start_time:.1f} s{known if cached.hits else ''}"
         return print_outcome(study.name, study.kind, status, duration, record, unfinished, console)
 
 
-def _finished_run(study: StudyState) -> Entry | None:
+def _finished_run(study: StudyState, uri: StoreURI) -> Entry | None:
     """Return the run in which a study has finished; None, with its state renewed, if its store has no such run."""
     try:
-        return find(study.uri, study.run_id)
+        return find(uri, study.run_id)
     except InputError:
         study.renew()
         return None
 
 
-def _print_finished(name: str, study: StudyState, entry: Entry, console: Console) -> int:
+def _print_finished(name: str, study: StudyState, uri: StoreURI, entry: Entry, console: Console) -> int:
     """Print where the run of a finished study is, and return the exit code."""
     best = entry.metrics.get("best_objective")
     outcome = "" if best is None else f", best objective {best:.6g}"
     console.print(f"{escape(name)}: finished on {study.ended}{outcome}; nothing is run again", soft_wrap=True)
-    record = Record(study.uri, entry.experiment_id, {PARENT: entry.run_id})
+    record = Record(uri, entry.experiment_id, {PARENT: entry.run_id})
     print_run_links(record, entry.kind, "FINISHED", console)
     short = entry.run_id[:8]
     console.print(
@@ -173,7 +174,7 @@ def _search(
             if store.trouble:
                 progress.note(f"{store.trouble}; the study goes on, and keeps it in memory")
             if trouble := journal.tracker.trouble:
-                progress.note(f"{trouble}; the study goes on")
+                progress.note(f"{trouble}; the study goes on, and sends it later")
 
         found = multistart(
             target,
@@ -235,13 +236,26 @@ def _summarize(result: MultistartResult, sign: float, journal: Journal) -> None:
     journal.summary(numbers, tags)
 
 
-def close_tracker(tracker: MlflowTracker, study: StudyState | None, console: Console) -> Record | None:
-    """Wait until everything is in the store; None, with a message, if the tracker gives up."""
+def close_tracker(
+    tracker: MlflowTracker, study: StudyState | None, console: Console, trouble: str | None = None
+) -> Record | None:
+    """Wait until everything is in the store; None, with a message, if the tracker gives up.
+
+    trouble  why the last evaluations are not on disk, None if they are
+    """
+    record = None
     try:
         with console.status("writing the last of it to MLflow"):
             record = tracker.close()
     except TrackingError as error:
         console.print(f"Tracking failed: {escape(str(error))}", style="red", soft_wrap=True)
+    if trouble:
+        again = "" if record else ". When both take them, the same command makes them again and sends the study"
+        console.print(f"The last evaluations are not on disk: {escape(trouble)}{again}", style="red", soft_wrap=True)
+    elif record is None and tracker.trouble:
+        text = "When the store is back, `torchmbd sync` sends the study: what it has computed is on disk"
+        console.print(text, style="red", soft_wrap=True)
+    if record is None:
         return None
     if study is not None and record.runs:
         study.mark_sent()
@@ -280,8 +294,7 @@ def print_outcome(
 def print_run_links(record: Record, kind: str, status: Status, console: Console) -> None:
     """Print the links of a run."""
     run = record.runs[PARENT]
-    served = record.uri.startswith(("http:", "https:"))
-    base = record.uri.rstrip("/") if served else DEFAULT_BASE
+    base = record.uri.page if record.uri.served else DEFAULT_BASE
     links = study_links(base, record.experiment_id, run, kind, status)
     if own := own_files(record.uri, run):
         console.print("To look at it: torchmbd ui, then", highlight=False)

@@ -35,6 +35,8 @@ from pydantic import (
     ConfigDict,
     Field,
     NonNegativeInt,
+    PlainSerializer,
+    PlainValidator,
     PositiveInt,
     field_validator,
     model_validator,
@@ -53,6 +55,7 @@ from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
 from torchmbd.study.scenario_keys import Combine, Scenario
 from torchmbd.study.section import UNITS, Numbers, Section, one_of
 from torchmbd.tracking.store import uri_fault
+from torchmbd.tracking.uri import StoreURI
 
 LIMIT_KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
@@ -245,18 +248,25 @@ class Range(Section):
     count: int = Field(ge=2, le=100_000)
 
 
+def _known_store(given: Any) -> StoreURI:
+    if not isinstance(given, str):
+        raise PydanticCustomError("uri", "must be a valid string")
+    uri = StoreURI(given)
+    if fault := uri_fault(uri):
+        raise PydanticCustomError("uri", "{text}", {"text": fault})
+    return uri
+
+
+Store = Annotated[
+    StoreURI, PlainValidator(_known_store, json_schema_input_type=str), PlainSerializer(str, return_type=str)
+]
+
+
 class Tracking(Section):
     """Where the runs go; see torchmbd.tracking.store for the default."""
 
     experiment: Annotated[str, Len(1, 200), Field(pattern=r"^[^\x00-\x1f]+$")] = "torchmbd"
-    uri: str | None = None
-
-    @field_validator("uri")
-    @classmethod
-    def _known_scheme(cls, uri: str | None) -> str | None:
-        if uri is not None and (fault := uri_fault(uri)):
-            raise PydanticCustomError("uri", "{text}", {"text": fault})
-        return uri
+    uri: Store | None = None
 
 
 class Figures(Section):

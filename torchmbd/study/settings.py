@@ -29,7 +29,8 @@ from torchmbd.study.columns import EXTRA, Columns
 from torchmbd.study.method_options import search_options
 from torchmbd.study.schema import NAME, UNITS, StudyFile
 from torchmbd.summary import Summary
-from torchmbd.tracking.store import store_uri
+from torchmbd.tracking.store import checked_uri
+from torchmbd.tracking.uri import StoreURI
 
 MAX_ITERATIONS = 60
 
@@ -73,7 +74,7 @@ class StudySettings(Summary):
         question: str = "",
         units: Mapping[str, str] | None = None,
         experiment: str = "torchmbd",
-        uri: str | None = None,
+        uri: str | StoreURI | None = None,
         origin: Origin | None = None,
         **options: Any,
     ):
@@ -87,8 +88,8 @@ class StudySettings(Summary):
         self.front = len(getattr(problem, "criteria", ())) > 1
         _check_options(method, options, self.front)
         self.max_iterations, self.options = int(max_iterations), options
-        self.experiment, self.uri, self.origin = experiment, uri, origin
-        store_uri(uri)
+        self.experiment, self.origin = experiment, origin
+        self.uri: StoreURI | None = None if uri is None else checked_uri(uri)
         self.columns = self._columns(units)
         self._start = checked_box(problem)[0]
         if starts is not None and not isinstance(starts, Starts):  # extra variables begin as those of the start

@@ -33,6 +33,7 @@ from torchmbd.study.settings import StudySettings
 from torchmbd.study.yaml_file import Document, read_yaml
 from torchmbd.tracking.catalog import Entry, fetch, find
 from torchmbd.tracking.store import store_uri
+from torchmbd.tracking.uri import StoreURI
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class LoadedStudy:
 Models = str | Path | Sequence[str | Path]
 
 
-def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStudy:
+def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) -> LoadedStudy:
     """Load the best design of a study.
 
     run    run id, its beginning, or the name of a study

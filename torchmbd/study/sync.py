@@ -19,7 +19,8 @@ from torchmbd.study.load import FiguresPlan, load
 from torchmbd.study.paths import figures_key, study_key
 from torchmbd.study.run import run_study
 from torchmbd.study.unfinished import StudyState, unsent
-from torchmbd.tracking.store import open_store
+from torchmbd.tracking.store import open_store, store_uri
+from torchmbd.tracking.uri import StoreURI
 
 
 class _InterruptingEvaluator:
@@ -53,18 +54,29 @@ def _send(study: StudyState) -> str:
     if study.path is None:
         raise MbdError("it was made in Python; allowed: run its script again, which sends it")
     plan = load(study.path, study.overrides)
-    key = figures_key(plan, study.uri) if isinstance(plan, FiguresPlan) else study_key(plan, study.uri)
+    uri = _store(study, plan.study.tracking.uri if isinstance(plan, FiguresPlan) else plan.uri)
+    key = figures_key(plan, uri) if isinstance(plan, FiguresPlan) else study_key(plan, uri)
     if key != study.folder.name:
         raise MbdError(
             f"the file, its model or torchmbd has changed since; allowed: torchmbd run, which begins it anew, "
             f"or remove {study.folder}"
         )
-    open_store(study.uri)
+    open_store(uri)
     silent = Console(quiet=True)
     if isinstance(plan, FiguresPlan):
-        run_figures(plan, silent, uri=study.uri)
+        run_figures(plan, silent, uri=uri)
     else:
-        run_study(plan, silent, uri=study.uri, evaluator=_InterruptingEvaluator())
+        run_study(plan, silent, uri=uri, evaluator=_InterruptingEvaluator())
     if any(other.folder == study.folder for other in unsent()):
         raise MbdError("the store has not taken all of it; allowed: torchmbd sync, when it is back")
     return study.name
+
+
+def _store(study: StudyState, given: StoreURI | None) -> StoreURI:
+    """Return the URI of a study's store, its user part from the experiment file (`given`) or the environment."""
+    if not study.uri.masked:
+        return study.uri
+    whole = store_uri(None if given is None or given.masked else given)
+    if str(whole) != str(study.uri):
+        raise MbdError("its user and password are on no disk; allowed: the whole URI as MLFLOW_TRACKING_URI")
+    return whole

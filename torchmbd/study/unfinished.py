@@ -26,7 +26,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from torchmbd.errors import InputError, MbdError
-from torchmbd.study.paths import relative_store, studies_folder
+from torchmbd.study.paths import make_studies_folder, private, relative_store, studies_folder
+from torchmbd.tracking.uri import StoreURI, hidden
 
 _FILE, _LOCK = "study.json", "study.lock"
 
@@ -52,11 +53,11 @@ class StudyState:
         return None if self.file is None else Path(os.path.normpath(self.folder.parent / self.file))
 
     @property
-    def uri(self) -> str:
-        """The URI of the store."""
+    def uri(self) -> StoreURI:
+        """The URI of the store; a user part is not on disk."""
         if not self.store.startswith("sqlite:///"):
-            return self.store
-        return f"sqlite:///{os.path.normpath(self.folder.parent / self.store.removeprefix('sqlite:///'))}"
+            return StoreURI(self.store)
+        return StoreURI(f"sqlite:///{os.path.normpath(self.folder.parent / self.store.removeprefix('sqlite:///'))}")
 
     @property
     def command(self) -> str:
@@ -89,13 +90,14 @@ class StudyState:
     def _write(self) -> None:
         draft = self.folder / f"{_FILE}.new"
         kept = {k: v for k, v in asdict(self).items() if k not in ("folder", "continues")}
-        draft.write_text(json.dumps(kept), encoding="utf-8")
+        with open(draft, "w", encoding="utf-8", opener=private) as file:
+            json.dump(kept, file)
         draft.replace(self.folder / _FILE)
 
 
 @contextlib.contextmanager
 def claim_study(
-    key: str, name: str, file: Path | None, overrides: Sequence[str], uri: str, fresh: bool = False
+    key: str, name: str, file: Path | None, overrides: Sequence[str], uri: StoreURI | str, fresh: bool = False
 ) -> Iterator[StudyState]:
     """Lock a study for this process and yield its state; MbdError if another process runs it.
 
@@ -104,14 +106,15 @@ def claim_study(
     uri              the store
     fresh            begin anew: do not continue the runs of an earlier process
     """
-    folder = studies_folder() / key
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = make_studies_folder() / key
+    folder.mkdir(mode=0o700, exist_ok=True)
     with _locked(folder) as locked:
         if not locked:
             raise MbdError(f"the same study is running in another process (its folder is {folder})")
         earlier = None if fresh else _read(folder)
         seen = None if file is None else os.path.relpath(file, folder.parent)
-        study = earlier or StudyState(folder, name, seen, list(overrides), relative_store(uri), uuid.uuid4().hex)
+        said = [hidden(text) for text in overrides]
+        study = earlier or StudyState(folder, name, seen, said, relative_store(uri), uuid.uuid4().hex)
         study.continues = earlier is not None
         if not study.run_id:
             study.sent = False
@@ -145,7 +148,7 @@ def _read(folder: Path) -> StudyState | None:
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
     """Try to lock a folder, for this process at most; yield whether it is locked."""
-    with (folder / _LOCK).open("w") as lock:
+    with open(folder / _LOCK, "w", opener=private) as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

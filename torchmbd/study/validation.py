@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
 from torchmbd.study.schema import LIMIT_KINDS, UNITS, Figures, Section, StudyFile
+from torchmbd.tracking.uri import StoreURI
 
 _FUNCTION = "package.module:function or path/to/file.py:function"
 #: What is allowed as the value of required keys.
@@ -87,7 +88,7 @@ def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Faul
         if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
             continue  # not the list is wrong but an entry of it
         text = _text(details, path, kind)
-        values[path] = details["input"]
+        values[path] = _shown_input(details, path)
         if text not in texts.setdefault(path, []):
             texts[path].append(text)
     return [Fault(path, _either(found, values[path])) for path, found in texts.items()]
@@ -107,7 +108,7 @@ def _path(details: ErrorDetails, data: Any) -> Path:
 
 
 def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
-    kind, value = details["type"], details["input"]
+    kind, value = details["type"], _shown_input(details, path)
     if kind == "missing":
         return f"is missing; allowed: {_ALLOWED.get(str(path[-1]), 'a value')}"
     if kind == "extra_forbidden":
@@ -132,6 +133,12 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     if kind in ("kind", "sampler"):
         return details["msg"] if details.get("ctx", {}).get("path") else f": {details['msg']}"
     return f"= {shown(value)}: {re.sub(r'^[A-Z][a-z]+ should', 'must', details['msg'])}"
+
+
+def _shown_input(details: ErrorDetails, path: Path) -> object:
+    """Return the value of a fault, the user part of a store's URI hidden, whatever is wrong with it."""
+    value = details["input"]
+    return str(StoreURI(value)) if path == ("tracking", "uri") and isinstance(value, str) else value
 
 
 def _either(texts: list[str], value: object) -> str:

@@ -14,6 +14,7 @@ Assumed: one document of nested mappings, sequences and scalars. Checked in test
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -25,6 +26,7 @@ import yaml
 
 from torchmbd.errors import InputError
 from torchmbd.study.file_errors import Fault, Path, StudyError
+from torchmbd.tracking.uri import StoreURI, hidden
 
 _MAX_BYTES = 1_000_000
 _MAX_DEPTH = 20
@@ -100,6 +102,20 @@ def scalar(text: str) -> Any:
             raise ValueError(f"= {text}: out of the range of a float; allowed: up to 1.8e308")
         return value
     return text
+
+
+def without_user(text: str) -> str:
+    """Return the text of an experiment file with the user part of its store, and of every other URI, hidden."""
+    for key, section in _entries(yaml.compose(text, Loader=yaml.SafeLoader)):
+        for inner, node in _entries(section) if key == "tracking" else ():
+            if inner == "uri" and isinstance(node, yaml.ScalarNode) and str(StoreURI(node.value)) != node.value:
+                written = json.dumps(str(StoreURI(node.value)))  # however it was quoted and folded
+                text = text[: node.start_mark.index] + written + text[node.end_mark.index :]
+    return hidden(text)
+
+
+def _entries(node: yaml.Node | None) -> list[tuple[str, yaml.Node]]:
+    return [(key.value, value) for key, value in node.value] if isinstance(node, yaml.MappingNode) else []
 
 
 class _Builder:

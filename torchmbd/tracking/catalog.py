@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import InputError, nearest
-from torchmbd.tracking.store import all_runs, open_store, own_files, sqlite_file
+from torchmbd.tracking.store import all_runs, open_store, own_files, store_uri
+from torchmbd.tracking.uri import StoreURI
 
 KINDS = ("study", "front", "sweep", "figures")
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is maximized
@@ -33,10 +34,10 @@ class Entry:
     tags: dict[str, str]
 
 
-def studies(uri: str) -> list[Entry]:
+def studies(uri: StoreURI | str) -> list[Entry]:
     """Return the studies of a store, the newest first; a SQLite file that does not exist is not created."""
-    file = sqlite_file(uri)
-    if file is not None and not file.exists():
+    uri = store_uri(uri)
+    if uri.file is not None and not uri.file.exists():
         return []
     client = open_store(uri)
     names = {e.experiment_id: e.name for e in client.search_experiments()}
@@ -47,17 +48,17 @@ def studies(uri: str) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.began, reverse=True)
 
 
-def find(uri: str, run: str) -> Entry:
+def find(uri: StoreURI | str, run: str) -> Entry:
     """Return the latest study with a run id that begins with `run`, or of the name `run`; InputError if there is none."""
     found = studies(uri)
     for entry in found:
         if entry.run_id.startswith(run) or entry.name == run:
             return entry
     names = dict.fromkeys(entry.name for entry in found)
-    raise InputError(f"run {run!r} is not in {uri}{nearest(run, names)}, or a run id")
+    raise InputError(f"run {run!r} is not in {store_uri(uri)}{nearest(run, names)}, or a run id")
 
 
-def fetch(uri: str, entry: Entry, name: str, folder: Path) -> Path | None:
+def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:
     """Copy a file of a run into a folder and return its path; None if the run has no such file."""
     if own := own_files(uri, entry.run_id):
         return Path(shutil.copy(own / name, folder)) if (own / name).is_file() else None
@@ -68,14 +69,14 @@ def fetch(uri: str, entry: Entry, name: str, folder: Path) -> Path | None:
     return Path(client.download_artifacts(entry.run_id, name, str(folder)))
 
 
-def files(uri: str, entry: Entry, folder: str) -> list[str]:
+def files(uri: StoreURI, entry: Entry, folder: str) -> list[str]:
     """Return the names of the files in a folder of a run; "": those beside the folders."""
     if own := own_files(uri, entry.run_id):
         return sorted(str(path.relative_to(own)) for path in (own / folder).glob("*") if path.is_file())
     return [item.path for item in open_store(uri).list_artifacts(entry.run_id, folder or None) if not item.is_dir]
 
 
-def children(uri: str, entry: Entry) -> list[Entry]:
+def children(uri: StoreURI | str, entry: Entry) -> list[Entry]:
     """Return a study's children: the best feasible one first, then the others, the smallest violation first."""
     parent = f"tags.mlflow.parentRunId = '{entry.run_id}'"
     order = [f"metrics.objective {'DESC' if entry.tags.get(GOAL) == MAXIMIZE else 'ASC'}"]
@@ -86,7 +87,7 @@ def children(uri: str, entry: Entry) -> list[Entry]:
     return sorted(found, key=lambda child: max(violations[child.run_id] - feasible, 0.0))
 
 
-def history(uri: str, entry: Entry, metric: str) -> list[float]:
+def history(uri: StoreURI | str, entry: Entry, metric: str) -> list[float]:
     """Return a metric of a run over its steps."""
     points = {point.step: point.value for point in open_store(uri).get_metric_history(entry.run_id, metric)}
     return [points[step] for step in sorted(points)]

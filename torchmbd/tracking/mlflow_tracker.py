@@ -34,6 +34,7 @@ from pathlib import Path
 from torchmbd.tracking.store import first_line, store_uri
 from torchmbd.tracking.study_store import PendingRun, Point, StudyStore
 from torchmbd.tracking.tracker import Record, Status, TrackingError
+from torchmbd.tracking.uri import StoreURI
 
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
@@ -51,7 +52,7 @@ class MlflowTracker:
     study  key of the study, whose runs are continued; None: a new study
     """
 
-    def __init__(self, experiment: str, uri: str | None = None, study: str | None = None) -> None:
+    def __init__(self, experiment: str, uri: str | StoreURI | None = None, study: str | None = None) -> None:
         self.experiment, self.uri = experiment, store_uri(uri)
         self.study = study or uuid.uuid4().hex
         self.trouble: str | None = None  # why nothing reaches the store at present
@@ -124,7 +125,7 @@ class MlflowTracker:
         self._open[run] = False
 
     def close(self) -> Record:
-        """Wait until everything is in the store; TrackingError names what is not, and what to do."""
+        """Wait until everything is in the store; TrackingError names what is not."""
         for run in reversed([run for run, is_open in self._open.items() if is_open]):  # children before their parent
             self.end(run, "KILLED")
         if self._thread.ident is None:  # nothing was logged: no store is made for it
@@ -175,10 +176,7 @@ class MlflowTracker:
                     if closing and not pending:
                         pending = self._take_pending()
             except Exception as error:  # of MLflow, the database or the network: tried again
-                self.trouble = (
-                    f"the store {self.uri!r} does not take the runs: {first_line(error)}\nNothing is lost: every evaluation "
-                    "is on disk. When the store is back, `torchmbd sync` sends the study again"
-                )
+                self.trouble = f"the store {self.uri!r} does not take the runs: {self.uri.hide(first_line(error))}"
                 if closing and time.monotonic() > self._deadline:
                     return
                 pause = _RETRY

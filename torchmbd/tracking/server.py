@@ -14,8 +14,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from torchmbd.errors import InputError
-from torchmbd.tracking.store import ARTIFACTS, open_store, sqlite_file
+from torchmbd.tracking.store import ARTIFACTS, open_store
 from torchmbd.tracking.tracker import TrackingError
+from torchmbd.tracking.uri import StoreURI
 
 _START_SECONDS = 60
 QUIET = {
@@ -27,20 +28,20 @@ QUIET = {
 
 
 @contextmanager
-def serving(uri: str, host: str = "127.0.0.1", port: int = 5000) -> Iterator[subprocess.Popen]:
+def serving(uri: StoreURI | str, host: str = "127.0.0.1", port: int = 5000) -> Iterator[subprocess.Popen]:
     """Serve a store until the block is left; TrackingError if the server does not start.
 
     The tables of a new store are created first, since several processes of the server must not do it at once.
     """
     _require_free(host, port)
+    uri = StoreURI(uri)
     open_store(uri)
-    command = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri]
-    command += ["--host", host, "--port", str(port), "--workers", "1"]
-    if file := sqlite_file(uri):
+    command = [sys.executable, "-m", "mlflow", "server", "--host", host, "--port", str(port), "--workers", "1"]
+    if file := uri.file:
         command += ["--default-artifact-root", ARTIFACTS, "--artifacts-destination", str(file.parent / "mlartifacts")]
     process = subprocess.Popen(
         command,
-        env={**os.environ, **QUIET},
+        env={**os.environ, **QUIET, "MLFLOW_BACKEND_STORE_URI": uri.whole},  # others can read a command line
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 from torchmbd.errors import InputError
 from torchmbd.process import require_cache_folder
 from torchmbd.tracking.tracker import TrackingError
+from torchmbd.tracking.uri import MASK, StoreURI
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -39,27 +40,37 @@ _SETTINGS = {  # of MLflow
     "MLFLOW_LOGGING_LEVEL": "WARNING",
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # a missing server is reported within seconds, not minutes
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # two lines for every run, with the user part of the URI
 }
 
 
-def store_uri(uri: str | None = None) -> str:
+def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
     """Return the URI of the store to use, a SQLite path made absolute; InputError if it is no URI of a store."""
     given = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
-    chosen = uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
-    if not isinstance(chosen, str):
-        raise InputError(f"uri is {chosen!r}; allowed: a store such as sqlite:///mlflow.db")
-    if fault := uri_fault(chosen):
-        raise InputError(f"{given} = {chosen!r}: {fault}")
-    file = sqlite_file(chosen)
-    return f"sqlite:///{file}" if file else chosen
+    chosen = checked_uri(uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}", given)
+    if chosen.masked:
+        raise InputError(
+            f"{given} = {chosen!r}: {MASK} stands for what is not written down; allowed: the whole URI, as MLFLOW_TRACKING_URI"
+        )
+    return StoreURI(f"sqlite:///{chosen.file}") if chosen.file else chosen
 
 
-def uri_fault(uri: str) -> str | None:
+def checked_uri(uri: str | StoreURI, given: str = "uri") -> StoreURI:
+    """Return the URI of a store as it is; InputError, which names the argument `given`, if it is none."""
+    if not isinstance(uri, (str, StoreURI)):
+        raise InputError(f"{given} is {uri!r}; allowed: a store such as sqlite:///mlflow.db")
+    checked = StoreURI(uri)
+    if fault := uri_fault(checked):
+        raise InputError(f"{given} = {checked!r}: {fault}")
+    return checked
+
+
+def uri_fault(uri: StoreURI) -> str | None:
     """Return why a URI is no store, None if it may be one."""
-    scheme, separator, _ = uri.partition(":")
-    if not separator or scheme.partition("+")[0] not in SCHEMES:
+    scheme, separator, place = uri.whole.partition("://")
+    if not separator or scheme.partition("+")[0] not in SCHEMES or (scheme == "sqlite" and place[:1] != "/"):
         return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)}; allowed: such as sqlite:///mlflow.db"
-    file = sqlite_file(uri)
+    file = uri.file
     if file and any(c in str(file) for c in _MISREAD):
         return (
             f"MLflow misreads {' and '.join(_MISREAD)} in a path; allowed: a path without, named by MLFLOW_TRACKING_URI"
@@ -67,41 +78,40 @@ def uri_fault(uri: str) -> str | None:
     return None
 
 
-def sqlite_file(uri: str) -> Path | None:
-    """Return the file of a SQLite store (absolute), or None for any other store."""
-    return Path(uri.removeprefix("sqlite:///")).absolute() if uri.startswith("sqlite:///") else None
-
-
-def own_files(uri: str, run_id: str) -> Path | None:
+def own_files(uri: StoreURI, run_id: str) -> Path | None:
     """Return the folder of a run's files beside a SQLite store (absolute), whether it exists or not; None for others."""
-    file = sqlite_file(uri)
-    return None if file is None else file.parent / "mlartifacts" / run_id / "artifacts"
+    return None if uri.file is None else uri.file.parent / "mlartifacts" / run_id / "artifacts"
 
 
-def relative_to_store(uri: str, file: Path) -> str:
+def relative_to_store(uri: StoreURI, file: Path) -> str:
     """Return a path relative to the folder of a SQLite store; for other stores, to the working directory."""
-    store = sqlite_file(uri)
-    return os.path.relpath(file, Path.cwd() if store is None else store.parent)
+    return os.path.relpath(file, Path.cwd() if uri.file is None else uri.file.parent)
 
 
-def open_store(uri: str) -> MlflowClient:
+def open_store(uri: StoreURI | str) -> MlflowClient:
     """Open a store, creating its tables if it is new; TrackingError if it cannot be opened."""
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     logging.getLogger("alembic").setLevel(logging.WARNING)
-    logging.getLogger("urllib3").setLevel(logging.ERROR)  # its retries; how they end is reported
+    for name in ("urllib3", "mlflow.store.db"):  # their retries; how they end is reported, without the user
+        logging.getLogger(name).setLevel(logging.ERROR)
     from mlflow import MlflowClient  # takes 3 seconds
     from mlflow.exceptions import MlflowException
 
-    file = sqlite_file(uri)
+    uri = StoreURI(uri)
     try:
         with _store_lock(uri):
-            if file:
-                _require_file(file)
-            client = MlflowClient(uri)
+            if uri.file:
+                _require_file(uri.file)
+            client = MlflowClient(uri.whole)
             client.search_experiments(max_results=1)
-    except (MlflowException, OSError, sqlite3.Error) as error:
-        raise TrackingError(f"the store {uri!r} cannot be opened: {first_line(error)}") from error
+    except (
+        MlflowException,
+        OSError,
+        sqlite3.Error,
+        ImportError,
+    ) as error:  # its text, and those before it, may show the user
+        raise TrackingError(f"the store {uri!r} cannot be opened: {uri.hide(first_line(error))}") from None
     return client
 
 
@@ -123,12 +133,12 @@ def _require_file(file: Path) -> None:
         draft.replace(file)
 
 
-def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
+def experiment_id(client: MlflowClient, name: str, uri: StoreURI) -> str:
     """Return the id of an experiment, creating it if it is new."""
     with _store_lock(uri):
         found = client.get_experiment_by_name(name)
         if found is None:
-            return client.create_experiment(name, artifact_location=ARTIFACTS if sqlite_file(uri) else None)
+            return client.create_experiment(name, artifact_location=ARTIFACTS if uri.file else None)
     if found.lifecycle_stage != "active":
         raise TrackingError(f"experiment {name!r} is deleted in {uri}; restore it there or choose another name")
     return found.experiment_id
@@ -147,9 +157,9 @@ def all_runs(client: MlflowClient, experiments: list[str], condition: str, order
 
 
 @contextmanager
-def _store_lock(uri: str) -> Iterator[None]:
+def _store_lock(uri: StoreURI) -> Iterator[None]:
     """Lock all SQLite stores, so that one process at a time creates tables and experiments."""
-    if sqlite_file(uri) is None:
+    if uri.file is None:
         yield
         return
     with (require_cache_folder() / "stores.lock").open("w") as lock:

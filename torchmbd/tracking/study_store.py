@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from torchmbd.tracking.links import VIEW_TAG
 from torchmbd.tracking.store import all_runs, experiment_id, first_line, open_store, own_files
 from torchmbd.tracking.tracker import Status
+from torchmbd.tracking.uri import StoreURI
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -55,7 +56,7 @@ class PendingRun:
 class StudyStore:
     """One study in the store, by MlflowClient; all of it in the thread of the tracker."""
 
-    def __init__(self, experiment: str, uri: str, study: str) -> None:
+    def __init__(self, experiment: str, uri: StoreURI, study: str) -> None:
         self.experiment, self.uri, self.study = experiment, uri, study
         self.experiment_id = ""
         self.ids: dict[str, str] = {}  # of the runs, by their keys
@@ -142,4 +143,4 @@ class StudyStore:
         except MlflowException as error:
             if error.error_code not in _REFUSALS:
                 raise
-            self.refused.append(f"{run}: {first_line(error)}")
+            self.refused.append(f"{run}: {self.uri.hide(first_line(error))}")

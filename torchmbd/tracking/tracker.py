@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchmbd.errors import MbdError
+from torchmbd.tracking.uri import StoreURI
 
 Status = Literal["FINISHED", "FAILED", "KILLED"]
 
@@ -18,6 +19,6 @@ class TrackingError(MbdError):
 class Record:
     """The runs of a study in a store: URI, id of the experiment, and the run id of each key."""
 
-    uri: str
+    uri: StoreURI
     experiment_id: str
     runs: dict[str, str] = field(default_factory=dict)
