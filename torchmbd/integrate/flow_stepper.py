@@ -18,7 +18,8 @@ from torch import Tensor
 
 from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
-from torchmbd.integrate.phases.switch import accelerations, at_time, lane_of, pick_lanes
+from torchmbd.integrate.phases.lanes import join_states, lanes_of, pick_lanes
+from torchmbd.integrate.phases.switch import accelerations, at_time
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
@@ -50,7 +51,7 @@ class FlowStepper:
         if lane in self.failed:
             return own
         if lane not in self._rates:
-            self._rates[lane] = RightHandSide(lane_of(self.dynamics, lane))
+            self._rates[lane] = RightHandSide(lanes_of(self.dynamics, [lane]))
         f, times = self._rates[lane], self.h * torch.arange(i - 1, i + 1, dtype=torch.float64)
         try:
             y = flow(f, torch.cat(own[:2]), times, self.arguments)[-1]
@@ -69,13 +70,26 @@ class FlowStepper:
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:
-    """The state of one lane a time h later, at t1; as of `Integrator.step_of_size`."""
+    """The states of all lanes times h later, at t1; as of `Integrator.step_of_size`."""
+    parts = []
+    for lane in range(x.q.shape[-1]):
+        size, end = (pick_lanes(y, [lane]) for y in (h, t1))
+        state = x.map(lambda y, lane=lane: pick_lanes(y, [lane]))
+        parts.append(_flow_of_lane(lanes_of(dynamics, [lane]), state, size, end, arguments))
+    return join_states(parts)
+
+
+def _flow_of_lane(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:
+    """As of `flow_of_size`, of one lane; nan where it cannot be integrated."""
     t0 = t1 - h
     y = _shifted(dynamics, _full(cat([x.q, x.v])), t0, -1.0)
     now, then = float(value(t0)), float(value(t1))
     if abs(then - now) > _SAME * abs(then):
         times = torch.tensor([now, then], dtype=torch.float64)
-        y = flow(RightHandSide(dynamics), y, times, arguments)[-1]
+        try:
+            y = flow(RightHandSide(dynamics), y, times, arguments)[-1]
+        except FloatingPointError:
+            return x.map(lambda z: z * torch.nan)
     y = _shifted(dynamics, y, t1, 1.0)
     z = Pair(y) if y.shape[1] > 1 else y
     q, v = z[: dynamics.topology.n_q], z[dynamics.topology.n_q :]

@@ -3,7 +3,7 @@
     integrate             motion of all lanes over equal output intervals
     integrate_phases      the same through the phases of a simulation (phases/loop.py), by
     stepper                 regular steps of all lanes, from output to output
-    step_of_size            a step of one lane whose size and end may depend on the design
+    step_of_size            a step of every lane whose size and end may depend on the design
     retry                 the integrator for lanes that failed
     with_defaults         the same integrator, defaults chosen for a system
 
@@ -116,10 +116,13 @@ class Integrator(ABC):
         """Regular steps of size h [s]."""
 
     @abstractmethod
-    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
-        """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
+    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
+        """The states of all lanes after steps of sizes h that end at t1; numbers [1 + n, lanes], pairs if x are.
 
-        Those of x and of the result carry total derivatives: times may depend on the design.
+        near   states near those at the end, where some are known: fewer iterations
+
+        Numbers of x and of the result carry total derivatives: times may depend on the design. A lane that cannot make its
+        step is nan.
         """
 
     def stored_intervals(self, steps: int) -> int:

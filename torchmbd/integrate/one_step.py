@@ -110,9 +110,9 @@ class OneStep(Integrator):
         """Corrections of values and tangents for a system."""
         return self.iterations or (_ITERATIONS if dynamics.topology.beams is None else _OF_BEAMS)
 
-    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
         """As of Integrator."""
-        return step_of_size(dynamics, self.weights, x, h, t1)
+        return step_of_size(dynamics, self.weights, x, h, t1, near)
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
         """As of Integrator.

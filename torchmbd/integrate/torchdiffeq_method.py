@@ -100,12 +100,9 @@ class Torchdiffeq(Integrator):
         """As of Integrator."""
         return FlowStepper(dynamics, h, self.arguments(dynamics))
 
-    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
-        """As of Integrator; nan where it cannot be integrated."""
-        try:
-            return flow_of_size(dynamics, x, h, t1, self.arguments(dynamics))
-        except FloatingPointError:
-            return x.map(lambda y: y * torch.nan)
+    def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
+        """As of Integrator."""
+        return flow_of_size(dynamics, x, h, t1, self.arguments(dynamics))
 
     def arguments(self, dynamics: Dynamics) -> dict[str, Any]:
         """Arguments of torchdiffeq.odeint."""

@@ -1,70 +1,89 @@
 """Steps whose size depends on the design, and the state a little after a switch.
 
-Size h and end t1 of a step are numbers [1 + n, 1] with tangents; one lane. Iterated to rounding, values and tangents.
-Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py, tests/sensitivity/test_phase_adjoint.py.
+Size h and end t1 of a step are numbers [1 + n, lanes] with tangents: each lane has its own, and its numbers depend on no
+other lane. Iterated to rounding, values and tangents; a lane whose iteration does not converge is nan.
+Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py,
+tests/sensitivity/test_phase_adjoint.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrate.step import Model, Step, Weights, apply
-from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored
-from torchmbd.multibody.system.topology import Prescribed, Topology
+from torchmbd.multibody.system.times_as_lanes import at_own_times
+from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
 
-_MOST = 25  # corrections
+_MOST = 40  # corrections
 _ROUNDING = 1e-13  # relative
+_STALLED = 1e-6  # relative: a correction below it that is not half of the one before is rounding
+_EPSILON = 1e-14  # rounding of coordinates, with what equations and factors add to it
 
 
-def step_of_size(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> State:
-    """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
+def step_of_size(
+    dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any, near: State | None = None
+) -> State:
+    """The state of all lanes after steps of sizes h that end at t1; numbers [1 + n, lanes], pairs if x are.
 
     weights   of a step, as a function of its size
+    near      a state whose accelerations and multipliers are near those at the end; None: those of x
 
-    In grad mode differentiable in reverse mode by all that it depends on.
+    A lane whose step does not converge is nan. In grad mode differentiable in reverse mode by all that it depends on.
     """
     model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
-    step = model.step(x, prescribed_at(dynamics.topology, t1, dynamics.data))
+    step = model.step(x, at_own_times(dynamics.topology, t1, dynamics.data))
+    start = x if near is None else near
     with torch.no_grad():
-        z, K = _solved(dynamics, step, torch.cat([value(x.vd), value(x.lam)]))
+        z, K = _solved(dynamics, step, torch.cat([value(start.vd), value(start.lam)]).detach())
     if isinstance(x.q, Pair):
-        return step.finish(z, converged(step, factored(K), z, torch.cat([x.vd.tangent, x.lam.tangent])))
+        like = start if isinstance(start.vd, Pair) else x
+        return step.finish(z, converged(step, factored(K), z, torch.cat([like.vd.tangent, like.lam.tangent])))
     return step.finish(_implicit(step, factored(K.mT), z) if torch.is_grad_enabled() else z)
 
 
-def _solved(dynamics: Dynamics, step: Step, z: Tensor) -> tuple[Tensor, Tensor]:
-    """The unknowns z [n, 1, 1] of a step from an estimate, and the iteration matrix there."""
-    before = torch.inf
-    for _ in range(_MOST):
-        K = dynamics.regularize(step.matrix(z))
-        z, correction = step.correct(factored(K), z)
-        size = float(step.size(correction))
-        if _done(size, before, z):
-            break
-        before = size
-    return z, K
+def _solved(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor]:
+    """The unknowns z [n, 1, lanes] of a step from an estimate, and the iteration matrices there; nan where none converge.
+
+    A node of a beam that has just been let go may accelerate by 1e5 m/s^2 for much less than a step: Newton's method does not
+    come back from there, but does from a step without accelerations and multipliers.
+    """
+    z, K, found = _from(dynamics, step, estimate)
+    if not bool(found.all()):
+        other, K_other, others = _from(dynamics, step, torch.zeros_like(estimate))
+        z, K = torch.where(found, z, other), torch.where(found[:, None, None], K, K_other)
+        found = found | others
+    return torch.where(found, z, torch.nan), K
+
+
+def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """As of `_solved` from one estimate, and which lanes converged."""
+    K, w = None, step.model.plain
+    # A system at rest has no other accelerations than what these make of the rounding of coordinates.
+    rounding = _EPSILON * value(step.x.q).abs().amax((0, 1)) * w.inverse_scale[0]
+
+    def correction(z: Tensor, active: Tensor) -> Tensor:
+        nonlocal K
+        at_z = dynamics.regularize(step.matrix(z))
+        K = at_z if K is None else torch.where(active[:, None, None], at_z, K)
+        return step.correct(factored(K), z)[1]
+
+    z, found = _iterated(correction, estimate, step.model.T.n_v, rounding)
+    assert K is not None
+    return z, K, found
 
 
 def converged(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
     """Tangents [n, pair, lanes] of the unknowns z of a step, iterated to rounding from an estimate."""
-    before = torch.inf
-    for _ in range(_MOST):
-        dz, correction = step.tangent(H, z, dz)
-        size = float(step.size(correction).max())
-        if _done(size, before, dz):
-            break
-        before = size
-    return dz
+    return _iterated(lambda dz, _: step.tangent(H, z, dz)[1], dz, step.model.T.n_v)[0]
 
 
 def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
@@ -76,53 +95,54 @@ def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
     residual = step.residual(leaf)
 
     def solved(goal: Tensor) -> Tensor:
-        mu, before = apply(H, goal), torch.inf
-        for _ in range(_MOST):
+        def correction(mu: Tensor, _: Tensor) -> Tensor:
             (pulled,) = torch.autograd.grad(residual, leaf, mu, retain_graph=True)
-            correction = apply(H, pulled - goal)
-            mu = mu - correction
-            size = float(step.size(correction))
-            if _done(size, before, mu[: step.model.T.n_v]):
-                break
-            before = size
-        return mu
+            return apply(H, pulled - goal)
+
+        return _iterated(correction, apply(H, goal), step.model.T.n_v, of=step.model.T.n_v)[0]
 
     found = z - (residual - residual.detach())
     found.register_hook(solved)
     return found
 
 
-def _done(size: float, before: float, z: Tensor) -> bool:
-    """Whether a correction was rounding only: tiny, or no smaller than half the one before once these are small."""
-    scale = float(z.abs().max()) if z.numel() else 0.0
-    return not size > _ROUNDING * scale or (size > 0.5 * before and size < 1e-6 * scale)
+def _iterated(
+    correction: Callable[[Tensor, Tensor], Tensor],
+    x: Tensor,
+    n_v: int,
+    rounding: Any = 0.0,
+    of: int | None = None,
+) -> tuple[Tensor, Tensor]:
+    """x [n, pair, lanes] less its corrections until those of its first n_v rows are rounding, and which lanes got there.
 
-
-def prescribed_at(T: Topology, t: Any, data: equations.Data) -> Prescribed:
-    """Drives and bodies of known motion at a time t [1 + n, 1], with tangents if t has any."""
-    prescribed = T.prescribed(value(t)[0, 0], data)
-    if not isinstance(t, Pair):
-        return prescribed
-    laws = [None if law is None else tuple(_at(x, t) for x in law) for law in T.law_jets(value(t)[0, 0], data)]
-    return prescribed._replace(laws=laws, t=t)
+    correction(x, active)   of the lanes that still change
+    rounding                size of a correction that is rounding whatever x is [lanes]
+    of                      how many rows of x are a measure of the others; None: all
+    """
+    active = torch.ones(x.shape[-1], dtype=torch.bool)
+    found, before = ~active, torch.inf
+    for _ in range(_MOST):
+        change = correction(x, active)
+        x = torch.where(active, x - change, x)
+        size, scale = (y.abs().flatten(0, 1).amax(0) for y in (change[:n_v], x[:of]))
+        small = (size <= _STALLED * scale) | (size <= rounding)
+        done = (size <= _ROUNDING * scale) | (small & (size > 0.5 * before))
+        found = torch.where(active, small, found)
+        active = active & ~done & torch.isfinite(size)
+        if not bool(active.any()):
+            break
+        before = size
+    return x, found
 
 
 def least_norm_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
-    """Multipliers of a state at a time t [1 + n, 1], of redundant rows those of least norm."""
+    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm."""
     least = dynamics.least_norm
-    return (
-        x.lam if least is None else least(dynamics.data, prescribed_at(dynamics.topology, t, dynamics.data), x.q, x.lam)
-    )
-
-
-def _at(x: Jet, t: Pair) -> Pair:
-    """What a law prescribes at a time that depends on the design."""
-    moved = value(x.velocity) * t.tangent
-    return Pair.of(value(x.value), moved + x.value.tangent if isinstance(x.value, Pair) else moved)
+    return x.lam if least is None else least.at_varying_time(dynamics.data, t, x.q, x.lam)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:
-    """The state a short time h [1 + n, 1] later: the first terms of the Taylor series."""
+    """The state a short time h [1 + n, lanes] later: the first terms of the Taylor series."""
     q = equations.advance(T, x.q, h * x.v + (0.5 * h * h) * x.vd)
     return x._replace(q=q, v=x.v + h * x.vd)
 
@@ -136,11 +156,11 @@ def widened(x: Any, extra: int = 1) -> Any:
 
 def widened_data(dynamics: Dynamics) -> Dynamics:
     """The dynamics with one more direction of the tangents of its data."""
-    return replace(dynamics, data={k: widened(x) if isinstance(x, Pair) else x for k, x in dynamics.data.items()})
+    return dynamics.with_data({k: widened(x) if isinstance(x, Pair) else x for k, x in dynamics.data.items()})
 
 
-def narrowed(x: Any, slope: Any) -> Any:
-    """The number as a function of the design alone, with the last direction's variable a function of slope [n] of it."""
+def narrowed(x: Any, slope: Tensor) -> Any:
+    """The number as a function of the design alone, with the last direction's variable a function of slope [n, lanes] of it."""
     if not len(slope):
         return x.value
-    return Pair.of(x.value, x.tangent[..., :-1, :] + x.tangent[..., -1:, :] * slope[:, None])
+    return Pair.of(x.value, x.tangent[..., :-1, :] + x.tangent[..., -1:, :] * slope)

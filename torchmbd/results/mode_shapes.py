@@ -7,7 +7,7 @@ Checked in tests/results/test_body_motion.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -83,19 +83,19 @@ def without_failed(data: dict[str, Any], good: Tensor) -> dict[str, Any]:
     return data | {name: torch.where(good, x, x.detach()) for name, x in moving.items()}
 
 
-class OneLane(Shapes):
-    """Mode shapes of one lane of others."""
+class SomeLanes(Shapes):
+    """Mode shapes of some lanes of others."""
 
-    def __init__(self, base: Shapes, lane: int):
+    def __init__(self, base: Shapes, lanes: Sequence[int]):
         super().__init__()
-        self.base, self.lane = base, lane
+        self.base, self.lanes = base, list(lanes)
 
     def _values(self, name: str) -> Tensor:
-        return self.base.values(name)[self.lane : self.lane + 1]
+        return self.base.values(name)[self.lanes]
 
-    def detach(self) -> OneLane:
+    def detach(self) -> SomeLanes:
         """As of Shapes."""
-        return OneLane(self.base.detach(), self.lane)
+        return SomeLanes(self.base.detach(), self.lanes)
 
 
 class GivenShapes(Shapes):

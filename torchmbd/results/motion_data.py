@@ -16,7 +16,7 @@ from torchmbd.errors import InputError, SimulationFailure, one_of
 from torchmbd.math.gradients import all_true
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.mode_shapes import OneLane, Shapes
+from torchmbd.results.mode_shapes import Shapes, SomeLanes
 from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, TensorSignals, detached
 from torchmbd.summary import Summary, few
 
@@ -238,7 +238,7 @@ class MotionData(Summary):
             signals=TensorSignals(there),
             status=self.status[one],
             dynamics=self.dynamics.select_lanes([lane]),
-            shapes=OneLane(self.shapes, lane),
+            shapes=SomeLanes(self.shapes, [lane]),
             designs={name: x[one] for name, x in self.designs.items()},
             parameters=(),
             good=None if self.good is None else self.good[one],

@@ -31,8 +31,9 @@ from torchmbd.integrate.adjoint import INACCURATE, AdjointSolver, Grid, MotionCo
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, pull_back, rows_first, shaped, zeros
+from torchmbd.integrate.phases.lanes import join_states, pick_lanes
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
-from torchmbd.integrate.phases.switch import data_with_marks, join_states, pick_lanes
+from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.variable_step import shortly_after
@@ -137,7 +138,7 @@ class PhaseAdjoint:
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
             end = begin + size if event is not None else self.multiphase.end_times(phase_model, t)
             y = self.integrator.step_of_size(leaves.dynamics, base, end - begin if event is None else size, end)
-            g = None if event is None else event.of(leaves.views.at(0, leaves.dynamics, end, y))[0]
+            g = None if event is None else event.of(leaves.views.at([0], leaves.dynamics, end, y))[0]
         inputs = [size, t, *base, *leaves.leaves.values()]
         found = pull_back([end, *y], one.exit, inputs, rows)
         if g is not None:

@@ -4,13 +4,14 @@
 
 g is a function: motion -> [lanes, times], written as for a history; here the motion has one time only. torch differentiates g
 in reverse mode by all that it may depend on: time, state, data of the model, designs and mode shapes. Where these have
-tangents, so has g.
+tangents, so has g. Lanes that are at different times are one motion, unless the function reads the time: then they go one by
+one.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,12 +20,13 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.integrate.phases.lanes import expanded, join_lanes, lanes_of, pick_lanes
 from torchmbd.integrate.variable_step import least_norm_multipliers
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, OneLane, shape_tangents
+from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, SomeLanes, shape_tangents
 from torchmbd.results.motion_data import OK
 from torchmbd.results.state import State
 from torchmbd.results.time_rows import Rows, Signals, TensorSignals
@@ -62,7 +64,7 @@ class Event:
     def of(self, motion: Trajectory) -> Tensor:
         """The function [lanes, times]; InputError if it returns anything else."""
         g = self.function.values(motion) if hasattr(self.function, "values") else self.function(motion)
-        shape = (motion.lanes, len(motion.t))
+        shape = (motion.lanes, motion.signals.times)
         if not isinstance(g, Tensor) or g.shape != shape:
             returned = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
             raise InputError(f"the function of an event returned {returned}; allowed: a tensor [lanes, times], {shape}")
@@ -76,8 +78,20 @@ class Event:
         return passed & (before.abs() > 1e-9 * after.abs())
 
 
+class _TimeRead(Exception):
+    """A function has read the time of a motion whose lanes are at different times."""
+
+
+class _TimesOfLanes(Tensor):
+    """The time of a motion whose lanes are at different times: there is none that they share."""
+
+    @classmethod
+    def __torch_function__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        raise _TimeRead
+
+
 class Instant(Signals):
-    """A state x at a time t [1 + n, 1] as a motion of this time alone."""
+    """States x at times t [1 + n, lanes] as a motion of one time."""
 
     def __init__(self, dynamics: Dynamics, t: Any, x: State):
         super().__init__()
@@ -104,40 +118,50 @@ class Instant(Signals):
 
 
 class Leaves:
-    """Values of one lane as leaves of a graph of torch, each with the tangents by which its gradient is multiplied.
+    """Values of some lanes as leaves of a graph of torch, each with the tangents by which its gradient is multiplied.
 
     n   number of tangents; directions that are missing are zero
     """
 
-    def __init__(self, n: int):
-        self.n = n
+    def __init__(self, n: int, lanes: int):
+        self.n, self.lanes = n, lanes
         self.values: list[Tensor] = []
-        self.tangents: list[Tensor] = []
+        self.tangents: list[Tensor] = []  # [n, component, lanes]
+        self.lane_axes: list[int] = []
 
-    def leaf(self, x: Tensor, tangents: Tensor | None) -> Tensor:
+    def leaf(self, x: Tensor, tangents: Tensor | None, lane_axis: int = 0) -> Tensor:
         """A leaf with the value x; tangents [k, ...]: those beyond k are zero; None: all are."""
         y = x.detach()
         if tangents is None or not len(tangents):
             return y
         y = y.clone().requires_grad_()
-        flat = tangents.detach().reshape(len(tangents), -1)
+        flat = self._flat(tangents.detach().unbind(), lane_axis)
         self.values.append(y)
-        self.tangents.append(torch.nn.functional.pad(flat, (0, 0, 0, self.n - len(flat))))
+        self.lane_axes.append(lane_axis)
+        self.tangents.append(torch.nn.functional.pad(flat, (0, 0, 0, 0, 0, self.n - len(flat))))
         return y
 
     def number(self, x: Any) -> Tensor:
-        """A leaf of a number [..., 1 + k, 1]."""
-        return self.leaf(value(x), x.tangent.movedim(-2, 0) if isinstance(x, Pair) else None)
+        """A leaf of a number [..., 1 + k, lanes]."""
+        if not isinstance(x, Pair):
+            return self.leaf(x, None)
+        wide = expanded(x.full, self.lanes)
+        return self.leaf(wide[..., :1, :], wide[..., 1:, :].movedim(-2, 0).unsqueeze(-2), -1)
 
     def tangents_of(self, y: Tensor) -> Tensor:
-        """Tangents [m, n] of y [m], a function of the leaves."""
-        result = y.new_zeros(len(y), self.n)
+        """Tangents [m, n, lanes] of y [m, lanes], a function of the leaves lane by lane."""
+        result = y.new_zeros(len(y), self.n, self.lanes)
         for i, row in enumerate(y.unbind()):
             if row.requires_grad:
-                slopes = torch.autograd.grad(row, self.values, retain_graph=True, allow_unused=True)
-                parts = [dx @ s.flatten() for s, dx in zip(slopes, self.tangents, strict=True) if s is not None]
-                result[i] = torch.stack(parts).sum(0) if parts else 0.0
+                slopes = torch.autograd.grad(row.sum(), self.values, retain_graph=True, allow_unused=True)
+                for s, dx, axis in zip(slopes, self.tangents, self.lane_axes, strict=True):
+                    if s is not None:
+                        result[i] += (dx * self._flat([s], axis)).sum(1)
         return result
+
+    def _flat(self, parts: Sequence[Tensor], lane_axis: int) -> Tensor:
+        """[parts, component, lanes]."""
+        return torch.stack([x.movedim(lane_axis, -1).reshape(-1, self.lanes) for x in parts])
 
 
 @dataclass
@@ -180,87 +204,109 @@ class Views:
         motion = self._motion(self.whole, dynamics, t[None, None], x.values())
         return event.of(motion)[:, 0]
 
-    def value(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> Tensor:
-        """The function of one lane []."""
-        return event.of(self.at(lane, dynamics.values(), value(t), x.values()))[0, 0]
+    def value(self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> Tensor:
+        """The function of some lanes [lanes], each at its own time."""
+        return self.evaluate(lambda m: event.of(m)[:, 0][None], lanes, dynamics.values(), value(t), x.values())[0, 0]
 
-    def at(self, lane: int, dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
-        """The motion of one lane at t [1, 1], a function of all arguments."""
-        one = replace(
+    def at(self, lanes: Sequence[int], dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
+        """The motion of some lanes at t [1, lanes], a function of all arguments."""
+        some = replace(
             self.whole,
-            status=[OK],
-            designs={name: y[lane : lane + 1] for name, y in self.whole.designs.items()},
-            shapes=OneLane(self.whole.shapes, lane),
+            status=[OK] * len(lanes),
+            designs={name: y[list(lanes)] for name, y in self.whole.designs.items()},
+            shapes=SomeLanes(self.whole.shapes, lanes),
         )
-        return self._motion(one, dynamics, t, x)
+        return self._motion(some, dynamics, t, x)
 
     def with_leaves(
-        self, lane: int, design: Callable[[str, Tensor], Tensor], shape: Callable[[str, Tensor], Tensor]
+        self, lanes: Sequence[int], design: Callable[[str, Tensor], Tensor], shape: Callable[[str, Tensor], Tensor]
     ) -> Views:
-        """Views of one lane, its lane 0, with designs and mode shapes replaced by those of functions (name, values)."""
-        kept = OneLane(self.whole.shapes, lane)
+        """Views of some lanes alone, with designs and mode shapes replaced by those of functions (name, values)."""
+        kept = SomeLanes(self.whole.shapes, lanes)
         whole = replace(
             self.whole,
-            designs={name: design(name, y[lane : lane + 1]) for name, y in self.whole.designs.items()},
+            status=[OK] * len(lanes),
+            designs={name: design(name, y[list(lanes)]) for name, y in self.whole.designs.items()},
             shapes=GivenShapes(lambda name: shape(name, kept.values(name).detach())),
         )
         return Views(whole)
 
-    def evaluate(self, f: Callable[[Trajectory], Tensor], lane: int, dynamics: Dynamics, t: Any, x: State) -> Any:
-        """f [m] of the motion of one lane as a number [m, 1 + n, 1], with tangents if t has any; else [m, 1, 1]."""
+    def evaluate(
+        self, f: Callable[[Trajectory], Tensor], lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State
+    ) -> Any:
+        """f [m, lanes] of the motion of some lanes as a number [m, 1 + n, lanes], with tangents if t has any.
+
+        dynamics, t, x   of these lanes
+        """
+        try:
+            return self._evaluate(f, lanes, dynamics, t, x)
+        except _TimeRead:
+            each = [
+                (lanes_of(dynamics, [i]), pick_lanes(t, [i]), x.map(lambda y, i=i: pick_lanes(y, [i])))
+                for i in range(len(lanes))
+            ]
+            return join_lanes([self._evaluate(f, [lane], *own) for lane, own in zip(lanes, each, strict=True)])
+
+    def _evaluate(
+        self, f: Callable[[Trajectory], Tensor], lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State
+    ) -> Any:
         if not isinstance(t, Pair):
-            return f(self.at(lane, dynamics, t, x))[:, None, None]
-        leaves = Leaves(t.shape[0] - 1)
+            return f(self.at(lanes, dynamics, t, x))[:, None]
+        leaves = Leaves(t.shape[0] - 1, len(lanes))
         with torch.enable_grad():
             views = self.with_leaves(
-                lane,
-                lambda name, y: leaves.leaf(y, self._design_tangents(name, lane)),
-                lambda name, y: leaves.leaf(y, self._tangents_of_shapes(name, lane)),
+                lanes,
+                lambda name, y: leaves.leaf(y, self._design_tangents(name, lanes)),
+                lambda name, y: leaves.leaf(y, self._tangents_of_shapes(name, lanes)),
             )
             data = {name: leaves.number(y) for name, y in dynamics.data.items()}
-            y = f(views.at(0, replace(dynamics, data=data), leaves.number(t), x.map(leaves.number)))
+            every = range(len(lanes))
+            y = f(views.at(every, dynamics.with_data(data), leaves.number(t), x.map(leaves.number)))
             slopes = leaves.tangents_of(y)
-        return Pair.of(y.detach()[:, None, None], slopes[..., None])
+        return Pair.of(y.detach()[:, None], slopes)
 
-    def slopes(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Tensor, Tensor]:
-        """The function of one lane [] and its derivatives [n] in the directions of the pairs."""
-        g = self.evaluate(lambda motion: event.of(motion)[0], lane, dynamics, t, x)
-        return g.value[0, 0, 0], g.tangent[0, :, 0]
+    def slopes(self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> tuple[Tensor, Tensor]:
+        """The function of some lanes [lanes] and its derivatives [n, lanes] in the directions of the pairs."""
+        g = self.evaluate(lambda motion: event.of(motion)[:, 0][None], lanes, dynamics, t, x)
+        return g.value[0, 0], g.tangent[0]
 
-    def _design_tangents(self, name: str, lane: int) -> Tensor | None:
-        """Tangents of a design [k, ...] of one lane."""
-        return self.directions[name][:, lane] if name in self.directions else None
+    def _design_tangents(self, name: str, lanes: Sequence[int]) -> Tensor | None:
+        """Tangents of a design [k, lanes, ...] of some lanes."""
+        return self.directions[name][:, list(lanes)] if name in self.directions else None
 
-    def _tangents_of_shapes(self, name: str, lane: int) -> Tensor | None:
-        """Tangents of the mode shapes of a body [k, nodes, 6, modes] of one lane."""
+    def _tangents_of_shapes(self, name: str, lanes: Sequence[int]) -> Tensor | None:
+        """Tangents of the mode shapes of a body [k, lanes, nodes, 6, modes] of some lanes."""
         if not self.directions:
             return None
         if name not in self._shape_tangents:
             self._shape_tangents[name] = shape_tangents(self.whole.system, self.whole.designs, self.directions, name)
-        return self._shape_tangents[name][:, lane]
+        return self._shape_tangents[name][:, list(lanes)]
 
     @staticmethod
     def _motion(base: Trajectory, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
-        """t [1 + n, 1]."""
-        return replace(base, t=value(t)[0], signals=Instant(dynamics, t, x), dynamics=dynamics, known=None)
+        """t [1 + n, lanes], or [1 + n, 1] of all lanes."""
+        now = value(t)[0] if t.shape[-1] == 1 else torch.empty(0, dtype=torch.float64).as_subclass(_TimesOfLanes)
+        return replace(base, t=now, signals=Instant(dynamics, t, x), dynamics=dynamics, known=None)
 
 
-def gap_gradient(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
-    """Derivatives of a gap g(q, t) of one lane: by increments of q [n_v, ...] and by time [1, ...]; pairs if x are."""
+def gap_gradient(
+    event: Event, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State
+) -> tuple[Any, Any]:
+    """Derivatives of a gap g(q, t) of some lanes: by increments of q [n_v, ...] and by time [1, ...]; pairs if x are."""
     T = dynamics.topology
 
     def slope(motion: Trajectory) -> Tensor:
         kept = torch.is_grad_enabled()
         with torch.enable_grad():
-            step = torch.zeros(T.n_v + 1, dtype=torch.float64, requires_grad=True)
-            q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
+            step = torch.zeros(T.n_v + 1, motion.lanes, dtype=torch.float64, requires_grad=True)
+            q = equations.advance(T, motion.q[:, 0].T[:, None], step[: T.n_v, None])
             others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
-            signals = TensorSignals({"q": q[:, 0].T[None]} | others)
-            moved = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
-            g = event.of(moved)[0, 0]
+            signals = TensorSignals({"q": q[:, 0].T[:, None]} | others)
+            now = motion.t if motion.lanes > 1 else motion.t + step[T.n_v]  # of several lanes it is not read
+            g = event.of(replace(motion, signals=signals, t=now, known=None))
             if not g.requires_grad:
                 return torch.zeros_like(step).detach()
-            return torch.autograd.grad(g, step, create_graph=kept)[0]
+            return torch.autograd.grad(g.sum(), step, create_graph=kept)[0]
 
-    both = views.evaluate(slope, lane, dynamics, t, x)
+    both = views.evaluate(slope, lanes, dynamics, t, x)
     return both[: T.n_v], both[T.n_v :]

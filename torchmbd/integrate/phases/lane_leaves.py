@@ -7,14 +7,13 @@ Checked in tests/sensitivity/test_phase_adjoint.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.switch import lane_of
+from torchmbd.integrate.phases.lanes import lanes_of
 from torchmbd.integrate.pullback import leaf
 from torchmbd.multibody.system.dynamics import Dynamics
 
@@ -26,11 +25,11 @@ class LaneLeaves:
 
     def __init__(self, views: Views, lane: int, dynamics: Dynamics, wanted: Sequence[str]):
         self.leaves: dict[Key, Tensor] = {}
-        one = lane_of(dynamics, lane)
+        one = lanes_of(dynamics, [lane])
         data = {name: self._leaf("data", name, x) if name in wanted else x for name, x in one.data.items()}
-        self.dynamics = replace(one, data=data)
+        self.dynamics = one.with_data(data)
         self.views = views.with_leaves(
-            lane,
+            [lane],
             lambda name, x: self._leaf("design", name, x),
             lambda name, x: self._leaf("shape", name, x),
         )

@@ -23,8 +23,8 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Event
+from torchmbd.integrate.phases.lanes import lanes_of, pick_lanes
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
-from torchmbd.integrate.phases.switch import lane_of, pick_lanes
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
 from torchmbd.math.pair import Pair, value
 from torchmbd.results.state import State
@@ -113,7 +113,7 @@ class _PhaseLoop:
         self.record.on_grid[lane] = self._on_grid(lane, k)
         if not self.record.on_grid[lane]:
             end = t * 0.0 + float(self.times[k])
-            x = self.integrator.step_of_size(lane_of(self.dynamics, lane), x, end - t, end)
+            x = self.integrator.step_of_size(lanes_of(self.dynamics, [lane]), x, end - t, end)
         self.record.arrival[lane] = x
         return x
 
@@ -134,8 +134,8 @@ class _PhaseLoop:
         if self.event is not None:
             for lane in torch.nonzero(self.alive)[:, 0].tolist():
                 g[lane] = self.multiphase.views.value(
-                    self.event, lane, lane_of(self.dynamics, lane), *self.entry.lane(lane)
-                )
+                    self.event, [lane], lanes_of(self.dynamics, [lane]), *self.entry.lane(lane)
+                )[0]
         return g
 
     def _passed(self, i: int, x: State, inside: Tensor) -> tuple[Tensor, Tensor]:
@@ -164,7 +164,7 @@ class _PhaseLoop:
         self.record.base[lane] = k, x
         if self.event is None:
             end = pick_lanes(self.ends, [lane])
-            return PhaseExit(end, self.integrator.step_of_size(lane_of(self.dynamics, lane), x, end - t, end))
+            return PhaseExit(end, self.integrator.step_of_size(lanes_of(self.dynamics, [lane]), x, end - t, end))
         return self._located(self.event, lane, PhaseExit(t, x), float(self.times[i] - value(t)[0, 0]), share)
 
     def _time(self, i: int) -> Any:
@@ -173,7 +173,7 @@ class _PhaseLoop:
 
     def _located(self, event: Event, lane: int, base: PhaseExit, most: float, share: float) -> PhaseExit:
         """Where the event's function of a lane vanishes, within the time `most` after a point."""
-        wide = widened_data(lane_of(self.dynamics, lane))
+        wide = widened_data(lanes_of(self.dynamics, [lane]))
         x, t = base.x.map(widened), widened(base.t)
         one = widened(torch.zeros(1, 1, dtype=torch.float64), t.shape[0] - 1)
         one.full[-1] = 1.0
@@ -183,7 +183,7 @@ class _PhaseLoop:
         for _ in range(_MOST):
             size = one + h
             y = self.integrator.step_of_size(wide, x, size, t + size)
-            g, slope = self.multiphase.views.slopes(event, lane, wide, t + size, y)
+            g, slope = self.multiphase.views.slopes(event, [lane], wide, t + size, y)
             low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
             better = h - float(g / slope[-1])
             if abs(better - h) <= _ROUND * most:

@@ -16,17 +16,14 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.phases.events import Event, Views
+from torchmbd.integrate.phases.lanes import join_lanes, join_states, lanes_of, pick_lanes
 from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.switch import (
     InitialState,
     accelerations,
     at_time,
     data_with_marks,
-    join_lanes,
-    join_states,
     jump,
-    lane_of,
-    pick_lanes,
     velocities_after_impact,
 )
 from torchmbd.math.pair import Pair, linear, value
@@ -178,7 +175,7 @@ class MultiphaseRun:
         dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
         self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, phase_model.rows))
         parts = [
-            self._enter_lane(number, lane, lane_of(dynamics, lane), phase_exit) for lane in range(self.whole.lanes)
+            self._enter_lane(number, lane, lanes_of(dynamics, [lane]), phase_exit) for lane in range(self.whole.lanes)
         ]
         state = join_states(parts)
         if number:
@@ -205,7 +202,7 @@ class MultiphaseRun:
         parts = []
         for lane in range(self.whole.lanes):
             own = [pick_lanes(y, [lane]) for y in (t, x.q, x.lam)]
-            data = lane_of(self.whole, lane).data if bool(torch.isfinite(value(own[0])).all()) else None
+            data = lanes_of(self.whole, [lane]).data if bool(torch.isfinite(value(own[0])).all()) else None
             parts.append(self.all_multipliers(number, data, *own))
         return join_lanes(parts)
 
@@ -234,7 +231,7 @@ class MultiphaseRun:
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.phase_models[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
-            v = velocities_after_impact(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
+            v = velocities_after_impact(ended.impact, ended.until, views, [lane], dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 

@@ -5,7 +5,7 @@
     impact      M (v+ - v-) + Phi_q' Lambda + g_q' lam = 0,   g'+ = -e g'-       g: the gap, e: restitution (Newton)
 
 with the constraints of the new phase. Numbers carry *total* derivatives by the design: the time t* of the switch moves
-with it. Functions of time and state, f(t, q, v), are evaluated lane by lane, each at its own time:
+with it. Functions of time and state, f(t, q, v), are evaluated for all lanes at once, each at its own time:
 
     df/db = f_t dt*/db + f_q dq/db + f_v dv/db + f_b
 
@@ -17,7 +17,7 @@ Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -49,30 +49,6 @@ class InitialState:
     def solve(self, dynamics: Dynamics) -> tuple[Any, Any]:
         """q [n_q, 1, 1] and v [n_v, 1, 1], of the first lane."""
         return self.q, self.v
-
-
-def pick_lanes(x: Any, lanes: Sequence[int]) -> Any:
-    """Some lanes of a number [..., lanes]."""
-    index = torch.tensor(list(lanes))
-    return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
-
-
-def join_lanes(parts: Sequence[Any]) -> Any:
-    """Several numbers [..., lanes] as one, with the lanes of all."""
-    if isinstance(parts[0], Pair):
-        return Pair(torch.cat([x.full for x in parts], -1))
-    return torch.cat(list(parts), -1)
-
-
-def join_states(states: Sequence[State]) -> State:
-    """Several states as one, with the lanes of all."""
-    q, v, vd, a, lam = (join_lanes(x) for x in zip(*states, strict=True))
-    return State(q, v, vd, a, lam)
-
-
-def lane_of(dynamics: Dynamics, lane: int) -> Dynamics:
-    """The dynamics of one lane."""
-    return replace(dynamics.select_lanes([lane]), statistics=dynamics.statistics)
 
 
 def data_with_marks(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
@@ -129,8 +105,8 @@ def _set_vector(
 
 
 def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) -> tuple:
-    """f(dynamics, time, *state) of one lane at a time t [1 + n, 1] that may depend on the design."""
-    now = value(t)[0, 0]
+    """f(dynamics, times [lanes], *state) of lanes at times t [1 + n, lanes] that may depend on the design."""
+    now = value(t)[0]
     found = f(dynamics, now, *state)
     if not (isinstance(t, Pair) and bool(t.tangent.any())):
         return found
@@ -196,12 +172,12 @@ def _velocities(impact: Callable, motion: Trajectory) -> Tensor:
 
 
 def velocities_after_impact(
-    impact: float | Callable, event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State
+    impact: float | Callable, event: Event, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State
 ) -> Any:
-    """Velocities [n_v, ...] of one lane after the impact that ends a phase: a restitution, or a map motion -> v."""
+    """Velocities [n_v, ...] of lanes after the impact that ends a phase: a restitution, or a map motion -> v."""
     if callable(impact):
-        return views.evaluate(lambda motion: _velocities(impact, motion)[0, 0], lane, dynamics, t, x)
-    g_q, g_t = gap_gradient(event, views, lane, dynamics, t, x)
+        return views.evaluate(lambda motion: _velocities(impact, motion)[:, 0].T, lanes, dynamics, t, x)
+    g_q, g_t = gap_gradient(event, views, lanes, dynamics, t, x)
 
     def rebound(dynamics: Dynamics, t: Tensor, q: Any, v: Any, g_q: Any, g_t: Any) -> tuple:
         return restitution(dynamics, t, q, v, (g_q, g_t), impact)

@@ -163,13 +163,13 @@ class OfTime:
     factor: float = 1.0
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        f = self.law if not callable(self.law) else self._at_each(t) if t.dim() == 1 else self.law(t)
+        f = self.law if not callable(self.law) else self.law(t) if t.dim() != 1 and t.numel() == 1 else self._at_each(t)
         return self.factor * f + torch.zeros_like(s)
 
     def _at_each(self, t: Tensor) -> Tensor:
-        """The forces at times t [lanes], by one call of the function for each."""
+        """The forces at times t [..., lanes], by one call of the function for each."""
         assert callable(self.law)
-        return torch.stack([self.law(x) for x in t])
+        return torch.stack([self.law(x) for x in t.flatten()]).reshape(t.shape)
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
         """Derivatives by s and s'."""

@@ -11,6 +11,7 @@ Checked in tests/sensitivity/test_law_variables.py: against central differences,
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import torch
@@ -33,28 +34,30 @@ class ParametricDrive(FiniteLaw):
     def numbers(self, times: Tensor, data: Mapping[str, Any] | None) -> Any:
         """Values [n, pair, lanes] at times [n]."""
         values = self._over_lanes(lambda p: torch.func.vmap(lambda t: self._law(p, t))(times), data)
-        return self._checked(values, times)
+        self._finite(value(values).detach().sum((-2, -1)), times)
+        return values
 
     def jets(self, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
-        """Value, velocity and acceleration [1 + n_b, lanes] at the time t."""
-        parts = self._over_lanes(lambda p: torch.stack(slopes(lambda s: self._law(p, s), t)), data)
-        return Jet(*(self._checked(parts[i], t) for i in range(3)))
+        """Value, velocity and acceleration [1 + n_b, lanes] at the time t [], or of each lane at its own t [lanes]."""
+        parts = self._over_lanes(lambda p, *s: torch.stack(slopes(lambda x: self._law(p, x), *(s or (t,)))), data, t)
+        for x in value(parts).detach():
+            self._finite(x[0] if t.dim() else x.sum(), t)
+        return Jet(parts[0], parts[1], parts[2])
 
     def _law(self, flat: Tensor, t: Tensor) -> Tensor:
         """The law with parameters flat [k] at one time t []."""
         return torch.func.functional_call(self.variables.module, self.variables.named(flat), (t,))
 
-    def _over_lanes(self, f: Callable[[Tensor], Tensor], data: Mapping[str, Any] | None) -> Any:
-        """f(parameters [k]) [m] for all lanes: a tensor or pair [m, pair, lanes]."""
+    def _over_lanes(self, f: Callable[..., Tensor], data: Mapping[str, Any] | None, times: Tensor | None = None) -> Any:
+        """f(parameters [k]) [m] for all lanes: a tensor or pair [m, pair, lanes]; with times [lanes], f(parameters, time)."""
         parameters = self.variables.flat().detach() if data is None else data[law_key(self.name)]
-        of_lanes: Any = torch.func.vmap(f, 1, 1)
         p = value(parameters)[:, 0]
+        of_lanes: Any = torch.func.vmap(f, 1, 1)
+        if times is not None and times.dim():
+            p = p.expand(-1, len(times))
+            of_lanes = partial(torch.func.vmap(lambda s, q: f(q, s), (0, 1), 1), times)
         if not isinstance(parameters, Pair):
             return of_lanes(p)[:, None]
         dp_db = parameters.tangent.expand(*parameters.tangent.shape[:-1], p.shape[-1])
         tangents: Any = torch.func.vmap(lambda dp: torch.func.jvp(of_lanes, (p,), (dp,))[1], 1, 1)(dp_db)
         return Pair.of(of_lanes(p)[:, None], tangents)
-
-    def _checked(self, x: Any, t: Tensor) -> Any:
-        self._finite(value(x).detach().sum((-2, -1)), t)
-        return x

@@ -80,7 +80,7 @@ class Primitive:
         return self.drive(cat([_numbers(law, times, data) for law in self.data], 1))
 
     def prescribed_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> tuple[Jet, ...]:
-        """The same at time t with time derivatives, parts [laws, pair, lanes]."""
+        """The same at time t [], or of each lane at its own t [lanes], with time derivatives, parts [laws, pair, lanes]."""
         parts = zip(*(_jet(law, t, data).parts for law in self.data), strict=True)
         return self.drive(Jet(*(cat(part) for part in parts)))
 
@@ -217,7 +217,7 @@ def _jet(law: Any, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
     """A law with its slopes, parts [1, pair, lanes]."""
     if hasattr(law, "numbers"):
         return law.jets(t, data).map(lambda x: x.unsqueeze(0))
-    return Jet(*(x[None, None, None] for x in slopes(law, t)))
+    return Jet(*(x.reshape(1, 1, -1) for x in (slopes_at if t.dim() else slopes)(law, t)))
 
 
 def values_at(law: Law, times: Tensor) -> Tensor:

@@ -184,6 +184,13 @@ class Dynamics:
             vars(dynamics)["rank"] = self.rank
         return dynamics
 
+    def with_data(self, data: Data) -> Dynamics:
+        """The same equations with other data of the same designs; the rank, once it is known, stays."""
+        dynamics = replace(self, data=data)
+        if "rank" in vars(self):
+            vars(dynamics)["rank"] = self.rank
+        return dynamics
+
     def condensed(self) -> Dynamics:
         """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""
         c = self.initial.condensed

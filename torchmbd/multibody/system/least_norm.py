@@ -25,7 +25,7 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
 from torchmbd.multibody.system.reactions import flatten_times, in_chunks, repeat_over_times, unit_constraint_forces
-from torchmbd.multibody.system.times_as_lanes import as_lanes
+from torchmbd.multibody.system.times_as_lanes import as_lanes, at_own_times
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 _APART = 1e-4  # share of the largest singular value above which rows that depended at the start are independent
@@ -83,8 +83,8 @@ class LeastNorm:
         return Pair.of(least, slopes) if isinstance(lam, Pair) else least + slopes
 
     def at_varying_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:
-        """The same for one lane at a time t [1, 1] that may depend on the design; derivatives are total."""
-        return self(data, _prescribed(self.T, data, t), q, lam)
+        """The same for lanes at times t [1 + n, lanes] that may depend on the design; derivatives are total."""
+        return self(data, at_own_times(self.T, t, data), q, lam)
 
     def _inverses(self, data: Data, at: Placement) -> tuple[Tensor, Tensor]:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
@@ -97,26 +97,6 @@ class LeastNorm:
         U = U * kept[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
         U = torch.where(failed, torch.nan, U)
         return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
-
-
-def _prescribed(T: Topology, data: Data, t: Any) -> Prescribed:
-    """Prescribed quantities at the time t; derivatives of laws include those by the design through t."""
-    now = value(t)[0, 0]
-    given = T.prescribed(now, data)
-    if not isinstance(t, Pair):
-        return given
-    plain = {name: value(x) for name, x in data.items()}
-
-    def laws(s: Tensor) -> list[tuple]:
-        return [law or () for law in T.prescribed(s, plain).laws]
-
-    _, rates = torch.func.jvp(laws, (now,), (torch.ones_like(now),))[:2]
-
-    def moved(x: Any, rate: Tensor) -> Pair:
-        return Pair.of(value(x), rate * t.tangent + (x.tangent if isinstance(x, Pair) else 0.0))
-
-    moving = [law and tuple(map(moved, law, rate)) for law, rate in zip(given.laws, rates, strict=True)]
-    return given._replace(laws=moving)
 
 
 def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:

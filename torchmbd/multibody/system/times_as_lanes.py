@@ -1,17 +1,47 @@
-"""Prescribed quantities of several times in one object whose lanes are the times, so that a whole motion is evaluated at once.
+"""Prescribed quantities of several times in one object: its lanes are the times, or each lane has a time of its own.
 
-For systems without prescribed bodies.
-Checked in tests/physics/test_energies.py, tests/results/test_reaction.py, tests/multibody/system/test_condensation.py.
+`as_lanes`: a whole motion is evaluated at once; for systems without prescribed bodies.
+`at_own_times`: lanes that pass a switch at different times; these may move with the design.
+Checked in tests/physics/test_energies.py, tests/results/test_reaction.py, tests/multibody/system/test_condensation.py,
+tests/sensitivity/test_events.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from torchmbd.math.pair import Pair
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.math.jet import Jet
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.system.topology import Prescribed, Topology
+
+
+def at_own_times(T: Topology, t: Any, data: Mapping[str, Any]) -> Prescribed:
+    """Drives and bodies of known motion of lanes at the times t [1 + n, lanes], with tangents if t has any."""
+    now = value(t)[0]
+    prescribed = T.prescribed(now, data)
+    if not isinstance(t, Pair):
+        return prescribed
+    laws = [None if law is None else tuple(_moved(x, t) for x in law) for law in T.law_jets(now, data)]
+    prescribed = prescribed._replace(laws=laws, t=t)
+    if not T.prescribed_bodies:
+        return prescribed
+
+    def poses(s: Tensor) -> tuple[Tensor, Tensor]:
+        at = T.prescribed(s, data)
+        return at.A, at.r
+
+    (A, r), rates = torch.func.jvp(poses, (now,), (torch.ones_like(now),))[:2]
+    return prescribed._replace(A=Pair.of(A, rates[0] * t.tangent), r=Pair.of(r, rates[1] * t.tangent))
+
+
+def _moved(x: Jet, t: Pair) -> Pair:
+    """What a law prescribes at a time that depends on the design."""
+    moved = value(x.velocity) * t.tangent
+    return Pair.of(value(x.value), moved + x.value.tangent if isinstance(x.value, Pair) else moved)
 
 
 def as_lanes(schedule: list[Prescribed], lanes: int = 1, lanes_first: bool = False) -> Prescribed:

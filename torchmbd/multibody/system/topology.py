@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.math.pair import value
+from torchmbd.math.pair import linear, value
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.forces.feedback import Links
 from torchmbd.multibody.joints.joint import Attached
@@ -39,7 +39,7 @@ class Prescribed(NamedTuple):
     laws: list[tuple | None]
     A: Tensor  # rotations [3, 3, known bodies, 1, 1], the ground last
     r: Tensor  # origins [3, known bodies, 1, 1]
-    t: Any  # the time [1, 1] or []
+    t: Any  # the time [1, 1] or []; [1, lanes] or [lanes] where each lane is at its own
 
     def without_laws(self, kinds: Sequence[int]) -> Prescribed:
         """The same without the laws of some kinds of primitives. Without those with design variables all lanes are equal."""
@@ -137,24 +137,36 @@ class Topology:
     def law_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> list[tuple | None]:
         """Values of the laws of driven primitives at time t, with time derivatives, for each kind of primitive.
 
+        t      [], or [lanes]: each lane at its own time
         data   data of the designs; None: design variables of laws have the values of their Parameters
         """
         return [p.prescribed_jets(t, data) if p.driven else None for p in self.primitives]
 
     def prescribed(self, t: Tensor, data: Mapping[str, Any] | None = None) -> Prescribed:
-        """Prescribed quantities at time t; data as of `law_jets`."""
-        return self.schedule(t[None], data)[0]
+        """Prescribed quantities at time t; arguments as of `law_jets`."""
+        if t.numel() == 1:
+            return self.schedule(t.reshape(1), data)[0]
+        A, r = self.poses(t)
+        at_times = [p.prescribed(t, data) if p.driven else None for p in self.primitives]
+        laws = [None if law is None else tuple(linear(_of_each_lane, x) for x in law) for law in at_times]
+        return Prescribed(laws, A.movedim(0, -1)[..., 0, :], r.movedim(0, -1)[..., 0, :], t)
 
     def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
         """Prescribed quantities at each of the times [n]; data as of `law_jets`."""
         n = len(times)
         laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
+        A, r = self.poses(times)
+        at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
+        return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
+
+    def poses(self, times: Tensor) -> tuple[Tensor, Tensor]:
+        """Rotations [n, 3, 3, known bodies, 1, 1] and origins [n, 3, known bodies, 1, 1] of the known bodies at times [n]."""
+        n = len(times)
         poses = [prescribed_body.poses(times) for prescribed_body in self.prescribed_bodies]
         eye = torch.eye(3, dtype=times.dtype, device=times.device)
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
         A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
-        at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
-        return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
+        return A, r
 
     def modal_identity(self, like: Tensor) -> Tensor:
         """The identity [modes, modes, 1, 1, 1]."""
@@ -187,6 +199,11 @@ class Topology:
             kind = straight if row < 3 * self.bodies else about
             return f"{kind} {'xyz'[row // self.bodies % 3]} of {self.names[row % self.bodies]!r}"
         return f"a mode of {self.names[(row - 6 * self.bodies) % self.flexible]!r}"
+
+
+def _of_each_lane(x: Tensor) -> Tensor:
+    """What a law prescribes at times [n], [n, laws, pair, lanes or 1], as that of n lanes, each at its own time."""
+    return x.diagonal(dim1=0, dim2=-1) if x.shape[-1] > 1 else x[..., 0].movedim(0, -1)
 
 
 def _arguments(g: Any, kinds: Sequence[Primitive | Action]) -> list[list[Any]]:
