@@ -63,7 +63,8 @@ class Grid:
     leaves       data of the whole system by which gradients are wanted [component..., 1, lanes]
     dynamics     the equations of the condensed system, and
     start        its initial state: both functions of the leaves in reverse mode
-    times        of all steps [steps + 1];  every: steps between two outputs
+    times        of all steps [steps + 1];  every: steps between two states that are kept
+    substeps     intervals of kept states for each of the batch
     corrections  of mu, at least
     """
 
@@ -75,7 +76,22 @@ class Grid:
     weights: Weights
     times: Tensor
     every: int
+    substeps: int
     corrections: int
+
+    def of_kept_states(self, of_motion: Tensor | None, of_steps: Tensor | None) -> Tensor | None:
+        """Cotangents [times, n, rows, lanes] of the states of these lanes that are kept, from those of all lanes."""
+        coarse, fine = (
+            x if x is None or x.shape[-1] == len(self.lanes) else x[..., self.lanes] for x in (of_motion, of_steps)
+        )
+        count = len(self.history.q)
+        if coarse is None:
+            return None if fine is None else fine[:count]
+        if fine is None and self.substeps == 1:
+            return coarse
+        result = coarse.new_zeros(count, *coarse.shape[1:]) if fine is None else fine[:count].clone()
+        result[:: self.substeps] += coarse
+        return result
 
     def cotangents(self, by: Cotangents) -> dict[str, Tensor]:
         """By the leaves [component..., rows, lanes]: through the start, the laws of drives and the condensation."""
@@ -147,15 +163,19 @@ class Adjoint:
         return vars(self) | {"_solvers": {}, "dynamics_of_leaves": None}
 
     @torch.no_grad()
-    def __call__(self, of_motion: MotionCotangents, names: Sequence[str]) -> dict[str, Tensor]:
-        """Cotangents of the data of these names [component..., rows, lanes]."""
-        lanes, rows = self.dynamics.lanes, rows_of(of_motion)
+    def __call__(
+        self, of_motion: MotionCotangents, names: Sequence[str], of_steps: MotionCotangents = (None,) * 4
+    ) -> dict[str, Tensor]:
+        """Cotangents of the data of these names [component..., rows, lanes].
+
+        of_steps   cotangents of the states at the times of the steps of each lane, as of `History.at_steps`
+        """
+        lanes, rows = self.dynamics.lanes, rows_of([*of_motion, *of_steps])
         shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
         result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
         for solver in self._solvers_of(tuple(names)):
             part = solver.grid.lanes
-            own = of_motion if len(part) == lanes else [x if x is None else x[..., part] for x in of_motion]
-            cotangents, error = solver(own)
+            cotangents, error = solver([solver.grid.of_kept_states(*x) for x in zip(of_motion, of_steps, strict=True)])
             for name, x in solver.grid.cotangents(cotangents).items():
                 result[name][..., part] = x
             self.error[part] = self.error[part].maximum(error)
@@ -197,8 +217,8 @@ class Adjoint:
         h = self.duration / steps
         times = h * torch.arange(steps + 1, dtype=torch.float64)
         weights, corrections = self.integrator.weights(h), self.integrator.counts(dynamics)[1]
-        every = interval * substeps
-        return Grid(lanes, history.lanes(columns), leaves, condensed, start, weights, times, every, corrections)
+        states = history.lanes(columns)
+        return Grid(lanes, states, leaves, condensed, start, weights, times, interval, substeps, corrections)
 
 
 class AdjointSolver:

@@ -24,20 +24,23 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import factored
 from torchmbd.multibody.system.saddle_factors import regularized
 from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.results.history import History
 from torchmbd.results.state import State
 
 
 @torch.no_grad()
-def tangents(grids: Iterable[Grid], integrator: OneStep, times: int, lanes: int) -> list[Tensor]:
-    """Of q, v, v' and lam [times, n, 1, lanes]; zero in lanes of no grid."""
-    result: list[Tensor] = []
+def tangents(grids: Iterable[Grid], integrator: OneStep, history: History) -> tuple[list[Tensor], list[Tensor]]:
+    """Of q, v, v' and lam [times, n, 1, lanes], and of these at the steps (`History.at_steps`); zero in lanes of no grid."""
+    at_times, at_steps = (
+        [torch.zeros_like(x[:, :, :1]) for x in states] for states in (history.states, history.at_steps())
+    )
     for grid in grids:
-        found = _of_grid(grid, integrator)
-        if not result:
-            result = [x.new_zeros(times, *x.shape[1:-1], lanes) for x in found]
-        for whole, x in zip(result, found, strict=True):
-            whole[..., grid.lanes] = x[:: grid.every]
-    return result
+        for k, x in enumerate(_of_grid(grid, integrator)):
+            kept = x[:: grid.every]
+            at_times[k][..., grid.lanes] = kept[:: grid.substeps]
+            if at_steps:
+                at_steps[k][: len(kept), ..., grid.lanes] = kept
+    return at_times, at_steps
 
 
 def _of_grid(grid: Grid, integrator: OneStep) -> list[Tensor]:

@@ -1,8 +1,9 @@
 """A motion with the tangents of its design variables, integrated together; see motion.py.
 
     inputs    designs by name [component..., 1, lanes]
-    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (lane_status.py), the data of the reduced model that
-              move with the design, and of every switch between phases its time and the states on both sides
+    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (lane_status.py), where lanes have smaller steps the
+              states at these (`History.at_steps`), the data of the reduced model that move with the design, and of every switch
+              between phases its time and the states on both sides
 
 The structure stage is part of it. Serves every method, and phases; forward and reverse mode multiply with the tangents.
 Checked in tests/integrate/test_motion.py, tests/sensitivity/.
@@ -83,7 +84,9 @@ class ForwardIntegration:
         self.output_data = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
         h = self.history
         self.validity = validity(h, self.status, self.stats)
-        numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
+        numbers = [*(Pair(x) for x in h.states), self._constant(self.validity)]
+        at_steps = h.at_steps()
+        numbers += [*(Pair(x) for x in at_steps[:4]), *(self._constant(x) for x in at_steps[4:])]
         numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.output_data)]
         for switch in self.switches:
             numbers += switch_numbers(switch)

@@ -1,8 +1,8 @@
 """A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
     inputs    the data of the reduced model, in the order of `names`; with `duration_is_input` the duration [1, 1] behind them
-    outputs   q, v, v', lam [times, n, 1, lanes] of the condensed system, and the validity of the lanes
-              (lane_status.py)
+    outputs   q, v, v', lam [times, n, 1, lanes] of the condensed system, the validity of the lanes
+              (lane_status.py), and, where lanes have smaller steps, the states at these (`History.at_steps`)
 
 Tangents are integrated when they are asked for, together with the values once more.
 Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py.
@@ -98,7 +98,7 @@ class ReverseIntegration:
         self.validity = validity(h, self.status, self.stats)
         vars(self.dynamics)["rank"] = dynamics.rank
         self.dynamics.evaluate_rank()
-        return h.q, h.v, h.vd, h.lam, self.validity
+        return *h.states, self.validity, *h.at_steps()
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
@@ -111,28 +111,34 @@ class ReverseIntegration:
             results = integrate_lanes(self.integrator, moved, self.duration, self.steps, with_gradients=True)
             self.stats["tangent_error"] = results.statistics.get("tangent_error")
             h = results.history
-            parts.append([x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)])
+            parts.append([x[:, :, 1:] for x in (*h.states, *h.at_steps()[:4])])
         if self.duration_is_input and directions[-1] is not None:
-            parts.append([x * directions[-1] for x in self.by_duration])
+            parts.append([x * directions[-1] for states in self.by_duration for x in states[:4]])
         found = [torch.where(self.validity[1] > 0.0, sum(x), 0.0) for x in zip(*parts, strict=True)]
-        return [*found, self.validity.new_zeros(2, found[0].shape[2], len(self.status))]
+        counts, rest = self.validity.new_zeros(1, found[0].shape[2], len(self.status)), found[4:]
+        return [*found[:4], counts.expand(2, -1, -1), *rest, *([counts] if rest else [])]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         names = [name for name, one in zip(self.names, needs_grad, strict=False) if one]
-        found = self.adjoint(outputs[:4], names) if names else {}
+        of_times, of_steps = outputs[:4], outputs[5:9] or (None,) * 4
+        found = self.adjoint(of_times, names, of_steps) if names else {}
         result = [found.get(name) for name in self.names]
         if self.duration_is_input:
-            both = [(bar, dx) for bar, dx in zip(outputs, self.by_duration, strict=False) if bar is not None]
+            pairs = [
+                *zip(of_times, self.by_duration[0], strict=True),
+                *zip(of_steps, self.by_duration[1], strict=False),
+            ]
+            both = [(bar, dx) for bar, dx in pairs if bar is not None]
             parts = [torch.einsum("tnrl,tnl->rl", bar, dx.squeeze(2)) for bar, dx in both]
             result.append(torch.stack(parts).sum(0) if parts else None)
         return result
 
     @cached_property
-    def by_duration(self) -> list[Tensor]:
-        """Derivatives of q, v, v' and lam by the duration [times, n, 1, lanes], by operators of torch."""
+    def by_duration(self) -> tuple[list[Tensor], list[Tensor]]:
+        """Derivatives of the states by the duration, as of `duration_derivative.tangents`, by operators of torch."""
         self.stats["gradient by the duration"] = "eager"
-        return tangents(self.adjoint.grids(), self.integrator, len(self.history.q), len(self.status))
+        return tangents(self.adjoint.grids(), self.integrator, self.history)
 
     @cached_property
     def adjoint(self) -> Adjoint:

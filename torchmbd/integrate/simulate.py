@@ -51,7 +51,7 @@ from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.spin import warn_of_spin
-from torchmbd.results.time_rows import IntegratedSignals
+from torchmbd.results.time_rows import IntegratedSignals, StepStates
 from torchmbd.results.trajectory import Trajectory
 
 
@@ -251,9 +251,8 @@ def _at_moving_times(motion: Trajectory, duration: Tensor) -> Trajectory:
     h, x = signals.history, signals.history.expansion
     x = None if x is None else Expansion.of(x.condensation, x.data, t)
     history = replace(h, expansion=x, times=t)
-    return replace(
-        motion, t=t, signals=IntegratedSignals(history, signals.integration, signals.data, signals.valid_times)
-    )
+    signals = IntegratedSignals(history, signals.integration, signals.data, signals.valid_times, signals.at_steps)
+    return replace(motion, t=t, signals=signals)
 
 
 def _reverse_phases(
@@ -290,10 +289,11 @@ def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
     """A motion whose tangents are integrated with it."""
     outputs: Any = Motion.apply(integration, *_lanes_last(batch))
-    end = 5 + len(integration.output_data)
-    data = dict(integration.dynamics.data) | dict(zip(integration.output_data, outputs[5:end], strict=True))
+    first = 10 if integration.history.has_smaller_steps else 5
+    end = first + len(integration.output_data)
+    data = dict(integration.dynamics.data) | dict(zip(integration.output_data, outputs[first:end], strict=True))
     names, labels = list(integration.variables), integration.labels
-    motion = trajectory_of(integration.system, integration, outputs[:5], data, batch, labels, names)
+    motion = trajectory_of(integration.system, integration, outputs[:first], data, batch, labels, names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = integration.actions
     return motion
@@ -313,13 +313,14 @@ def trajectory_of(
 
     labels   one for each entry of the variables `names`;  shapes: mode shapes that were made already
     """
-    q, v, vd, lam, (valid_times, good) = outputs
+    q, v, vd, lam, (valid_times, good) = outputs[:5]
     valid_times, good = valid_times[0].detach(), good[0] > 0.0
     whole = integration.dynamics
     data = without_failed(data, good)
     dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
     history = History(q, v, vd, lam, integration.expansion(data))
-    signals = IntegratedSignals(history, integration, data, valid_times)
+    at_steps = StepStates(*outputs[5:]) if len(outputs) > 5 else None
+    signals = IntegratedSignals(history, integration, data, valid_times, at_steps)
     return Trajectory(
         t=torch.linspace(0.0, integration.duration, len(q), dtype=torch.float64),
         signals=signals,

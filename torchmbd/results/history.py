@@ -71,6 +71,35 @@ class History:
     refined: dict[int, RefinedLane] = field(default_factory=dict)
     checkpoints: Checkpoints | None = None
 
+    @property
+    def states(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """q, v, v' and lam."""
+        return self.q, self.v, self.vd, self.lam
+
+    @property
+    def has_smaller_steps(self) -> bool:
+        """Whether there are states of some lanes between the times of the batch."""
+        return any(len(refined.history.q) > len(self.q) for refined in self.refined.values())
+
+    def at_steps(self) -> list[Tensor]:
+        """The states of lanes at the times of the steps by which each was integrated; [] unless some have smaller ones.
+
+        q, v, v', lam [most, n, pair, lanes], zero beyond the last time of a lane, and the number of times of each [1, 1, lanes].
+        """
+        if not self.has_smaller_steps:
+            return []
+        counts = torch.full((1, 1, self.q.shape[-1]), float(len(self.q)), dtype=torch.float64)
+        for lane, refined in self.refined.items():
+            counts[..., lane] = len(refined.history.q)
+        most, result = int(counts.max()), []
+        for k, x in enumerate(self.states):
+            steps = x.new_zeros(most, *x.shape[1:])
+            steps[: len(x)] = x
+            for lane, (history, source, _) in self.refined.items():
+                steps[: len(history.q), ..., lane] = history.states[k][..., source]
+            result.append(steps)
+        return [*result, counts]
+
     def at(self, times: slice) -> History:
         """The states of some of the times, without an expansion."""
         return History(self.q[times], self.v[times], self.vd[times], self.lam[times])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -83,11 +83,25 @@ class Multipliers(Protocol):
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor: ...
 
 
+class StepStates(NamedTuple):
+    """States at the times of the steps by which each lane was integrated, differentiable as the motion is.
+
+    q, v, vd, lam   [most, n, 1, lanes], without meaning beyond the last time of a lane;  counts: of times [1, 1, lanes]
+    """
+
+    q: Tensor
+    v: Tensor
+    vd: Tensor
+    lam: Tensor
+    counts: Tensor
+
+
 class IntegratedSignals(Signals):
     """Rows of a history, as functions of its tensors; chosen rows lie side by side in memory, all of them are views.
 
     integration   gives the multipliers of all constraints as a function of the data; None: the history has them
     valid_times   how many times of each lane have numbers [lanes]: those after a failure are nan; None: all
+    at_steps      where steps of some lanes are smaller than intervals between times; None: in no lane
     """
 
     def __init__(
@@ -96,8 +110,10 @@ class IntegratedSignals(Signals):
         integration: Multipliers | None = None,
         data: dict[str, Any] | None = None,
         valid_times: Tensor | None = None,
+        at_steps: StepStates | None = None,
     ):
         super().__init__()
+        self.at_steps = at_steps
         self.history, self.integration, self.data, self.valid_times = history, integration, data or {}, valid_times
         self.times, _, pair, self.lanes = history.q.shape
         self.has_tangents = pair > 1
@@ -115,7 +131,8 @@ class IntegratedSignals(Signals):
             expansion,
             None if h.times is None else h.times.detach(),
         )
-        return IntegratedSignals(plain, self.integration, data, self.valid_times)
+        at_steps = None if self.at_steps is None else StepStates(*(x.detach() for x in self.at_steps))
+        return IntegratedSignals(plain, self.integration, data, self.valid_times, at_steps)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
