@@ -82,9 +82,9 @@ class History:
         return any(len(refined.history.q) > len(self.q) for refined in self.refined.values())
 
     def at_steps(self) -> list[Tensor]:
-        """The states of lanes at the times of the steps by which each was integrated; [] unless some have smaller ones.
+        """The states of lanes at the times of the steps of each; [] unless some lanes have smaller ones.
 
-        q, v, v', lam [most, n, pair, lanes], zero beyond the last time of a lane, and the number of times of each [1, 1, lanes].
+        q, v, v', lam [most, n, pair, lanes], zero beyond the last time of a lane, and how many times it has [1, 1, lanes].
         """
         if not self.has_smaller_steps:
             return []
