@@ -26,7 +26,18 @@ from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import hidden
 
 _OUTCOME = ("best_objective", REDUCTION, INCREASE, "violation", STARTS, CONVERGED, EVALUATIONS)
-_IGNORED = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key", "files")
+_IGNORED = (
+    "mlflow.",
+    "version.",
+    "torchmbd.",
+    "message",
+    "machine",
+    "study_key",
+    "run_key",
+    "process",
+    "problem_key",
+    "files",
+)
 
 
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:

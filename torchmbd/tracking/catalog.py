@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import InputError, nearest
+from torchmbd.tracking.run_process import end_killed
 from torchmbd.tracking.store import all_runs, open_store, own_files, store_uri
 from torchmbd.tracking.uri import StoreURI
 
@@ -35,13 +36,18 @@ class Entry:
 
 
 def studies(uri: StoreURI | str) -> list[Entry]:
-    """Return the studies of a store, the newest first; a SQLite file that does not exist is not created."""
+    """Return the studies of a store, the newest first, and end those that were killed in it.
+
+    A SQLite file that does not exist is not created.
+    """
     uri = store_uri(uri)
     if uri.file is not None and not uri.file.exists():
         return []
     client = open_store(uri)
     names = {e.experiment_id: e.name for e in client.search_experiments()}
     found = []
+    if names:
+        end_killed(client, list(names))
     for kind in KINDS:
         runs = all_runs(client, list(names), f"tags.kind = '{kind}'") if names else []
         found += [_entry(run, kind, names[run.info.experiment_id]) for run in runs]

@@ -17,7 +17,8 @@ store answers, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end o
 that does not exist) is named by `close`; everything else is sent.
 
 `study` is the same for all processes that run a study: one that continues a killed study finds its runs by the tags study_key
-and run_key, and writes no metric twice. Checked in tests/tracking/test_tracker.py.
+and run_key, and writes no metric twice. Runs of a process that was killed are ended by whoever reads the store next
+(run_process.py). Checked in tests/tracking/test_tracker.py.
 """
 
 from __future__ import annotations

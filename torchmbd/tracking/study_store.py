@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from torchmbd.tracking.links import VIEW_TAG
+from torchmbd.tracking.run_process import PROCESS, process_tag
 from torchmbd.tracking.store import all_runs, experiment_id, first_line, open_store, own_files
 from torchmbd.tracking.tracker import Status
 from torchmbd.tracking.uri import StoreURI
@@ -103,9 +104,10 @@ class StudyStore:
             runs = all_runs(client, [self.experiment_id], f"tags.study_key = '{self.study}'")
             self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in runs}
         if run in self._earlier:
+            client.set_tag(self._earlier[run], PROCESS, process_tag())  # first: its process before was killed
             client.update_run(self._earlier[run], status="RUNNING")
             return self._earlier[run]
-        tags = draft.tags | {"study_key": self.study, "run_key": run}
+        tags = draft.tags | {"study_key": self.study, "run_key": run, PROCESS: process_tag()}
         if draft.parent is not None:
             tags["mlflow.parentRunId"] = self.ids[draft.parent]
         try:
