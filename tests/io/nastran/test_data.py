@@ -102,7 +102,7 @@ def test_x_of_a_cylindrical_system_is_the_radius_at_the_place():
 
 @pytest.mark.parametrize("card", ["CPYRAM,1,2,3,4,5,6,7", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])
 def test_cards_that_change_others_are_refused(card):
-    with pytest.raises(InputError, match="cannot be read, and without it the structure is another"):
+    with pytest.raises(InputError, match="cannot be read, and without it the structure may be another"):
         data(f"GRID,1,,0.,0.,0.\n{card}")
 
 

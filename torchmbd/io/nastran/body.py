@@ -1,11 +1,10 @@
 """A Nastran model as mesh, parts, links and reference of a flexible body.
 
 Each PCOMP and PSHELL is a part of its own, "pcomp_7", and where elements have several ZOFFS one more for each further one,
-"pcomp_7_offset_1", with parameters of its own; each PBAR another, its bars where
-their offsets put them (bars.py). Rods, springs, bushings and solids: springs.py. RBE2, RBAR,
-RBE3 and MPC become links (rigids.py), and the grid of each rigid element a named node, "rbe2_30", where a frame may sit;
-CONM2 are point masses. Grids whose six freedoms are held (SPC, SPC1) become the reference of the body; other supports are
-left out, with a warning: joints do that in a mechanism.
+"pcomp_7_offset_1", with parameters of its own; each PBAR another, its bars where their offsets put them (bars.py). Rods,
+springs, bushings and solids: springs.py. RBE2, RBAR, RBE3 and MPC become links (rigids.py), and the grid of each rigid element
+a named node, "rbe2_30", where a frame may sit; CONM2 are point masses, and NSM (nsm.py). Grids whose six freedoms are held
+(SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a mechanism.
 Checked in tests/multibody/bodies/test_from_bdf.py.
 """
 
@@ -22,10 +21,12 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, PointMasses
 from torchmbd.fem.mesh import Mesh
-from torchmbd.io.nastran.cards import read_cards
+from torchmbd.io.nastran.cards import read_deck
+from torchmbd.io.nastran.control import MATRICES, TEMPERATURE, Control
 from torchmbd.io.nastran.data import BulkData
 from torchmbd.io.nastran.materials import UNITS, Units, units_of, with_density
 from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
+from torchmbd.io.nastran.nsm import extra_masses
 from torchmbd.io.nastran.panels import shear_panels
 from torchmbd.io.nastran.rigids import followers
 from torchmbd.io.nastran.sections import section_of
@@ -58,16 +59,20 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: 
     Raises InputError that names card and line; warns of cards that are left out.
     """
     scale = units_of(units)
-    data = BulkData.of(read_cards(path))
+    cards, control = read_deck(path)
+    data = BulkData.of(cards)
+    _check_control(data, control)
     if density is not None:
         if not isinstance(density, (int, float)) or isinstance(density, bool) or not 0.0 < density < math.inf:
             raise InputError(f"density is {density!r}; allowed: a number > 0 [kg/m3], of materials without RHO")
         data.materials = with_density(data.materials, float(density), scale, data.weight_to_mass)
     bulk = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}
+    heights: dict[tuple[int, float], float] = {}
     for (number, offset), cells in bulk.zones.items():
         card = data.properties[number]
         laminate = laminate_of(data, card, scale, offset * scale.length)
+        heights[number, offset] = float(laminate.offset)
         name = f"{card.name.lower()}_{number}"
         name = name if name not in parts else f"{name}_offset_{sum(key.startswith(name) for key in parts)}"
         parts[name] = Plates(bulk.mesh, laminate, bulk.direction, cells, mass)
@@ -77,9 +82,37 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: 
     parts |= constant_parts(data, bulk.mesh, bulk.index, scale)
     if data.masses:
         parts["conm2"] = _masses(data, bulk, scale)
+    if (extra := extra_masses(data, bulk, control, scale, heights)) is not None:
+        parts["nsm"] = extra
     _warn_ignored(data, path)
     links = followers(data.rigids, data.constraints, bulk.index, data.displacement_axes, scale.length)
     return BulkBody(bulk.mesh, parts, [*links, *bulk.bars.links], _held(data, bulk.index))
+
+
+def _check_control(data: BulkData, control: Control | None) -> None:
+    """InputError where the case control makes another structure, or may do so where there is none.
+
+    It adds a DMIG to mass or stiffness, or gives a temperature to materials that depend on it.
+    """
+    commands = control.chosen if control else {}
+    chosen = {name: where for command in MATRICES for name, where in commands.get(command, {}).items()}
+    for name, card in data.matrices.items():
+        if name in chosen or control is None:
+            how = (
+                f"the case control ({chosen[name]}) adds" if control else "the file has no case control, which may add"
+            )
+            raise InputError(
+                f"{card}: {how} it to mass or stiffness; allowed: DMIG that none of {', '.join(MATRICES)} chooses "
+                "(FlexibleBody.from_matrices reads a body of DMIG alone)"
+            )
+        data.ignored["DMIG that the case control does not add to mass or stiffness"] += 1
+    if data.thermal and (control is None or TEMPERATURE in commands):
+        how = "gives a temperature" if control else "is missing, and may give a temperature"
+        raise InputError(f"{data.thermal[0]}: the case control {how}; allowed: materials that do not depend on it")
+    for card in data.thermal:
+        data.ignored[card.name] += 1
+    for name in chosen.keys() - data.matrices.keys():
+        raise InputError(f"{chosen[name]}: matrix {name} is chosen, and does not exist; allowed: none")
 
 
 def _masses(data: BulkData, bulk: BulkMesh, scale: Units) -> PointMasses:

@@ -5,25 +5,24 @@
     free    fields between commas            GRID,1,,0.,0.,0.
 
 A continuation starts with +, * or a blank first field, and stands below the line that it continues. `$` starts a comment.
-Only what stands between BEGIN BULK and ENDDATA is read where these exist; INCLUDE is followed. Data fields are counted from
-1 after the name, eight to a line, as they stand in the manual's pictures without their first and last columns.
+Cards stand between BEGIN BULK and ENDDATA where these exist, parameters above them, too; INCLUDE is followed; lines that
+repeat the card before (=) are written out (replication.py).
 Source: MSC Nastran Quick Reference Guide, section 8 (bulk data format).
 Checked in tests/io/nastran/test_cards.py.
 """
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from torchmbd.errors import InputError
+from torchmbd.io.nastran.card import Card
+from torchmbd.io.nastran.control import Control, Lines
+from torchmbd.io.nastran.replication import count_of, repeated, repeats
 
-_EXPONENT = re.compile(r"([0-9.])([+-][0-9]+)$")
-_REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
-_INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
+EQUATION = "DEQATN"  # a card of text, which has no fields
 LINES = 5_000_000  # of a file with all that it includes: about 6 GB of memory
 WIDEST = 10_000  # characters of a line
 INCLUDES = 1_000  # files
@@ -32,91 +31,63 @@ _BYTES = 100  # of a line, the mean of a whole file
 _PER_LINE = 8  # data fields of a line of small fields, and of a pair of lines of large fields
 
 
-@dataclass(frozen=True)
-class Card:
-    """One card; `fields` are the data fields in order, without names and continuation marks."""
+class Deck(NamedTuple):
+    """The cards of a file, and its case control; None: it has bulk data alone."""
 
-    name: str
-    fields: tuple[str, ...]
-    where: str
+    cards: list[Card]
+    control: Control | None
 
-    def __str__(self) -> str:
-        number = self.fields[0] if self.fields else ""
-        return f"{self.name} {number} ({self.where})"
 
-    def text(self, position: int) -> str:
-        """Data field `position`, counted from 1 after the name, "" where blank or missing."""
-        return self.fields[position - 1] if position <= len(self.fields) else ""
-
-    def real(self, position: int, name: str, default: float | None = None) -> float:
-        """Read a number; 1.5+3 and 1.5D3 are 1500. InputError names card, line and field."""
-        text = self.text(position)
-        if not text and default is not None:
-            return default
-        plain = _EXPONENT.sub(r"\1E\2", text.upper().replace("D", "E"))
-        if not _REAL.fullmatch(plain) or not math.isfinite(value := float(plain)):
-            raise InputError(f"{self}: {name} is {text!r}; allowed: a number")
-        return value
-
-    def integer(self, position: int, name: str, default: int | None = None) -> int:
-        """Read an integer. InputError names card, line and field."""
-        text = self.text(position)
-        if not text and default is not None:
-            return default
-        if not _INTEGER.fullmatch(text):
-            raise InputError(f"{self}: {name} is {text!r}; allowed: an integer")
-        return int(text)
-
-    def integers(self, start: int, known: Collection[int]) -> list[int]:
-        """Read the list of integers from `start` on; `1 THRU 5` is a range, of which only `known` numbers count."""
-        result: list[int] = []
-        words = [word for word in self.fields[start - 1 :] if word]
-        k = 0
-        while k < len(words):
-            if words[k].upper() == "THRU":
-                if not result or k + 1 >= len(words):
-                    raise InputError(f"{self}: THRU stands without its two ends")
-                end = _integer(self, words[k + 1])
-                inside = range(result[-1] + 1, end + 1)
-                smaller, other = (inside, known) if len(inside) < len(known) else (known, inside)
-                result.extend(sorted(x for x in smaller if x in other))
-                k += 2
-            else:
-                result.append(_integer(self, words[k]))
-                k += 1
-        return result
+def read_deck(path: str | Path) -> Deck:
+    """Read a file. InputError names the line where the format is broken."""
+    if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
+        raise InputError(f"path is {str(path)!r}; allowed: a Nastran bulk data file that exists")
+    above, bulk = _sections(list(_Files(file).read(file, ())))
+    parameters = [(where, line) for where, line in above or [] if line.lstrip().upper().startswith("PARAM")]
+    return Deck(parse_cards([*parameters, *bulk]), None if above is None else Control.of(above))
 
 
 def read_cards(path: str | Path) -> list[Card]:
     """Read the cards of a file. InputError names the line where the format is broken."""
-    if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
-        raise InputError(f"path is {str(path)!r}; allowed: a Nastran bulk data file that exists")
-    return parse_cards(_bulk(list(_Files(file).read(file, ()))))
+    return read_deck(path).cards
 
 
-def parse_cards(lines: list[tuple[str, str]]) -> list[Card]:
+def parse_cards(lines: Lines) -> list[Card]:
     """Make cards of (where, line) pairs."""
     cards: list[Card] = []
     name, fields, place = "", [], ""
-    last, marks, others = (
-        "",
-        set(),
-        {},
-    )  # names of continuations: of the line before, of all lines, of those not below theirs
+    steps: list[str] = []  # data of the last line that repeats the card before it
+    last, marks, others = "", set(), {}  # names of continuations: of the line before, of all, of those not below theirs
     for where, line in lines:
+        if name == EQUATION and line[:8].strip()[:1] in ("", "+", "*"):
+            continue
         head, data, mark = _split(line, where)
         before, last = last, mark
         marks.add(mark)
         if head[:1] in ("", "+", "*"):
-            if not name:
-                raise InputError(f"{where}: a continuation without a card: {line.strip()!r}")
+            if not name or repeats(data):
+                wrong = "without a card" if not name else "that repeats another"
+                raise InputError(f"{where}: a continuation {wrong}: {line.strip()!r}")
             if (own := head.lstrip("+*")) not in ("", before):
                 others[own] = where
             fields.extend(data)
             continue
         if name:
             cards.append(Card(name, tuple(_trimmed(fields)), place))
-        name, fields, place = head.rstrip("*"), data, where
+        if (count := count_of(head, where)) is not None:
+            if not steps or len(cards) + count > LINES:
+                raise InputError(f"{where}: {head!r}; allowed: below a line that repeats a card, {LINES} cards in all")
+            for _ in range(count):
+                cards.append(repeated(cards[-1], steps, where))
+            name = ""
+            continue
+        if head == "=" or repeats(data):
+            made = repeated(cards[-1] if cards else None, data, where)
+            if head not in ("=", made.name):
+                raise InputError(f"{where}: {head} repeats {cards[-1]}; allowed: a card of the same name")
+            name, fields, place, steps = made.name, [*made.fields, *[""] * (len(data) - len(made.fields))], where, data
+        else:
+            name, fields, place, steps = head.rstrip("*"), data, where, []
     for own in others.keys() & marks:
         raise InputError(
             f"{others[own]}: the continuation {own!r} is not below the line that it continues; allowed: below it"
@@ -180,19 +151,24 @@ class _Files:
         raise InputError(f"{where}: INCLUDE of {named!r}; allowed: a file that exists")
 
 
-def _bulk(lines: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The lines after BEGIN BULK, if it exists, up to ENDDATA."""
-    start = next((k + 1 for k, (_, x) in enumerate(lines) if x.upper().split()[:2] == ["BEGIN", "BULK"]), 0)
+def _sections(lines: Lines) -> tuple[Lines | None, Lines]:
+    """The lines above BEGIN BULK, None without it, and those after it, up to ENDDATA."""
+    begin = next((k for k, (_, x) in enumerate(lines) if x.upper().split()[:2] == ["BEGIN", "BULK"]), None)
+    start = 0 if begin is None else begin + 1
     end = next((k for k, (_, x) in enumerate(lines) if x.strip().upper().startswith("ENDDATA")), len(lines))
     again = [(where, x) for where, x in lines[start:end] if x.upper().split()[:1] == ["BEGIN"]]
     if again:
         where, line = again[0]
         raise InputError(f"{where}: {line.strip()!r} begins a superelement; allowed: one section, BEGIN BULK")
-    return lines[start:end]
+    return None if begin is None else lines[:begin], lines[start:end]
 
 
 def _split(line: str, where: str) -> tuple[str, list[str], str]:
     """Name and data fields of one line, and the name of its continuation, which stands in the tenth field."""
+    if line[:8].strip().upper() == EQUATION:
+        return EQUATION, [], ""
+    if line.lstrip().startswith("=("):  # it may be wider than a field
+        return line.strip().rstrip(",").upper(), [], ""
     if "," in line:
         words = [word.strip() for word in line.split(",")]
         head = words[0].upper()
@@ -217,9 +193,3 @@ def _trimmed(fields: list[str]) -> list[str]:
     while fields and not fields[-1]:
         fields = fields[:-1]
     return fields
-
-
-def _integer(card: Card, word: str) -> int:
-    if not _INTEGER.fullmatch(word):
-        raise InputError(f"{card}: {word!r} stands in a list of numbers; allowed: integers and THRU")
-    return int(word)

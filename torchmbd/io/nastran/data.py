@@ -2,9 +2,8 @@
 
     BulkData.of(cards)      grids, shells, bars, properties, materials, masses, rigid elements, MPC, supports
 
-Refused by card and line: an element that cannot be read (leaving it out would change the structure), a duplicate, a
-property or material or grid that does not exist, a field that is missing. Loads and control cards are left out; `ignored`
-counts them.
+Refused by card and line: a card that is neither read nor known to be no structure (inert.py), a duplicate, a property or
+material or grid that does not exist, a field that is missing. Loads and the like are left out; `ignored` counts them.
 Elements of scalar points (SPOINT) alone, and springs to the ground, are no part of a body: they are left out, and listed.
 Over 300 lines: every kind of card is sorted in one place.
 Source: MSC Nastran Quick Reference Guide, section 8.
@@ -21,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from torchmbd.errors import InputError, warn
-from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.card import Card
 from torchmbd.io.nastran.elements import (
     LINKS,
     OF_SCALARS,
@@ -36,6 +35,7 @@ from torchmbd.io.nastran.elements import (
     read_panel,
     read_solid,
 )
+from torchmbd.io.nastran.inert import QUIET, is_inert
 from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, read_constraint, read_rigid
 from torchmbd.io.nastran.systems import KINDS, Systems
 
@@ -43,12 +43,7 @@ SHELLS = {"CTRIA3": 3, "CQUAD4": 4, "CTRIAR": 3, "CQUADR": 4}  # all have drilli
 BARS = ("CBAR", "CBEAM")
 PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
 MATERIALS = re.compile(r"^MAT([12389]|10)$")
-#: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
-_STRUCTURE = re.compile(
-    r"^(RBE1|RBE2[A-Z]+|RBE3[A-Z]+|RBAX|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|BAROR|BEAMOR|CONM1"
-    r"|C(BEAM3|BEAR|BELT|BEND|BUSH[12]D|CONEAX|DUM\d|FAST|GAP|HACAB|HEX20|HEX8|HEXA8|HEXCZ|IFHEX|IFQDX|IFQUAD|INTC"
-    r"|PLST[NS]\d|PYRAM|PYRA|QUAD|QUAD8|QUADX\d?|RAC[23]D|SEAM|TQUAD|TRIA6|TRIAX6?|TRAX\d|TTRIA|WELD))$"
-)
+THERMAL = re.compile(r"MATT\d+")  # materials that depend on temperature
 READ = (
     *SHELLS,
     *BARS,
@@ -60,12 +55,19 @@ READ = (
     "MPC",
     "SPC",
     "SPC1",
+    "NSM",
+    "NSM1",
+    "NSML",
+    "NSML1",
     "MAT1",
     "MAT2",
     "MAT8",
     "MAT9",
 )
-_QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MPCADD", "MDLPRM")
+NONSTRUCTURAL = ("NSM", "NSM1", "NSML", "NSML1")
+UNIONS = ("SPCADD", "MPCADD", "NSMADD")
+#: Parameters that multiply a matrix of the structure: they may be 1.
+FACTORS = {"CK1": "the stiffness", "CM1": "the mass"}
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,10 @@ class BulkData:
     rigids: list[Rigid] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     supports: list[Support] = field(default_factory=list)
+    nonstructural: list[Card] = field(default_factory=list)
+    unions: list[Card] = field(default_factory=list)
+    thermal: list[Card] = field(default_factory=list)
+    matrices: dict[str, Card] = field(default_factory=dict)
     systems: Systems = field(default_factory=Systems)
     weight_to_mass: float = 1.0
     ignored: Counter[str] = field(default_factory=Counter)
@@ -158,9 +164,9 @@ class BulkData:
             ("SPC", {own.set for own in data.supports} - {0}),
             ("MPC", {own.card.integer(1, "SID") for own in data.constraints}),
         ):
-            unions = [set(card.integers(2, ())) for card in cards if card.name == f"{name}ADD"]
+            unions = [set(card.integers(2, ())) for card in data.unions if card.name == f"{name}ADD"]
             if len(numbers) > 1 and not any(numbers <= union for union in unions):
-                warn(f"{name} sets {sorted(numbers)[:8]} hold together: the case control, which chooses, is not read")
+                warn(f"{name} sets {sorted(numbers)[:8]} hold together: whatever the case control chooses")
         return data
 
     def _sort_card(self, card: Card) -> None:
@@ -198,14 +204,35 @@ class BulkData:
             self.supports.extend(_supports(card, self.grids))
             if name == "SPC" and any(card.real(k, "D", 0.0) for k in (4, 7)):
                 self.ignored["enforced displacement of SPC"] += 1
-        elif name == "PARAM" and card.text(1).upper() == "WTMASS":
-            self.weight_to_mass = card.real(2, "WTMASS")
-        elif _STRUCTURE.match(name):
+        elif name in NONSTRUCTURAL:
+            self.nonstructural.append(card)
+        elif name in UNIONS:
+            self.unions.append(card)
+        elif name == "PARAM":
+            self._read_parameter(card)
+        elif name in OF_SCALARS:
+            self.ignored[f"{name} of scalar points"] += 1
+        elif THERMAL.fullmatch(name):
+            self.thermal.append(card)
+        elif name == "DMIG":
+            self.matrices.setdefault(card.text(1).upper(), card)
+        elif not is_inert(name):
             raise InputError(
-                f"{card}: this card cannot be read, and without it the structure is another; allowed: {', '.join(READ)}"
+                f"{card}: this card cannot be read, and without it the structure may be another; allowed: {', '.join(READ)}, "
+                "and cards without mass, stiffness and support"
             )
-        elif name not in _QUIET:
-            self.ignored[f"{name} of scalar points" if name in OF_SCALARS else name] += 1
+        elif name not in QUIET:
+            self.ignored[name] += 1
+
+    def _read_parameter(self, card: Card) -> None:
+        """Read WTMASS. InputError for other parameters that multiply the matrices of the structure."""
+        name = card.text(1).upper()
+        if name == "WTMASS":
+            self.weight_to_mass = card.real(2, name)
+            if not self.weight_to_mass > 0.0:
+                raise InputError(f"{card}: WTMASS is {card.text(2)!r}; allowed: above 0")
+        elif name in FACTORS and card.real(2, name) != 1.0:
+            raise InputError(f"{card}: {name} is {card.text(2)}, it multiplies {FACTORS[name]}; allowed: 1.0")
 
     def _sort_link(self, card: Card) -> None:
         """Sort an element between two points: kept between grids, left out between scalar points or at the ground."""

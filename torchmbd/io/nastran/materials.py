@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.materials import Ply, Strength
-from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.card import Card
 from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
 
 

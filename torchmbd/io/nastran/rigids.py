@@ -20,7 +20,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import Average, Combination, Follower, RigidLink
-from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.card import Card
 from torchmbd.io.nastran.elements import rbar_grids
 
 RIGIDS = ("RBE2", "RBE3", "RBAR", "RBAR1")

@@ -19,7 +19,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import GivenSection
 from torchmbd.fem.elements.beam_section import line_transform
-from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.card import Card
 from torchmbd.io.nastran.data import BulkData
 from torchmbd.io.nastran.materials import Units, ply_of
 from torchmbd.io.nastran.shapes import RIGID_IN_SHEAR, SHAPES, SectionNumbers, of_shape

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.materials import DividedLaminate, Laminate, Ply
-from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.card import Card
 from torchmbd.io.nastran.data import BulkData
 from torchmbd.io.nastran.materials import Units, density_of, ply_of
 from torchmbd.math.angles import deg

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import GivenElements, Part, solid_matrices
 from torchmbd.fem.mesh import Mesh
-from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.card import Card
 from torchmbd.io.nastran.data import BulkData
 from torchmbd.io.nastran.elements import LINKS, Link, Solid
 from torchmbd.io.nastran.materials import Units, density_of, moduli_of
