@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch.func import jacfwd, jacrev, jvp, vmap
+from torch.func import grad, jacfwd, jacrev, jvp, vjp, vmap
 
 from experiments.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction import eigenpairs
+from torchmbd.fem.reduction import eigenpairs, modal_basis, spectral_function
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 ONE = torch.ones(1, dtype=torch.float64)
@@ -169,3 +169,72 @@ def test_a_cut_cluster_is_refused():
     K = torch.diag(torch.tensor([1.0, 2.0, 2.0, 3.0], dtype=torch.float64))
     with pytest.raises(InputError, match="n = 2 cuts a cluster"):
         eigenpairs(K, torch.ones(4, dtype=torch.float64), 2)
+
+
+def pair(gap: float, b: torch.Tensor) -> torch.Tensor:
+    """A matrix with the eigenvalues 2, 2 + gap, and 3 and 5, whose first two turn and split with b."""
+    Q = torch.linalg.qr(torch.cos(torch.arange(16, dtype=torch.float64).square()).reshape(4, 4))[0]
+    low = torch.diag(torch.tensor([2.0, 2.0 + gap, 3.0, 5.0], dtype=torch.float64))
+    change = torch.tensor([[0.3, 1, 0.2, 0], [1, -0.5, 0.4, 0.1], [0.2, 0.4, 1, 0], [0, 0.1, 0, 0.5]]).double()
+    return Q @ (low + b * change) @ Q.T
+
+
+def root_by_pairs(gap: float, b: torch.Tensor) -> torch.Tensor:
+    values, vectors = eigenpairs(pair(gap, b), torch.ones(4, dtype=torch.float64), 3)
+    return (vectors * values.sqrt()) @ vectors.mT
+
+
+def root_by_spectrum(gap: float, b: torch.Tensor) -> torch.Tensor:
+    return spectral_function(modal_basis(pair(gap, b), torch.ones(4, dtype=torch.float64), 3), torch.sqrt)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-13, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-3])
+def test_functions_of_values_and_vectors_are_exact_or_refused_in_every_mode(gap):
+    """Forward mode is exact; reverse mode where rounding leaves anything of single pairs."""
+    (b,) = ZERO
+    exact = jvp(lambda b: root_by_spectrum(gap, b), (b,), (torch.ones_like(b),))[1]
+    forward = [
+        lambda: jvp(lambda b: root_by_pairs(gap, b), (b,), (torch.ones_like(b),))[1],
+        lambda: jacfwd(lambda b: root_by_pairs(gap, b))(b),
+    ]
+    tolerance = {"rtol": 0, "atol": 2e-6 if gap < 1e-6 else 1e-9}
+    for way in (*forward, lambda: jacrev(lambda b: root_by_pairs(gap, b))(b)):
+        if (0.0 < gap < 1e-9) or (gap == 0.0 and way not in forward):
+            with pytest.raises(InputError, match="spectral_function"):
+                way()
+        else:
+            torch.testing.assert_close(way(), exact, **tolerance)
+
+
+def test_a_pair_along_the_axes_is_refused_too():
+    """sqrt(K) of K = 2 with a change beside its diagonal: cotangents of the axes' own pairs would say nothing."""
+
+    def root(b):
+        K = torch.stack([torch.stack([2.0 + 0.0 * b, b]), torch.stack([b, 2.0 + 0.0 * b])])
+        values, vectors = eigenpairs(K, torch.ones(2, dtype=torch.float64), 2)
+        return ((vectors * values.sqrt()) @ vectors.mT)[0, 1]
+
+    (b,) = ZERO
+    assert jvp(root, (b,), (torch.ones_like(b),))[1].item() == pytest.approx(0.125**0.5, rel=1e-14)
+    for way in (jacrev(root), grad(root)):
+        with pytest.raises(InputError, match="modes 1, 2 coincide"):
+            way(b)
+    with pytest.raises(InputError, match="modes 1, 2 coincide, and a derivative along a direction that turns them"):
+        jvp(lambda b: vmap(root)(b[None]), (b,), (torch.ones_like(b),))
+
+
+def test_gradients_of_torch_func():
+    """grad, vjp and vmap of grad, of the span and of single vectors."""
+    K = torch.tensor([[2.0, 1, 0], [1, 3, 0.5], [0, 0.5, 7]], dtype=torch.float64)
+    dK = torch.tensor([[0, 1.0, 2], [1, 0, 1], [2, 1, 1]], dtype=torch.float64)
+    b = torch.tensor([0.3, 0.4], dtype=torch.float64)
+    for response in (lambda v: (v @ v.mT)[0, 1], lambda v: v[0, 0] ** 2):
+
+        def f(b, response=response):
+            values, vectors = eigenpairs(K + b * dK, torch.ones(3, dtype=torch.float64), 2)
+            return response(vectors) + values.prod()
+
+        forward = torch.stack([jacfwd(f)(x) for x in b])
+        torch.testing.assert_close(vmap(grad(f))(b), forward)
+        torch.testing.assert_close(vjp(f, b[0])[1](ONE[0])[0], forward[0])
+        torch.testing.assert_close(grad(f)(b[1]), forward[1])

@@ -11,20 +11,23 @@ These are the derivatives of Nelson's method (each is unique); the solves are sh
 
 Where eigenvalues meet, with C the block of dKr that belongs to them:
 
-- *Vectors closer than `cluster`*: dR = 0 within. The cluster moves as a span, without turning in itself. (Individual
-  vectors are known to rounding / gap, and their derivatives to rounding / gap^2, whatever the method: of K and M rounded
-  to double precision more is not to be had. near_modes.py gets that far.)
-- *Eigenvalues that are repeated*, that is, closer than rounding can tell. Forward mode: the eigenvalues of C in rising
-  order, the one-sided derivatives of the sorted eigenvalues along each direction. They are not linear in the
-  direction, for no linear derivative exists where the C of several variables do not commute. Reverse mode: the mean of
-  the diagonal of C for each of them, a subgradient in the sense of Clarke.
+- *Eigenvalues that are repeated*, that is, closer than rounding can tell. Which vectors of their span are returned is a matter
+  of choice, Psi Q. Forward mode: those for which Q' C Q is diagonal, in rising order: the one-sided derivatives of the sorted
+  eigenvalues along this direction. They are not linear in the direction, for no linear derivative exists where the C of
+  several variables do not commute. Else Q is fixed and general; reverse mode gives the mean of the diagonal of C for each, a
+  subgradient in the sense of Clarke. dR = 0 within: the repeated modes move as a span.
+- *Distinct eigenvalues nearer than `cluster`*: as above. Individual vectors are known to rounding / gap, their derivatives to
+  rounding / gap^2, whatever the method: of K and M rounded to double precision more is not to be had (near_modes.py gets
+  that far). So a single vector is refused in reverse mode. Functions such as Psi g(Lambda) Psi' are exact to rounding / gap;
+  nearer than NOISE that is not enough, and they are refused.
 
-So at a cluster these derivatives are exact in every mode: of symmetric functions of its eigenvalues alone (their sum, the
-sum of their squares), and of functions of its span alone (Psi Psi'). **Functions of values and vectors of a cluster
-same, such as Psi g(Lambda) Psi', have none from single pairs**, though they are smooth: g'(lambda) C enters with all
-its entries, and dlambda holds only its eigenvalues or the mean of its diagonal. `spectral_function` has their derivatives;
-so have functions of `modal_basis` with its full Kr. Reverse mode recognizes such functions, and those of a single vector of a
-cluster, by their cotangents, and raises InputError; forward mode cannot, as it does not know what becomes of its tangents.
+So at repeated eigenvalues these derivatives are exact in every mode: of symmetric functions of the eigenvalues alone (their
+sum, the sum of their squares), and of functions of their span alone (Psi Psi'). **Functions of values and vectors same,
+such as Psi g(Lambda) Psi'**, are exact in forward mode, for C is diagonal. In reverse mode all entries of C would enter: such
+functions, and those of a single vector (whose dR is missing in forward mode), are recognized by their cotangents, and
+refused by InputError. So is forward mode where the direction is not known when the modes are made, as under `jvp` of `vmap`,
+if C is not diagonal. `spectral_function` has these derivatives in every mode; so have functions of `modal_basis` with its
+full Kr.
 
 Along *one* direction individual modes have derivatives even here: `eigenpair_branches` finds them by Dailey's method.
 Source: Nelson, AIAA J. 14 (1976) 1201-1205; Dailey, AIAA J. 27 (1989) 486-491; Clarke, Optimization and Nonsmooth
@@ -38,16 +41,25 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
+from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, parse_pencil, rounding
 from torchmbd.fem.reduction.near_modes import ModeSeparation
 from torchmbd.fem.reduction.spectral import chained
 from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.gradients import all_true
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.math.vmap import batch_first
 
 UNEQUAL = 1e-4  # of cotangents; less is what distinct eigenvalues of a cluster make of a symmetric function
+NOISE = 1e-9  # relative gap at which rounding enters differences of functions of two eigenvalues by 2e-7
+ASYMMETRY = 1e-13  # of cotangents of a span, by rounding
+_ALLOWED = (
+    "allowed: functions of their values alone or of their span alone, spectral_function, modal_basis, eigenpair_branches along "
+    "one direction"
+)
 
 
 class Eigenpairs(NamedTuple):
@@ -64,8 +76,8 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     M        the same, or a vector [..., N], the diagonal of a lumped mass
     cluster  relative distance below which neighbors are one cluster, which n must not cut; see the module header
 
-    Raises InputError as modal_basis does. A backward pass through values and vectors of one cluster same, or through
-    one of its vectors alone, raises it too.
+    Raises InputError as modal_basis does. A backward pass through values and vectors that coincide, or through one of
+    these vectors alone, raises it too.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64, requires_grad=True)
     >>> values, vectors = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 1)
@@ -82,8 +94,31 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     turn = ModeSeparation.apply(pencil, K_values, M_values, psi.reshape(-1, *psi.shape[-2:]), apart).reshape(
         *lanes, n, n
     )
-    values, R = _Split.apply(turn.mT @ basis.stiffness @ turn, accuracy.reshape(lanes), cluster)
+    stiffness, accuracy = turn.mT @ basis.stiffness @ turn, accuracy.reshape(lanes)
+    values, R = _Split.apply(stiffness, _choice(stiffness, accuracy), accuracy, cluster)
     return Eigenpairs(values, basis.vectors @ (turn @ R))
+
+
+def _choice(stiffness: Tensor, accuracy: Tensor) -> Tensor:
+    """Q [..., n, n] of repeated eigenvalues: the eigenvectors of C in forward mode, else a reflection in general position."""
+    values = stiffness.diagonal(dim1=-2, dim2=-1).detach()
+    repeated, one = chained(values, accuracy[..., None]), torch.eye(values.shape[-1], dtype=values.dtype)
+    if all_true(repeated == one.bool()):
+        return one.expand(stiffness.shape)
+    batched = debug_unwrap(stiffness, recurse=False).dim() != stiffness.dim()  # by a vmap that hides the tangent
+    change = None if batched else unpack_dual(stiffness).tangent
+    if change is not None:
+        C = torch.where(repeated, change + change.mT, 0.0) / 2
+        spread = 4.0 * C.abs().sum((-2, -1), keepdim=True) + 1.0  # keeps the blocks apart and in their order
+        first = repeated.to(C.dtype).argmax(-1).to(C.dtype)
+        return torch.linalg.eigh(C + torch.diag_embed(first) * spread).eigenvectors
+    v = 0.2 + torch.frac(
+        torch.arange(1, len(one) + 1, dtype=values.dtype) * 0.6180339887
+    )  # golden ratio: no two are equal
+    mirror = torch.where(repeated, v[:, None] * v, 0.0)
+    size = repeated.to(v.dtype) @ v.square()[:, None]
+    single = repeated.sum(-1, keepdim=True) == 1
+    return torch.where(single, one, one - 2.0 * mirror / size)
 
 
 def same_cluster(values: Tensor, accuracy: Tensor, cluster: float) -> Tensor:
@@ -92,103 +127,109 @@ def same_cluster(values: Tensor, accuracy: Tensor, cluster: float) -> Tensor:
 
 
 class _Split(torch.autograd.Function):
-    """Eigenvalues and eigenvectors R of the reduced stiffness, which is diagonal at the design at hand."""
+    """Eigenvalues and eigenvectors R = Q of the reduced stiffness, which is diagonal at the design at hand."""
 
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(Kr: Tensor, accuracy: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
-        values = Kr.diagonal(dim1=-2, dim2=-1).clone()
-        return values, torch.diag_embed(torch.ones_like(values))
+    def forward(Kr: Tensor, Q: Tensor, accuracy: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
+        return Kr.diagonal(dim1=-2, dim2=-1).clone(), Q.expand(Kr.shape).clone()
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
-        ctx.cluster = inputs[2]
+        ctx.cluster = inputs[3]
         ctx.set_materialize_grads(False)
-        ctx.save_for_forward(output[0], inputs[1])
-        ctx.save_for_backward(output[0], inputs[1])
+        ctx.save_for_forward(*output, inputs[2])
+        ctx.save_for_backward(*output, inputs[2])
 
     @staticmethod
-    def jvp(ctx: Any, dKr: Tensor, _accuracy: Any, _cluster: Any) -> tuple[Tensor, Tensor]:
-        values, accuracy = ctx.saved_tensors
-        repeated = chained(values, accuracy[..., None])
-        return _Slopes.apply(dKr, repeated), dKr * _inverse_gaps(values, accuracy, ctx.cluster)
+    def jvp(ctx: Any, dKr: Tensor, *_: Any) -> tuple[Tensor, Tensor]:
+        values, Q, accuracy = ctx.saved_tensors
+        C = Q.mT @ dKr @ Q
+        C = C + _Refusal.apply(values, accuracy, ctx.cluster, None, C)
+        return C.diagonal(dim1=-2, dim2=-1).clone(), Q @ (C * _inverse_gaps(values, accuracy))
 
     @staticmethod
-    def backward(ctx: Any, g: Tensor | None, G: Tensor | None) -> tuple[Tensor, None, None]:
-        values, accuracy = ctx.saved_tensors
-        bar = torch.diag_embed(torch.zeros_like(values))
+    def backward(ctx: Any, g: Tensor | None, G: Tensor | None) -> tuple[Tensor, None, None, None]:
+        values, Q, accuracy = ctx.saved_tensors
+        bar = torch.zeros_like(Q)
         if g is not None:
             repeated = chained(values, accuracy[..., None])
             share = repeated.to(g.dtype) / repeated.sum(-1, keepdim=True)
             bar = bar + torch.diag_embed((share @ g[..., None]).squeeze(-1))
         if G is not None:
-            bar = bar + _refuse_single(values, accuracy, ctx.cluster, torch.zeros_like(values) if g is None else g, G)
-            turned = G * _inverse_gaps(values, accuracy, ctx.cluster)
+            G = Q.mT @ G
+            g = torch.zeros_like(values) if g is None else g
+            turned = (G + _Refusal.apply(values, accuracy, ctx.cluster, g, G)) * _inverse_gaps(values, accuracy)
             bar = bar + (turned + turned.mT) / 2
-        return bar, None, None
+        return Q @ bar @ Q.mT, None, None, None
 
 
-@torch.library.custom_op("torchmbd::refuse_single_modes", mutates_args=())
-def _refuse_single(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor, G: Tensor) -> Tensor:
-    """Zeros [..., n, n]; InputError where the cotangents g [..., n], G [..., n, n] tell one mode of a cluster from another.
-
-    A function of a span has a symmetric block of G, one of its values alone has equal g. It is an operator of torch, because
-    under vmap a Python function cannot read numbers.
-    """
-    near = same_cluster(values, accuracy, cluster)
-    inside = torch.where(near, G, 0.0).abs().amax(-1)  # [..., n]
-    size = G.abs().amax((-2, -1))
-    turned = torch.where(near, (G - G.mT).abs(), 0.0).amax(-1) > UNEQUAL * size[..., None]
-    low, high = (torch.where(near, g[..., None, :], sign * torch.inf) for sign in (1, -1))
-    unequal = high.amax(-1) - low.amin(-1) > UNEQUAL * g.abs().amax(-1, keepdim=True)
-    wrong = turned | (unequal & (inside > UNEQUAL * size[..., None]))
-    if wrong.any():
-        lane, mode = (int(i) for i in wrong.reshape(-1, wrong.shape[-1]).nonzero()[0])
-        labels = near.reshape(-1, *near.shape[-2:])[lane, mode].nonzero().squeeze(-1) + 1
-        raise InputError(
-            f"modes {', '.join(map(str, labels.tolist()))} coincide, and a gradient by single ones of their vectors, or by "
-            "values and vectors same, was asked for, which is not to be had from pairs; allowed: functions of their "
-            "values alone or of their span alone, spectral_function, modal_basis, eigenpair_branches along one direction"
-        )
-    return torch.zeros_like(G)
-
-
-@_refuse_single.register_vmap
-def _(info: Any, in_dims: tuple, values: Tensor, accuracy: Tensor, cluster: float, g: Tensor, G: Tensor) -> tuple:
-    pairs = zip((values, accuracy, g, G), (*in_dims[:2], *in_dims[3:]), strict=True)
-    values, accuracy, g, G = (batch_first(x, dim, info.batch_size) for x, dim in pairs)
-    return _refuse_single(values, accuracy, cluster, g, G), 0
-
-
-def _inverse_gaps(values: Tensor, accuracy: Tensor, cluster: float) -> Tensor:
-    """1 / (lambda_i - lambda_j) at [j, i], zero within clusters."""
-    same = same_cluster(values, accuracy, cluster)
-    gaps = values[..., None, :] - values[..., :, None]
-    return torch.where(same, 0.0, 1 / torch.where(same, 1.0, gaps))
-
-
-class _Slopes(FirstDerivative):
-    """The eigenvalues of each cluster's block of dKr [..., n, n], in rising order; its diagonal for single modes."""
+class _Refusal(FirstDerivative):
+    """Zeros [..., n, n], or the InputError of `_refuse`."""
 
     of = "modes"
 
     @staticmethod
-    def forward(dKr: Tensor, same: Tensor) -> Tensor:
-        slopes = dKr.diagonal(dim1=-2, dim2=-1).clone()
-        n = dKr.shape[-1]
-        flat, blocks = slopes.view(-1, n), dKr.reshape(-1, n, n)
-        labels = same.expand(dKr.shape).reshape(-1, n, n)
-        for row in (labels.sum(-1) > 1).any(-1).nonzero().squeeze(-1).tolist():
-            start = 0
-            while start < n:
-                end = start + int(labels[row, start].sum())
-                block = blocks[row, start:end, start:end]
-                flat[row, start:end] = torch.linalg.eigvalsh((block + block.mT) / 2)
-                start = end
-        return slopes
+    def forward(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor) -> Tensor:
+        return _refuse(values, accuracy, cluster, g, X)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, dKr: Tensor, same: Tensor) -> tuple[Tensor, int]:
-        size = info.batch_size
-        return _Slopes.apply(batch_first(dKr, in_dims[0], size), batch_first(same, in_dims[1], size)), 0
+    def vmap(info: Any, in_dims: tuple, values: Tensor, accuracy: Tensor, cluster: float, g: Any, X: Tensor) -> tuple:
+        return _Refusal.apply(*_lanes_first(info.batch_size, in_dims, values, accuracy, cluster, g, X)), 0
+
+
+@torch.library.custom_op("torchmbd::refuse_single_modes", mutates_args=())
+def _refuse(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor) -> Tensor:
+    """Zeros [..., n, n]; InputError where derivatives of single modes were asked for that do not exist.
+
+    g, X   cotangents of values [..., n] and of R [..., n, n], which must not tell one mode of a cluster from another: a
+           function of a span has a symmetric block, one of its values alone has equal g. None, C: a direction, which
+           must be diagonal where modes repeat
+    It is an operator of torch, because batched tangents of torch.autograd cannot read numbers in Python functions.
+    """
+    noisy = same_cluster(values, accuracy, NOISE)
+    if g is None:
+        gaps = (values[..., None, :] - values[..., :, None]).abs()
+        mixed = UNEQUAL + torch.where(
+            chained(values, accuracy[..., None]), 0.0, accuracy[..., None, None] / 16.0 / gaps
+        )
+        beside = torch.where(noisy & ~torch.eye(values.shape[-1], dtype=torch.bool), X, 0.0).abs()
+        wrong = (beside > mixed * X.abs().amax((-2, -1), keepdim=True)).any(-1)
+        near, what = noisy, "a derivative along a direction that turns them in their span"
+    else:
+        near = same_cluster(values, accuracy, cluster)
+        size, asymmetry = X.abs().amax((-2, -1))[..., None], (X - X.mT).abs()
+        turned = torch.where(near, asymmetry, 0.0).amax(-1) > UNEQUAL * size
+        lost = torch.where(noisy, asymmetry, 0.0).amax(-1) > ASYMMETRY * size
+        low, high = (torch.where(noisy, g[..., None, :], sign * torch.inf) for sign in (1, -1))
+        unequal = high.amax(-1) - low.amin(-1) > UNEQUAL * g.abs().amax(-1, keepdim=True)
+        inside = torch.where(noisy, X, 0.0).abs().amax(-1) > UNEQUAL * size
+        wrong = turned | lost | (unequal & inside)
+        what = "a gradient by single ones of their vectors, or by values and vectors same,"
+    if wrong.any():
+        lane, mode = (int(i) for i in wrong.reshape(-1, wrong.shape[-1]).nonzero()[0])
+        labels = near.expand(*X.shape).reshape(-1, *near.shape[-2:])[lane, mode].nonzero().squeeze(-1) + 1
+        raise InputError(
+            f"modes {', '.join(map(str, labels.tolist()))} coincide, and {what} was asked for, which is not to be had from "
+            f"pairs; {_ALLOWED}"
+        )
+    return torch.zeros_like(X)
+
+
+@_refuse.register_vmap
+def _(info: Any, in_dims: tuple, values: Tensor, accuracy: Tensor, cluster: float, g: Any, X: Tensor) -> tuple:
+    return _refuse(*_lanes_first(info.batch_size, in_dims, values, accuracy, cluster, g, X)), 0
+
+
+def _lanes_first(size: int, in_dims: tuple, *arguments: Any) -> list[Any]:
+    """The arguments of `_refuse` with their batch in front."""
+    pairs = zip(arguments, in_dims, strict=True)
+    return [batch_first(x, dim, size) if isinstance(x, Tensor) else x for x, dim in pairs]
+
+
+def _inverse_gaps(values: Tensor, accuracy: Tensor) -> Tensor:
+    """1 / (lambda_i - lambda_j) at [j, i], zero where they are repeated."""
+    same = chained(values, accuracy[..., None])
+    gaps = values[..., None, :] - values[..., :, None]
+    return torch.where(same, 0.0, 1 / torch.where(same, 1.0, gaps))
