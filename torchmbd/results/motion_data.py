@@ -114,6 +114,8 @@ class MotionData(Summary):
             ("bodies", few(T.names)),
             ("coordinates", f"{T.n_q} (q), {T.n_v} rates (v, a), {T.rows} multipliers (lam)"),
         ]
+        if self.dynamics.redundant:
+            rows.append(("over-constraint", f"rows that follow from others: {few(self.dynamics.redundant)}"))
         return rows + [(name, self.stats[name]) for name in ("steps", "backend", "gradients") if name in self.stats]
 
     @property

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, one_of
+from torchmbd.errors import InputError, one_of, warn
 from torchmbd.math.pair import value
 from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
@@ -23,7 +23,7 @@ from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.results.body_motion import BodyMotion, point_of
 from torchmbd.results.motion_data import MotionData
-from torchmbd.summary import Summary
+from torchmbd.summary import Summary, few
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,7 +61,12 @@ def joint_named(system: System, name: str) -> Joint:
 
 def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
-    T = motion.dynamics.topology
+    T, rank = motion.dynamics.topology, motion.dynamics.rank
+    if joint.name in rank.undetermined:
+        warn(
+            f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, as {few(rank.redundant)} "
+            "follow from other rows: it has the share of least norm; allowed: joints with fewer rows, such as mbd.Spherical"
+        )
     rows = torch.tensor([name == joint.name for name in T.row_joints])
     at, gradient = _constraint_forces(motion, rows)
     force = torque = torch.zeros_like(motion.v[..., :3])

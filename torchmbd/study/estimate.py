@@ -11,6 +11,7 @@ Simulations of a sweep: its points. Of an optimization: 1.5 for each iteration o
 start ends early. Of a front: the same for each anchor from each start and for each point, and once more for each. For methods
 that choose their steps, a unit of time takes the place of a step. Pictures: one is drawn, its time counts for each of their
 axes. Times are those of this machine without other load.
+Over 300 lines: what is said of the model before a study runs is printed here as well.
 Checked in tests/study/test_estimate.py.
 """
 
@@ -247,6 +248,7 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         soft_wrap=True,
     )
     _print_truncation(problem, console)
+    _print_assembly(problem, console)
     if cost.batch_seconds < _PATIENCE:
         print_start_values(problem, console, others + 1)
     if cost.gradients != "none":
@@ -282,3 +284,17 @@ def _duration(seconds: float) -> str:
         if seconds >= 1.5 * size:
             return f"{seconds / size:.2g} {unit}"
     return f"{seconds:.2g} s"
+
+
+def _print_assembly(problem: Problem, console: Console) -> None:
+    """Print the joints that are open where the model puts its bodies, what the start moves, and redundant rows of joints."""
+    dynamics = problem.system.dynamics()
+    with torch.no_grad():
+        closing = dynamics.initial.closing(dynamics)
+    marked = "warning: " * closing.far
+    lines = [f"{marked}open where the bodies were put: joint {joint}" for joint in closing.joints]
+    lines += [f"{marked}to close the joints the start moves {body}" for body in closing.bodies]
+    if dynamics.redundant:
+        lines.append(f"over-constraint: {', '.join(dynamics.redundant)} follow from other rows of joints")
+    for line in lines:
+        console.print(line, markup=False, soft_wrap=True)

@@ -2,7 +2,8 @@
 
     freedoms = 6 bodies + modes - rank of Phi_q          mobility = 6 bodies - rank of Phi_q by the rigid coordinates
 
-at the assembled initial position. Frequencies are those of small vibrations about it, which is taken for an equilibrium.
+at the assembled initial position; what assembling moves is listed (closing.py). Frequencies are those of small vibrations about
+it, which is taken for an equilibrium.
 Checked in tests/multibody/system/test_description.py.
 """
 
@@ -17,6 +18,7 @@ import torch
 from torchmbd.errors import InputError
 from torchmbd.math.pair import value
 from torchmbd.multibody.joints.joint import AttachmentTable
+from torchmbd.multibody.system.closing import Closing
 from torchmbd.multibody.system.equilibrium import vibrations
 from torchmbd.multibody.system.rank import Rank, jacobians, rank_of
 
@@ -38,6 +40,7 @@ class Description:
 
     redundant    rows ("joint: row") that follow from others
     separate     groups of bodies that no joint ties to the ground
+    closing      joints that are open where the bodies were put, and bodies that the start moves
     """
 
     bodies: tuple[Entry, ...]
@@ -51,6 +54,7 @@ class Description:
     mass: float
     frequencies: tuple[float, ...] = field(repr=False)
     separate: tuple[tuple[str, ...], ...] = ()
+    closing: Closing = field(default_factory=Closing)
 
     def __str__(self) -> str:
         first = ", ".join(f"{f:.4g}" for f in self.frequencies[:_SHOWN]) or "none"
@@ -68,6 +72,8 @@ class Description:
             f"vibrations  {first} Hz",
         ]
         lines += [f"free        {', '.join(group)}: no joint to the ground" for group in self.separate]
+        lines += [f"open        {joint} where the bodies were put" for joint in self.closing.joints]
+        lines += [f"moved       {body} to close the joints" for body in self.closing.bodies]
         return "\n".join(lines)
 
 
@@ -77,6 +83,7 @@ def describe(system: Any) -> Description:
     T = dynamics.topology
     with torch.no_grad():
         q, _ = dynamics.initial.solve(dynamics)
+        closing = dynamics.initial.closing(dynamics)
         J = jacobians(dynamics, q[:, 0, 0][None], torch.zeros(1, dtype=q.dtype))[0].numpy()
     rank = rank_of(T, J) if T.rows else Rank(0, ())
     rigid = rank_of(T, J[:, : 6 * T.bodies]).rank if T.rows else 0
@@ -94,6 +101,7 @@ def describe(system: Any) -> Description:
         mass=sum(mass.values()),
         frequencies=tuple(vibrations(dynamics).frequencies.tolist()) if freedoms else (),
         separate=_separate(system.bodies, [*system.joints, *(f for f in system.forces if f.beams(AttachmentTable()))]),
+        closing=closing,
     )
 
 

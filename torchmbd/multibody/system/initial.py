@@ -18,7 +18,7 @@ The derivatives by the design are those of these steps. With the multipliers y =
 and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that changes gives a warning.
 
 Pairs, and tensors that require gradients, are carried through every step, and through a last step at the closed joints.
-InputError names the joints that do not close, with their residuals.
+InputError names the joints that do not close, with their residuals; a warning those that are closed from afar (closing.py).
 The start of undeformed bodies depends on the attached points and the laws of drives only. Where these do not depend on the
 design, the start of the first design is that of all (`SharedStart`). Positions and velocities that are Parameters of bodies
 are data of a design, "q0" and "v0".
@@ -41,6 +41,7 @@ from torchmbd.math.pair import Pair, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.closing import Closing, warn_far
 from torchmbd.multibody.system.condensation import Condensation, condense
 from torchmbd.multibody.system.rank import Rank
 from torchmbd.multibody.system.topology import Topology
@@ -161,10 +162,13 @@ class InitialConditions:
         )
         if not T.rows:
             return q, v
-        for _ in range(_STEPS):
+        given = value(q).detach()
+        for step in range(_STEPS):
             joints = _Joints.of(dynamics, q, t)
             phi = joints.violation()
             if float(value(phi).detach().abs().max()) < _CLOSED:
+                if step:
+                    self._warn_moved(dynamics, given, value(q).detach())
                 break
             s = -joints.correction(value(phi).detach())
             residual = phi + joints.rates(s) - joints.rates(0.0 * s)
@@ -172,6 +176,22 @@ class InitialConditions:
         else:
             self._refuse(value(phi).detach())
         return equations.advance(T, q, -joints.correction(phi)), v
+
+    def closing(self, dynamics: Any) -> Closing:
+        """What closing the joints of one design moves."""
+        if not self.topology.rows:
+            return Closing()
+        given = value(dynamics.data.get(START_DATA[0], self.q[:, None, None])).detach()
+        return Closing.of(dynamics, given, value(self.assembled(dynamics)[0]).detach())
+
+    def _warn_moved(self, dynamics: Any, given: Tensor, q: Tensor) -> None:
+        """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
+        built = torch.stack([x.now().reshape(-1, 3)[0] for x in self.topology.attached], 1).detach()
+        same = (value(dynamics.data["x"])[:, :, 0].detach() == built[..., None]).all(0).all(0)
+        if bool(same.any()):
+            lane = int(same.nonzero()[0, 0])
+            given, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (given, q))
+            warn_far(Closing.of(dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics, given, q))
 
     def compatible(self, dynamics: Any, q: Any, v: Any):
         """Rates [n_v, 1, lanes] that the joints allow at closed positions q [n_q, 1, lanes], nearest to v [n_v, 1, lanes]."""

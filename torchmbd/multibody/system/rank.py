@@ -36,6 +36,7 @@ from torchmbd.multibody.system.topology import Topology
 RELATIVE = 1e-9  # share of the largest singular value, or of the length of a row, that counts as zero
 _PARTS = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # least independent parts of rows in the passes of the elimination
 _WEAK = 0.01  # share of the largest elastic part of a row of the same body
+_INVOLVED = 1e-6  # share of a row in a dependent one below which its multiplier is determined
 _SHARE = 0.3  # share of the largest entry of a left vector above which messages name a row
 _TURN = 0.2  # [rad] largest rotation to a displaced position
 _STEPS, _CLOSED = 30, 1e-11  # steps of Newton's method to it; largest violation [m] or [-]
@@ -49,6 +50,7 @@ class Rank:
     left_out   indices of those of them that depend on rows of flexible bodies, and are left out of the motion
     weak       names of rows that differ from others by a small elastic displacement only
     share      the largest such displacement, as a share of the largest elastic part of a row of the same body
+    undetermined   joints with rows whose multipliers equilibrium does not determine
     """
 
     rank: int
@@ -56,6 +58,7 @@ class Rank:
     left_out: tuple[int, ...] = ()
     weak: tuple[str, ...] = ()
     share: float = 1.0
+    undetermined: tuple[str, ...] = ()
 
 
 def rank_of(T: Topology, J: np.ndarray) -> Rank:
@@ -73,8 +76,17 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
             "allowed: a drive along a motion that the joints leave free"
         )
     dependent = sorted(int(others[i]) for i in dependent)
-    left_out = _left_out(T, J, dependent)
-    return Rank(total, tuple(T.row_names[i] for i in dependent), left_out, *_weak(T, J, left_out))
+    left_out, names = _left_out(T, J, dependent), tuple(T.row_names[i] for i in dependent)
+    return Rank(total, names, left_out, *_weak(T, J, left_out), _undetermined(T, J, dependent))
+
+
+def _undetermined(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[str, ...]:
+    """`Rank.undetermined`: joints with rows in combinations that are zero."""
+    if not dependent:
+        return ()
+    free = np.setdiff1d(np.arange(T.rows), dependent)
+    share = np.abs(np.linalg.lstsq(J[free].T, J[dependent].T, rcond=RELATIVE)[0]).max(1) > _INVOLVED
+    return tuple(dict.fromkeys(T.row_joints[i] for i in sorted([*dependent, *free[share].tolist()])))
 
 
 def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[str, ...], float]:
