@@ -64,8 +64,8 @@ class Grid:
     dynamics     the equations of the condensed system, and
     start        its initial state: both functions of the leaves in reverse mode
     times        of all steps [steps + 1];  every: steps between two states that are kept
-    substeps     intervals of kept states for each of the batch
     corrections  of mu, at least
+    substeps     intervals of kept states for each of the batch
     """
 
     lanes: list[int]
@@ -76,8 +76,8 @@ class Grid:
     weights: Weights
     times: Tensor
     every: int
-    substeps: int
     corrections: int
+    substeps: int = 1
 
     def of_kept_states(self, of_motion: Tensor | None, of_steps: Tensor | None) -> Tensor | None:
         """Cotangents [times, n, rows, lanes] of the states of these lanes that are kept, from those of all lanes."""
@@ -218,7 +218,7 @@ class Adjoint:
         times = h * torch.arange(steps + 1, dtype=torch.float64)
         weights, corrections = self.integrator.weights(h), self.integrator.counts(dynamics)[1]
         states = history.lanes(columns)
-        return Grid(lanes, states, leaves, condensed, start, weights, times, interval, substeps, corrections)
+        return Grid(lanes, states, leaves, condensed, start, weights, times, interval, corrections, substeps)
 
 
 class AdjointSolver:
