@@ -1,10 +1,18 @@
-"""Cluster files: what is submitted to SLURM, what is refused, and a study on jobs that a stand-in for sbatch starts."""
+"""Cluster files: what is submitted to SLURM, what is refused, and a study on jobs.
+
+Where slurm-wlm and munge are installed, the jobs are those of a SLURM that the script of docs/how-to/clusters.md starts;
+elsewhere a stand-in for sbatch starts them.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
+import socket
 import stat
+import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -18,6 +26,7 @@ from torchmbd.study.cluster import load_cluster
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
+from torchmbd.study.unfinished import StudyState, unsent
 
 SHIPPED = Path(__file__).parents[2] / "configs/cluster"
 SMALL = {"time": "00:10:00", "workers_per_job": 2, "memory_per_worker": "1 GB", "interface": "lo"}
@@ -27,9 +36,10 @@ SMALL = {"time": "00:10:00", "workers_per_job": 2, "memory_per_worker": "1 GB", 
 def slurm(tmp_path, monkeypatch):
     """A place for studies, and commands that submit a job by starting it here, and cancel it by killing it."""
     monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / "place"))
+    submit = f'[ "$1" = --test-only ] && exit; cp "$1" {tmp_path}/job.$$.sh\n'
+    submit += f"setsid bash {tmp_path}/job.$$.sh > {tmp_path}/job.log 2>&1 &\n"
     commands = {
-        "sbatch": f'cp "$1" {tmp_path}/job.$$.sh; setsid bash {tmp_path}/job.$$.sh > {tmp_path}/job.log 2>&1 &\n'
-        'echo "Submitted batch job $!"',
+        "sbatch": submit + 'echo "Submitted batch job $!"',
         "scancel": f'echo "$1" >> {tmp_path}/cancelled; kill -- -"$1"',
     }
     (tmp_path / "bin").mkdir()
@@ -39,6 +49,31 @@ def slurm(tmp_path, monkeypatch):
         file.chmod(file.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
     return tmp_path
+
+
+@pytest.fixture
+def one_machine(tmp_path, monkeypatch):
+    """SLURM on this machine, as docs/how-to/clusters.md says."""
+    if shutil.which("slurmctld", path="/usr/sbin:/usr/local/sbin") is None:
+        pytest.skip("slurm-wlm and munge are not installed")
+    monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / "place"))
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        monkeypatch.setenv("PORT", str(probe.getsockname()[1]))
+    folder = Path(tempfile.mkdtemp(prefix="slurm-"))  # short: the path of a socket has 107 characters at most
+    script = ["sh", str(SHIPPED / "one_machine.sh")]
+    try:
+        subprocess.run([*script, "start", str(folder)], check=True)
+        monkeypatch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
+        for _ in range(100):
+            if "idle" in subprocess.run(["sinfo", "--noheader"], capture_output=True, text=True).stdout:
+                break
+            time.sleep(0.1)
+        yield
+    finally:
+        subprocess.run([*script, "stop", str(folder)], check=True)
+        time.sleep(1.0)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write(folder, **keys):
@@ -54,7 +89,6 @@ def test_the_shipped_files_are_valid(file):
 
 
 def test_what_is_submitted(slurm, monkeypatch):
-    monkeypatch.setenv("PATH", "/usr/bin:/bin")  # no sbatch: nothing can be submitted here
     cluster_file = load_cluster(
         write(slurm, partition="cpu", account="me", setup=["module load gcc"], directives=["--constraint=avx512"])
     )
@@ -73,6 +107,8 @@ def test_what_is_submitted(slurm, monkeypatch):
     assert "--nworkers 2" in lines[command]
     assert "--nthreads 1" in lines[command]
     assert "--protocol tls://" in lines[command]
+    assert "--interface lo" in lines[command]
+    assert "--dashboard-address 127.0.0.1:0" in lines[command]  # plain HTTP, which others could read
     [key] = re.findall(r"--tls-key (\S+)", lines[command])
     assert Path(key).parent == slurm / "place"
     assert stat.S_IMODE(Path(key).stat().st_mode) == 0o600  # the user's own
@@ -97,6 +133,8 @@ def test_a_gpu_for_every_worker(slurm, monkeypatch):
         ({"account": "me\n#SBATCH --uid=0"}, "account = "),
         ({"setup": ["true\nrm -rf ."]}, "setup.0 = "),
         ({"memory_per_worker": "lots"}, "memory_per_worker = 'lots'"),
+        ({"interface": "ib7"}, "line 1: interface = 'ib7': this machine has no address in such a network; allowed: lo"),
+        ({"interface": "l0"}, "did you mean 'lo'"),
     ],
 )
 def test_what_is_wrong_is_named(slurm, keys, message):
@@ -115,6 +153,66 @@ def test_workers_must_be_asked_for(slurm, folder, monkeypatch, capsys):
     assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm, time=3))]) == 2
     assert "time = 3" in capsys.readouterr().err
     assert not (folder / "mlflow.db").exists()
+
+
+def test_a_cluster_that_cannot_be_used_ends_a_study_at_once(slurm, folder, monkeypatch, capsys):
+    """With exit code 2, what is wrong, and nothing left behind that would wait to be sent."""
+    (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())
+    monkeypatch.chdir(folder)
+    refusal = "sbatch: error: invalid partition specified: nope"
+    for sbatch, keys, message in (
+        (
+            f"echo '{refusal}' >&2; exit 1",
+            {},
+            "sbatch refuses the jobs of the cluster file: invalid partition specified: nope",
+        ),
+        ("exit", {"interface": "ib7"}, "interface = 'ib7'"),
+    ):
+        (slurm / "bin" / "sbatch").write_text(f"#!/bin/bash\n{sbatch}\n")
+        assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm, **keys)), "--workers", "2"]) == 2
+        assert message in capsys.readouterr().err
+    monkeypatch.setenv("PATH", str(slurm))
+    assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm)), "--workers", "2"]) == 2
+    assert "there is no sbatch here" in capsys.readouterr().err
+    assert not unsent()
+
+
+def test_the_command_that_goes_on_keeps_the_workers(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    study = StudyState(
+        folder / ".torchmbd" / "key", "arm", "../my arm.yaml", ["starts.count=3"], "sqlite:///x.db", "id"
+    )
+    assert study.command() == "torchmbd run 'my arm.yaml' starts.count=3"
+    assert study.command(workers=1, scheduler=None, fresh=False) == study.command()
+    long = study.command(workers=64, scheduler="my slurm.yaml", fresh=True)
+    assert long == f"{study.command()} --workers 64 --scheduler 'my slurm.yaml' --fresh"
+    assert study.command(workers=0) == f"{study.command()} --workers 0"
+    study.file = None
+    assert study.command(workers=4, fresh=True) == "run(workers=4, fresh=True) of mbd.Study(..., name='arm'), in Python"
+
+
+@pytest.mark.slow
+def test_a_study_runs_on_slurm(one_machine, folder, monkeypatch, capfd):
+    """The shipped file as it is; Ctrl-C says how to go on; what SLURM does not have is refused in its words."""
+    (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    command = ["run", "study.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=6"]
+    jobs = ["--scheduler", str(SHIPPED / "slurm.yaml"), "--workers", "2"]
+    nowhere = write(folder, partition="nowhere")
+    assert cli.main([*command, "--scheduler", str(nowhere), "--workers", "2"]) == 2
+    assert "invalid partition specified: nowhere" in capfd.readouterr().err
+    with monkeypatch.context() as change:
+        change.setattr("torchmbd.study.run.save_pictures", _interrupt)
+        assert cli.main([*command, *jobs]) == 130
+    assert f"to go on with it: torchmbd {' '.join([*command, '--workers', '2', *jobs[:2]])}" in capfd.readouterr().out
+    assert cli.main([*command, *jobs]) == 0
+    assert "6 starts" in capfd.readouterr().out
+    assert not subprocess.run(["squeue", "--noheader", "--states=PENDING,RUNNING"], capture_output=True).stdout
+
+
+def _interrupt(*_):
+    raise KeyboardInterrupt
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@
     workers_per_job            processes of one job, one core each
     memory_per_worker          "2 GB"
     gpus_per_worker            0, or 1: then a job has one worker, and that sees one GPU of its own
-    interface                  network between the jobs and the process that runs the study: ib0, eth0
+    interface                  network between the jobs and the process that runs the study: ib0, eth0; all listen there
+                               only. Default: the network of this machine's way out
     setup                      shell lines before the workers start: module load gcc
     directives                 more options of sbatch: --constraint=avx512
 
@@ -17,22 +18,27 @@ Checked in tests/study/test_cluster.py: what is submitted, and a study on jobs t
 from __future__ import annotations
 
 import math
+import shutil
+import socket
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, PositiveInt, model_validator
 from pydantic_core import PydanticCustomError
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, nearest
 from torchmbd.process import ONE_THREAD
-from torchmbd.study.file_errors import StudyError, located
+from torchmbd.study.file_errors import Fault, StudyError, located
 from torchmbd.study.paths import make_studies_folder
 from torchmbd.study.schema import Section
 from torchmbd.study.validation import validate
 from torchmbd.study.yaml_file import read_yaml
 
 Word = Annotated[str, Field(pattern=r"^[\w.:/=+-]+$")]
+_LOOPBACK = "127.0.0.1:0"  # at any free port
 Line = Annotated[str, Field(pattern=r"^[^\n]+$")]
 
 
@@ -63,9 +69,7 @@ class Slurm(Section):
             from dask.utils import format_bytes, parse_bytes  # pyright: ignore[reportMissingImports]
             from dask_jobqueue.slurm import SLURMCluster  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
-            raise InputError(
-                f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
-            ) from None
+            raise _missing(error) from None
         n, folder = self.workers_per_job, make_studies_folder()
         cluster = SLURMCluster(
             queue=self.partition,
@@ -85,9 +89,15 @@ class Slurm(Section):
             local_directory="${TMPDIR:-/tmp}",
             shared_temp_directory=str(folder),
             security=True,
-            scheduler_options={"dashboard_address": "127.0.0.1:0"},  # not reachable by others
+            scheduler_options={"dashboard_address": _LOOPBACK},  # pages of plain HTTP, not reachable by others
+            worker_extra_args=["--dashboard-address", _LOOPBACK],
             python=sys.executable,
         )
+        try:
+            _require_accepted(cluster.job_script())
+        except InputError:
+            cluster.close()
+            raise
         cluster.scale(jobs=math.ceil(workers / n))
         return cluster
 
@@ -95,7 +105,39 @@ class Slurm(Section):
 def load_cluster(file: str | Path) -> Slurm:
     """Read a cluster file; StudyError with all its faults."""
     document = read_yaml(file)
-    _, faults = validate(document.data, Slurm)
+    sections, faults = validate(document.data, Slurm)
+    faults += _interface_faults(sections.get("interface"))
     if faults:
         raise StudyError(document.source, located(faults, document.lines))
     return Slurm.model_validate(document.data)
+
+
+def _interface_faults(name: str | None) -> list[Fault]:
+    """Return a fault if this machine, where the study runs, has no address in the network `name`."""
+    if name is None:
+        return []
+    try:
+        from psutil import net_if_addrs  # as Dask finds the address
+    except ModuleNotFoundError as error:
+        raise _missing(error) from None
+    names = [name for name, addresses in net_if_addrs().items() if any(a.family == socket.AF_INET for a in addresses)]
+    text = f"= {name!r}: this machine has no address in such a network{nearest(name, names)}"
+    return [] if name in names else [Fault(("interface",), text)]
+
+
+def _require_accepted(script: str) -> None:
+    """InputError with the words of sbatch if it refuses a job: a partition, an account or a size that the cluster has not."""
+    if sbatch := shutil.which("sbatch"):  # without it, dask_evaluator.py has refused
+        with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
+            file.write(script)
+            file.flush()
+            answer = subprocess.run([sbatch, "--test-only", file.name], capture_output=True, text=True)
+        if answer.returncode:
+            said = " ".join(answer.stderr.replace("sbatch: error: ", "").split())
+            raise InputError(f"sbatch refuses the jobs of the cluster file: {said}")
+
+
+def _missing(error: ModuleNotFoundError) -> InputError:
+    return InputError(
+        f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
+    )

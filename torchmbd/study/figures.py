@@ -61,9 +61,8 @@ def run_figures(
         finally:
             tracker.end(PARENT, status)
             record = close_tracker(tracker, study, console)
-        return print_outcome(
-            plan.name, "figures", status, f"{time.monotonic() - start_time:.1f} s", record, study, console
-        )
+        duration, again = f"{time.monotonic() - start_time:.1f} s", study.command() if study else ""
+        return print_outcome(plan.name, "figures", status, duration, record, study, console, again)
 
 
 def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:

@@ -25,7 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
-from torchmbd.optimization.multistart.workers import LANES
+from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import search_on_steps
 from torchmbd.study.evaluations import Evaluations
@@ -83,7 +83,8 @@ def run_study(
             claim = claim_study(study_key(study, uri), study.name, file, overrides, uri, fresh)
             unfinished = stack.enter_context(claim)
             if unfinished.run_id and not rerun_finished and (entry := _finished_run(unfinished, uri)):
-                return _print_finished(study.name, unfinished, uri, entry, console)
+                again = unfinished.command(workers=workers, scheduler=scheduler, fresh=True)
+                return _print_finished(study.name, unfinished, uri, entry, again, console)
             tracker = MlflowTracker(study.experiment, uri, unfinished.id)
         if fresh:  # `claim_study` has refused a study that is running in another process
             store.forget()
@@ -91,7 +92,7 @@ def run_study(
         evaluator, lanes = evaluator or problem, LANES
         if pool is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
-                stack.enter_context(pool)
+                _enter(pool, stack, unfinished)
             evaluator, lanes = pool, pool.lanes
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         journal = Journal(study, tracker, folder)
@@ -115,7 +116,18 @@ def run_study(
             console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known"
         duration = f"{time.monotonic() - start_time:.1f} s{known if cached.hits else ''}"
-        return print_outcome(study.name, study.kind, status, duration, record, unfinished, console)
+        again = unfinished.command(workers=workers, scheduler=scheduler) if unfinished else ""
+        return print_outcome(study.name, study.kind, status, duration, record, unfinished, console, again)
+
+
+def _enter(pool: Workers, stack: ExitStack, study: StudyState | None) -> None:
+    """Start workers; a study that has not begun leaves nothing behind if there are none."""
+    try:
+        stack.enter_context(pool)
+    except BaseException:
+        if study is not None and not study.continues:
+            study.forget()
+        raise
 
 
 def _finished_run(study: StudyState, uri: StoreURI) -> Entry | None:
@@ -127,7 +139,7 @@ def _finished_run(study: StudyState, uri: StoreURI) -> Entry | None:
         return None
 
 
-def _print_finished(name: str, study: StudyState, uri: StoreURI, entry: Entry, console: Console) -> int:
+def _print_finished(name: str, study: StudyState, uri: StoreURI, entry: Entry, again: str, console: Console) -> int:
     """Print where the run of a finished study is, and return the exit code."""
     best = entry.metrics.get("best_objective")
     outcome = "" if best is None else f", best objective {best:.6g}"
@@ -135,9 +147,7 @@ def _print_finished(name: str, study: StudyState, uri: StoreURI, entry: Entry, c
     record = Record(uri, entry.experiment_id, {PARENT: entry.run_id})
     print_run_links(record, entry.kind, "FINISHED", console)
     short = entry.run_id[:8]
-    console.print(
-        f"its designs: torchmbd best {short}; to run it anew: {study.command} --fresh", soft_wrap=True, highlight=False
-    )
+    console.print(f"its designs: torchmbd best {short}; to run it anew: {again}", soft_wrap=True, highlight=False)
     return EXIT["FINISHED"]
 
 
@@ -272,15 +282,19 @@ def print_outcome(
     record: Record | None,
     study: StudyState | None,
     console: Console,
+    again: str,
 ) -> int:
-    """Print how a study ended and where its run is, update its state on disk, and return the exit code."""
+    """Print how a study ended and where its run is, update its state on disk, and return the exit code.
+
+    again  the command that goes on with it
+    """
     console.print(f"{escape(name)}: {status.lower()} after {duration}", soft_wrap=True)
     if record is None:
         return 1
     if PARENT in record.runs:
         print_run_links(record, kind, status, console)
     if status == "KILLED" and study is not None:
-        console.print(f"to go on with it: {study.command}", soft_wrap=True, highlight=False, markup=False)
+        console.print(f"to go on with it: {again}", soft_wrap=True, highlight=False, markup=False)
     if status == "FINISHED" and study is not None:
         if kind == "figures":  # their function may draw other figures the next time
             study.forget()

@@ -24,12 +24,18 @@ import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.study.paths import make_studies_folder, private, relative_store, studies_folder
 from torchmbd.tracking.uri import StoreURI, hidden
 
 _FILE, _LOCK = "study.json", "study.lock"
+RUN_OPTIONS: dict[str, Any] = {
+    "workers": 1,
+    "scheduler": None,
+    "fresh": False,
+}  # of `torchmbd run`, with their defaults
 
 
 @dataclass
@@ -59,12 +65,16 @@ class StudyState:
             return StoreURI(self.store)
         return StoreURI(f"sqlite:///{os.path.normpath(self.folder.parent / self.store.removeprefix('sqlite:///'))}")
 
-    @property
-    def command(self) -> str:
-        """The command that continues the study."""
+    def command(self, **options: Any) -> str:
+        """Return the command that continues the study; `options` are those of `torchmbd run` that are not left out."""
+        said = {name: value for name, value in options.items() if value != RUN_OPTIONS[name]}
         if self.path is None:
-            return f"run() of mbd.Study(..., name={self.name!r}), in Python"
-        return shlex.join(["torchmbd", "run", os.path.relpath(self.path), *self.overrides])
+            arguments = ", ".join(f"{name}={value!r}" for name, value in said.items())
+            return f"run({arguments}) of mbd.Study(..., name={self.name!r}), in Python"
+        flags = [
+            text for name, value in said.items() for text in (f"--{name}", *([] if value is True else [str(value)]))
+        ]
+        return shlex.join(["torchmbd", "run", os.path.relpath(self.path), *self.overrides, *flags])
 
     def mark_sent(self) -> None:
         """Note that all results so far are in the store."""
