@@ -1,4 +1,4 @@
-"""The adjoint of a simulation through phases: from the last phase back to the first, lane by lane.
+"""The adjoint of a simulation through phases: from the last phase back to the first.
 
 A phase of a lane is three maps, each the discrete one that was integrated:
 
@@ -6,9 +6,10 @@ A phase of a lane is three maps, each the discrete one that was integrated:
     steps    first point of the grid -> ... -> the point at which the last step begins
     exit     that point -> (t*, state at the end of a last step of another size)
 
-Entry and exit are graphs of torch, made again from what was recorded (`PhaseRecord`); variable_step.py makes steps of other
-sizes differentiable by the implicit function theorem. Regular steps are those of adjoint.py, of all lanes with the same points
-together. Where an event ends a phase, the size h of the last step is that at which its function g vanishes:
+Entry and exit are graphs of torch of all lanes, each at its own time, made again from what was recorded (`PhaseRecord`);
+variable_step.py makes steps of other sizes differentiable by the implicit function theorem. Regular steps are those of
+adjoint.py, of all lanes with the same points together. Where an event ends a phase, the size h of the last step is that at
+which its function g vanishes:
 
     mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'
 
@@ -30,8 +31,8 @@ from torchmbd.errors import warn
 from torchmbd.integrate.adjoint import INACCURATE, AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, pull_back, rows_first, shaped, zeros
-from torchmbd.integrate.phases.lanes import join_states, pick_lanes
+from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pull_back, rows_first, zeros
+from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
@@ -60,19 +61,31 @@ class PhaseCotangents:
 
 
 @dataclass
-class _LaneCotangents:
-    """Cotangents of one lane so far: of the leaves, and of the times and states of the phase in which the adjoint is."""
+class _Cotangents:
+    """Cotangents so far: of the leaves, and of the times and states of the phase in which the adjoint is.
 
-    lane: int
-    by: dict[Key, Tensor] = field(default_factory=dict)  # of the leaves
-    exit: list[Tensor] | None = None  # of the time of the exit, and of the parts of the state there
-    end: list[Tensor] | None = None  # of the state at the base of the last step
-    start: list[Tensor] | None = None  # of the time of the entry, and of the state after the switch
-    arrival: list[Tensor] | None = None  # of the state at the first point of the grid
+    lanes    those that have not failed
+    by       of the leaves of these lanes
+    exit     of the times of the exits, and of the parts of the states there
+    end      of the states at the bases of the last steps
+    start    of the times of the entries, and of the states after the switch
+    arrival  of the states at the first points of the grid
+    """
 
-    def add(self, keys: Sequence[Key], cotangents: Sequence[Tensor]) -> None:
-        for key, cotangent in zip(keys, cotangents, strict=True):
-            self.by[key] = self.by[key] + cotangent if key in self.by else cotangent
+    lanes: list[int]
+    by: dict[Key, Tensor] = field(default_factory=dict)
+    exit: list[Tensor] = field(default_factory=list)
+    end: list[Tensor] = field(default_factory=list)
+    start: list[Tensor] = field(default_factory=list)
+    arrival: list[Tensor] = field(default_factory=list)
+
+    def add(self, key: Key, lanes: Sequence[int], cotangent: Tensor) -> None:
+        """Add cotangents [rows, ...] of some of the lanes, counted among these."""
+        if key not in self.by:
+            shape = list(cotangent.shape)
+            shape[-1 if key[0] == "data" else 1] = len(self.lanes)
+            self.by[key] = cotangent.new_zeros(shape)
+        add_lanes(self.by[key], key[0], lanes, cotangent)
 
 
 @dataclass(eq=False)
@@ -101,85 +114,83 @@ class PhaseAdjoint:
         self._leaf_names = [*self.wanted, *(name for name in marks if name not in self.wanted)]
 
     @torch.no_grad()
-    def __call__(self, cotangents: PhaseCotangents, rows: int) -> dict[int, dict[Key, Tensor]]:
-        """Cotangents by data [rows, component..., 1, 1], designs and mode shapes [rows, 1, ...] of each lane."""
-        lanes = [_LaneCotangents(lane) for lane in range(len(self.error)) if lane not in self.failed]
-        for one in lanes:
-            for name, x in cotangents.data.items():
-                if x is not None:
-                    one.by["data", name] = rows_first(x, one.lane)
+    def __call__(self, cotangents: PhaseCotangents, rows: int) -> tuple[list[int], dict[Key, Tensor]]:
+        """Lanes, and their cotangents by data [rows, component..., 1, lanes], designs and mode shapes [rows, lanes, ...]."""
+        so_far = _Cotangents([lane for lane in range(len(self.error)) if lane not in self.failed])
+        if not so_far.lanes:
+            return [], {}
+        for name, x in cotangents.data.items():
+            if x is not None:
+                so_far.by["data", name] = rows_first(x, so_far.lanes).clone()
         for record in reversed(self.multiphase.records):
-            for one in lanes:
-                self._exit(record, one, rows)
-            self._steps(record, lanes, cotangents.motion, rows)
-            for one in lanes:
-                self._entry(record, one, cotangents, rows)
+            self._exit(record, so_far, rows)
+            self._steps(record, so_far, cotangents.motion, rows)
+            self._entry(record, so_far, cotangents, rows)
         for lane in torch.nonzero(self.error > INACCURATE)[:, 0].tolist():
             warn(
                 f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
                 "or gradients='forward'",
             )
-        return {one.lane: one.by for one in lanes}
+        return so_far.lanes, so_far.by
 
-    def _exit(self, record: PhaseRecord, one: _LaneCotangents, rows: int) -> None:
-        """From where a lane left a phase to the base of its last step."""
-        t, x = record.entry.t[:, [one.lane]], record.start.map(lambda y: pick_lanes(y, [one.lane]))
-        one.start, one.end = zeros(rows, [t, *x]), None
-        if one.lane not in record.exit:
+    def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:
+        """From where lanes left a phase to the bases of their last steps."""
+        entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
+        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, start)
+        own = [i for i, lane in enumerate(so_far.lanes) if record.left[lane]]  # counted among those of so_far
+        if not own:
             return
-        assert one.exit is not None
+        lanes = [so_far.lanes[i] for i in own]
         phase_model = self.multiphase.phase_models[record.number]
-        k, base = record.base[one.lane]
+        k, there = record.base_point[lanes], record.exit.lanes(lanes)
         with torch.enable_grad():
-            leaves = LaneLeaves(self.multiphase.views, one.lane, record.dynamics, self._leaf_names)
-            t, base = leaf(t), base.map(leaf)
-            begin = t if k is None else torch.full_like(t, float(self.multiphase.times[k]))
-            size = leaf(record.exit[one.lane].t - begin)
+            leaves = LaneLeaves(self.multiphase.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
+            t, base = leaf(entry[:, own]), pick_states(record.base, lanes).map(leaf)
+            begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
+            size = leaf(there.t - begin)
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
             end = begin + size if event is not None else self.multiphase.end_times(phase_model, t)
-            y = self.integrator.step_of_size(leaves.dynamics, base, end - begin if event is None else size, end)
-            g = None if event is None else event.of(leaves.views.at([0], leaves.dynamics, end, y))[0]
-        inputs = [size, t, *base, *leaves.leaves.values()]
-        found = pull_back([end, *y], one.exit, inputs, rows)
+            of_size = size if event is not None else end - begin
+            y = self.integrator.step_of_size(leaves.dynamics, base, of_size, end, there.x)
+            g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
+        keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
+        kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
+        found = pull_back([end, *y], [x[..., own] for x in so_far.exit], inputs, rows)
         if g is not None:
             slopes = pull_back([g], [torch.ones_like(g)[None]], inputs, 1)
-            mu = -found[0].flatten() / slopes[0].flatten()
-            found = [
-                cotangent + torch.tensordot(mu[:, None], dg, 1) for cotangent, dg in zip(found, slopes, strict=True)
-            ]
+            mu = -found[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
+            found = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(found, slopes, kinds, strict=True)]
         _, by_t, *by_state = found[: 2 + len(base)]
-        one.start[0] = one.start[0] + by_t
-        one.add(list(leaves.leaves), found[2 + len(base) :])
-        if k is None:
-            one.start[1:] = [a + b for a, b in zip(one.start[1:], by_state, strict=True)]
-        else:
-            one.end = by_state
+        so_far.start[0][..., own] += by_t
+        for key, cotangent in zip(keys, found[2 + len(base) :], strict=True):
+            so_far.add(key, own, cotangent)
+        for at_start, at_end, cotangent in zip(so_far.start[1:], so_far.end, by_state, strict=True):
+            at_start[..., own] += torch.where(k < 0, cotangent, 0.0)
+            at_end[..., own] += torch.where(k < 0, 0.0, cotangent)
 
-    def _steps(
-        self, record: PhaseRecord, lanes: Sequence[_LaneCotangents], cotangents: MotionCotangents, rows: int
-    ) -> None:
+    def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
-        groups: dict[tuple[int, int], list[_LaneCotangents]] = {}
-        for one in lanes:
-            one.arrival = None
-            first, in_phase = int(record.first[one.lane]), self.multiphase.phase_number[:, one.lane] == record.number
-            base = record.base[one.lane][0] if one.lane in record.base else None
-            last = max([first - 1 if base is None else base, *torch.nonzero(in_phase)[:, 0].tolist()])
+        so_far.arrival = [torch.zeros_like(x) for x in so_far.end]
+        groups: dict[tuple[int, int], list[int]] = {}  # lanes counted among those of so_far
+        for i, lane in enumerate(so_far.lanes):
+            first, in_phase = int(record.first[lane]), self.multiphase.phase_number[:, lane] == record.number
+            last = max([first - 1, int(record.base_point[lane]), *torch.nonzero(in_phase)[:, 0].tolist()])
             if last >= first:
-                groups.setdefault((first, last), []).append(one)
+                groups.setdefault((first, last), []).append(i)
         for (first, last), group in groups.items():
-            self._steps_of_group(record, range(first, last + 1), group, cotangents, rows)
+            self._steps_of_group(record, range(first, last + 1), group, so_far, cotangents, rows)
 
     def _steps_of_group(
         self,
         record: PhaseRecord,
         points: range,
-        group: list[_LaneCotangents],
+        group: list[int],
+        so_far: _Cotangents,
         cotangents: MotionCotangents,
         rows: int,
     ) -> None:
         """As `_steps`, for lanes with the same first and last point of the grid."""
-        multiphase, lanes = self.multiphase, [one.lane for one in group]
+        multiphase, lanes = self.multiphase, [so_far.lanes[i] for i in group]
         at, phase_model = slice(points.start, points.stop), multiphase.phase_models[record.number]
         h = multiphase.history
         q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, phase_model.rows]))
@@ -192,21 +203,21 @@ class PhaseAdjoint:
             for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True))
         ]
         by_a = torch.zeros_like(of_states[2][0])
-        for i, one in enumerate(group):
-            if one.end is not None:
-                k = record.base[one.lane][0]
-                assert k is not None
-                by_a[..., i] = self._add_state(of_states, k - points.start, one.end, i)
-        start = join_states([record.arrival[lane] for lane in lanes]).map(leaf)
+        for i, (one, lane) in enumerate(zip(group, lanes, strict=True)):
+            k = int(record.base_point[lane]) - points.start
+            if k >= 0:
+                by_a[..., i] = self._add_state(of_states, k, [x[..., one] for x in so_far.end], i)
+        start = pick_states(record.arrival, lanes).map(leaf)
         if len(points) == 1:
             by_q, by_v, by_vd, by_lam = (x[0] for x in of_states)
             by_start, by_data = State(by_q, by_v, by_vd, by_a, by_lam), {}
         else:
             by_start, by_data = self._adjoint_of_steps(record, points, lanes, history, start, of_states)
             by_start = by_start._replace(a=by_start.a + by_a)
-        for i, one in enumerate(group):
-            one.arrival = [x[..., i].movedim(-1, 0)[..., None, None] for x in by_start]
-            one.add(list(by_data), [x[..., [i]].movedim(-2, 0).unsqueeze(-2) for x in by_data.values()])
+        for total, x in zip(so_far.arrival, by_start, strict=True):
+            total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
+        for key, x in by_data.items():
+            so_far.add(key, group, x.movedim(-2, 0).unsqueeze(-2))
 
     def _add_state(self, of_states: list[Tensor], k: int, end: list[Tensor], lane: int) -> Tensor:
         """Add the cotangents of the state at the point k of one lane to those of the states of the motion.
@@ -214,7 +225,7 @@ class PhaseAdjoint:
         The algorithmic acceleration is not among these: a1 = w(v0', v1') + c a0, so it is a sum over all steps before. Returns
         the cotangents of the first one.
         """
-        q, v, vd, a, lam = (x[..., 0, 0].T for x in end)
+        q, v, vd, a, lam = (x[..., 0].T for x in end)
         for x, cotangent in zip(of_states, (q, v, vd, lam), strict=True):
             x[k, :, :, lane] += cotangent
         w = self.weights
@@ -246,66 +257,72 @@ class PhaseAdjoint:
         by_leaf = grid.cotangents(of_steps)
         return State(*(by_leaf[name] for name in state)), {("data", name): by_leaf[name] for name in leaves}
 
-    def _entry(self, record: PhaseRecord, one: _LaneCotangents, cotangents: PhaseCotangents, rows: int) -> None:
-        """From the first point of the grid, and the state after the switch, to the state before it."""
-        multiphase, number, lane = self.multiphase, record.number, one.lane
+    def _entry(self, record: PhaseRecord, so_far: _Cotangents, cotangents: PhaseCotangents, rows: int) -> None:
+        """From the first points of the grid, and the states after the switch, to the states before it."""
+        multiphase, number, lanes = self.multiphase, record.number, so_far.lanes
         data = multiphase.records[number - 1].dynamics.data if number else multiphase.data_without_marks
-        whole = replace(multiphase.whole, data=data)
-        phase_model = multiphase.phase_models[number]
+        whole = replace(multiphase.whole, data=data).select_lanes(lanes)
+        phase_model, every = multiphase.phase_models[number], range(len(lanes))
         with torch.enable_grad():
-            leaves = LaneLeaves(multiphase.views, lane, whole, self._leaf_names)
-            before = record.entry.lane(lane)
+            leaves = LaneLeaves(multiphase.views, lanes, whole, self._leaf_names)
+            before = record.entry.lanes(lanes)
             if number:
                 t, x = leaf(before.t), before.x.map(leaf)
             else:
-                q, v = multiphase.initial_coordinates(leaves.dynamics)
+                q, v = (expanded(y, len(lanes)) for y in multiphase.initial_coordinates(leaves.dynamics))
                 t, x = before.t, before.x._replace(q=q, v=v)
             data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, phase_model.locks)
-            dynamics = multiphase.dynamics_of(number, replace(leaves.dynamics, data=data))
-            after = multiphase.after(number, leaves.views, 0, dynamics, t, x)
-            outputs, of_outputs = self._entered(record, one, dynamics, t, after, cotangents.motion)
+            dynamics = lanes_of(record.dynamics, lanes).with_data(data)
+            after = multiphase.after(number, leaves.views, every, dynamics, t, x)
+            outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, cotangents.motion)
             if number:
-                sides = [(number - 1, x), (number, after)]
                 outputs.append(t)
-                for side, y in sides:
+                for side, y in ((number - 1, x), (number, after)):
                     outputs += [y.q, y.v, y.vd, multiphase.all_multipliers(side, data, t, y.q, y.lam)]
-                own = cotangents.switches[number - 1]
-                of_outputs += [None if y is None else rows_first(y, lane) for y in own]
-                of_outputs[len(of_outputs) - len(own)] = shaped(of_outputs[len(of_outputs) - len(own)], t)
+                by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in cotangents.switches[number - 1]]
+                of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
         for name in MARKED if phase_model.locks else ():
             if name in data:
                 outputs.append(data[name])
-                of_outputs.append(one.by.pop(("data", name), None))
+                of_outputs.append(so_far.by.pop(("data", name), None))
         inputs = [t, *x] if number else []
         by_inputs = pull_back(outputs, of_outputs, [*inputs, *leaves.leaves.values()], rows)
-        one.exit = by_inputs[: len(inputs)]
-        one.add(list(leaves.leaves), by_inputs[len(inputs) :])
+        so_far.exit = by_inputs[: len(inputs)]
+        for key, cotangent in zip(leaves.leaves, by_inputs[len(inputs) :], strict=True):
+            so_far.add(key, every, cotangent)
 
     def _entered(
         self,
         record: PhaseRecord,
-        one: _LaneCotangents,
+        so_far: _Cotangents,
         dynamics: Dynamics,
         t: Tensor,
         after: State,
         motion: MotionCotangents,
     ) -> tuple[list[Tensor], list[Tensor | None]]:
-        """What follows from a switch, with its cotangents: time, state after it, the arrival, points of the grid between."""
-        multiphase, lane, phase_model = self.multiphase, one.lane, self.multiphase.phase_models[record.number]
-        assert one.start is not None
+        """What follows from a switch, with its cotangents: time, state after it, arrivals, points of the grid between."""
+        multiphase, lanes, phase_model = self.multiphase, so_far.lanes, self.multiphase.phase_models[record.number]
         outputs: list[Tensor] = [t, *after]
-        of_outputs: list[Tensor | None] = [*one.start]
-        first = int(record.first[lane])
-        if one.arrival is not None:
-            end = torch.full_like(t, float(multiphase.times[min(first, multiphase.steps)]))
-            direct = record.on_grid[lane]
-            outputs += after if direct else self.integrator.step_of_size(dynamics, after, end - t, end)
-            of_outputs += one.arrival
-        in_phase = multiphase.phase_number[:first, lane] == record.number
-        for k in torch.nonzero(in_phase)[:, 0].tolist():
+        of_outputs: list[Tensor | None] = [*so_far.start]
+        first, on_grid = record.first[lanes], record.on_grid[lanes]
+        direct = lane_numbers(on_grid)
+        if direct:
+            outputs += pick_states(after, direct)
+            of_outputs += [x[..., direct] for x in so_far.arrival]
+        own = lane_numbers(~on_grid & (first < len(multiphase.times)))
+        if own:
+            end, begin = multiphase.times[first[own]][None], t[:, own]
+            near = pick_states(record.arrival, [lanes[i] for i in own])
+            some = lanes_of(dynamics, own)
+            outputs += self.integrator.step_of_size(some, pick_states(after, own), end - begin, end, near)
+            of_outputs += [x[..., own] for x in so_far.arrival]
+        between = multiphase.phase_number[:, lanes] == record.number
+        between &= torch.arange(len(between))[:, None] < first
+        for k in lane_numbers(between.any(1)):
             y = shortly_after(dynamics.topology, after, float(multiphase.times[k]) - t)
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)
-                    of_outputs.append(rows_first((cotangent[:, phase_model.rows] if i == 3 else cotangent)[k], lane))
+                    x = rows_first((cotangent[:, phase_model.rows] if i == 3 else cotangent)[k], lanes)
+                    of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs

@@ -208,6 +208,10 @@ class Views:
         """The function of some lanes [lanes], each at its own time."""
         return self.evaluate(lambda m: event.of(m)[:, 0][None], lanes, dynamics.values(), value(t), x.values())[0, 0]
 
+    def of_lanes(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
+        """The function of all lanes [lanes], each at its own time, in the graph of its arguments."""
+        return self.evaluate(lambda m: event.of(m)[:, 0][None], range(x.q.shape[-1]), dynamics, t, x)[0, 0]
+
     def at(self, lanes: Sequence[int], dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
         """The motion of some lanes at t [1, lanes], a function of all arguments."""
         some = replace(

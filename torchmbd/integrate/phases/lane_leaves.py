@@ -1,6 +1,7 @@
-"""One lane of a simulation through phases as a graph of torch: its leaves, and their cotangents from those of outputs.
+"""Some lanes of a simulation through phases as a graph of torch: its leaves, and their cotangents from those of outputs.
 
-Cotangents have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
+No lane depends on another, so one pass gives the cotangents of all. Cotangents have the rows of the responses first:
+[rows, ...] of a number [..., lanes], a design or a mode shape [lanes, ...]. None: zero.
 Checked in tests/sensitivity/test_phase_adjoint.py.
 """
 
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.lanes import lanes_of
+from torchmbd.integrate.phases.lanes import expanded
 from torchmbd.integrate.pullback import leaf
 from torchmbd.multibody.system.dynamics import Dynamics
 
@@ -21,15 +22,20 @@ Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its na
 
 
 class LaneLeaves:
-    """Data, designs and mode shapes of one lane as leaves of a graph; shapes on demand."""
+    """Data, designs and mode shapes of some lanes as leaves of a graph; shapes on demand.
 
-    def __init__(self, views: Views, lane: int, dynamics: Dynamics, wanted: Sequence[str]):
+    dynamics   of these lanes
+    """
+
+    def __init__(self, views: Views, lanes: Sequence[int], dynamics: Dynamics, wanted: Sequence[str]):
         self.leaves: dict[Key, Tensor] = {}
-        one = lanes_of(dynamics, [lane])
-        data = {name: self._leaf("data", name, x) if name in wanted else x for name, x in one.data.items()}
-        self.dynamics = one.with_data(data)
+        data = {
+            name: self._leaf("data", name, expanded(x, len(lanes))) if name in wanted else x
+            for name, x in dynamics.data.items()
+        }
+        self.dynamics = dynamics.with_data(data)
         self.views = views.with_leaves(
-            [lane],
+            lanes,
             lambda name, x: self._leaf("design", name, x),
             lambda name, x: self._leaf("shape", name, x),
         )
@@ -56,12 +62,22 @@ def zeros(rows: int, like: Sequence[Tensor]) -> list[Tensor]:
     return [x.new_zeros(rows, *x.shape) for x in like]
 
 
-def rows_first(cotangent: Tensor, lane: int) -> Tensor:
-    """Cotangents [component..., rows, lanes] of one lane as [rows, component..., 1, 1]."""
-    own = cotangent[..., lane] if cotangent.shape[-1] > 1 else cotangent[..., 0]
-    return own.movedim(-1, 0)[..., None, None]
+def rows_first(cotangent: Tensor, lanes: Sequence[int]) -> Tensor:
+    """Cotangents [component..., rows, lanes] of some lanes as [rows, component..., 1, lanes]."""
+    some = cotangent[..., list(lanes)] if cotangent.shape[-1] > 1 else expanded(cotangent, len(lanes))
+    return some.movedim(-2, 0).unsqueeze(-2)
 
 
-def shaped(cotangent: Tensor | None, like: Tensor) -> Tensor | None:
-    """Cotangents of a number in the shape of that number."""
-    return None if cotangent is None else cotangent.reshape(len(cotangent), *like.shape)
+def add_lanes(total: Tensor, kind: str, lanes: Sequence[int], part: Tensor) -> None:
+    """Add the cotangents [rows, ...] of some lanes to those of all; kind: of the leaf."""
+    if kind == "data":
+        total[..., list(lanes)] += part
+    else:
+        total[:, list(lanes)] += part
+
+
+def by_lanes(factor: Tensor, x: Tensor, kind: str) -> Tensor:
+    """Cotangents x [1, ...] of each lane times factors [rows, lanes]."""
+    if kind == "data":
+        return factor.reshape(len(factor), *[1] * (x.dim() - 2), -1) * x
+    return factor.reshape(*factor.shape, *[1] * (x.dim() - 2)) * x

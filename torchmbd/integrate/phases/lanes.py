@@ -24,6 +24,11 @@ def pick_lanes(x: Any, lanes: Sequence[int]) -> Any:
     return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
 
 
+def pick_states(x: State, lanes: Sequence[int]) -> State:
+    """The state of some lanes."""
+    return x.map(lambda y: pick_lanes(y, lanes))
+
+
 def put_lanes(x: Any, lanes: Sequence[int], y: Any) -> Any:
     """The number x [..., lanes] with other numbers y in some lanes."""
     index = torch.tensor(list(lanes))
@@ -47,6 +52,11 @@ def put_states(x: State, lanes: Sequence[int], y: State) -> State:
     """The state of all lanes with another one in some of them."""
     q, v, vd, a, lam = (put_lanes(old, lanes, new) for old, new in zip(x, y, strict=True))
     return State(q, v, vd, a, lam)
+
+
+def lane_numbers(mask: Tensor) -> list[int]:
+    """The lanes where a mask [lanes] is true."""
+    return torch.nonzero(mask)[:, 0].tolist()
 
 
 def lanes_of(dynamics: Dynamics, lanes: Sequence[int]) -> Dynamics:

@@ -23,15 +23,16 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.lanes import lanes_of, pick_lanes
+from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
-from torchmbd.math.pair import Pair, value
+from torchmbd.math.pair import value
 from torchmbd.results.state import State
 
 _SAME = 1e-9  # of a regular step: times that are equal
 _ROUND = 1e-13  # of the size
 _MOST = 40  # iterations for the size of a last step
+_BRACKET = 1e-9  # of the size: two that enclose a zero which is a jump
 
 
 def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
@@ -58,15 +59,19 @@ class _PhaseLoop:
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
+        on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
+        self.record = PhaseRecord(number, self.dynamics, entry, x, self.first, on_grid)
         self.g = self._start_values()
-        self.record = PhaseRecord(number, self.dynamics, entry, x, self.first)
+        self.base_time = entry.t  # of lanes that leave, where their last step begins
+        self.most, self.share, self.g_before = (torch.zeros(self.lanes, dtype=torch.float64) for _ in range(3))
         multiphase.records.append(self.record)
 
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
         """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
-        d, x = self.dynamics, self.entry.x
+        d, x, record = self.dynamics, self.entry.x, self.record
         stepper = self.integrator.stepper(d, self.h)
         self._record_shortly_after()
+        self._arrive()
         schedule = d.topology.schedule(self.times, d.data)
         alive, inside = self.alive, torch.zeros_like(self.alive)
         older, recent, indices = x, x, []
@@ -74,14 +79,15 @@ class _PhaseLoop:
             if bool(inside.any()):
                 older, recent, x = recent, x, stepper.step(i, x, schedule[i], inside)
                 indices.append(i)
-            for lane in torch.nonzero(alive & (self.first == i))[:, 0].tolist():
-                x = _with_lane(x, lane, self._arrival(lane))
+            arriving = lane_numbers(alive & (self.first == i))
+            if arriving:
+                x = put_states(x, arriving, pick_states(record.arrival, arriving))
                 stepper.restart()
-                inside[lane] = True
+                inside[arriving] = True
             passed, g = self._passed(i, x, inside)
             self.multiphase.record(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
-            for lane in torch.nonzero(passed)[:, 0].tolist():
-                self.record.exit[lane] = self._leave(lane, i, (recent, older), g)
+            for lane in lane_numbers(passed):
+                self._note_base(lane, i, (recent, older), g)
             self.g = torch.where(inside, g, self.g)
             inside, alive = inside & ~passed, alive & ~passed
             if not bool(alive.any()):
@@ -89,8 +95,10 @@ class _PhaseLoop:
         errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, indices) if indices else {}
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
-        staying = torch.nonzero(alive)[:, 0].tolist()
-        return self.multiphase.phase_exit(self.phase_model, self.entry, self.record.exit, staying), errors
+        self.multiphase.never_left(self.phase_model, alive)
+        if bool(record.left.any()):
+            self._leave(lane_numbers(record.left))
+        return record.exit, errors
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""
@@ -107,35 +115,43 @@ class _PhaseLoop:
         t = float(value(self.entry.t)[0, lane])
         return not self.multiphase.begin_depends[self.number] and abs(t - k * self.h) < _SAME * self.h
 
-    def _arrival(self, lane: int) -> State:
-        """The state of a lane at its first point of the grid."""
-        k, (t, x) = int(self.first[lane]), self.entry.lane(lane)
-        self.record.on_grid[lane] = self._on_grid(lane, k)
-        if not self.record.on_grid[lane]:
-            end = t * 0.0 + float(self.times[k])
-            x = self.integrator.step_of_size(lanes_of(self.dynamics, [lane]), x, end - t, end)
-        self.record.arrival[lane] = x
-        return x
+    def _arrive(self) -> None:
+        """Find the states of lanes at their first point of the grid."""
+        lanes = lane_numbers(self.alive & (self.first < len(self.times)) & ~self.record.on_grid)
+        if not lanes:
+            return
+        entry = self.entry.lanes(lanes)
+        end = entry.t * 0.0 + self.times[self.first[lanes]][None]
+        x = self.integrator.step_of_size(lanes_of(self.dynamics, lanes), entry.x, end - entry.t, end)
+        self.record.arrival = put_states(self.record.arrival, lanes, x)
+        self._fail(~_finite(x), lanes, "first", entry, value(end)[0])
+        self.alive[lanes] = self.alive[lanes] & _finite(x)
+
+    def _fail(self, failed: Tensor, lanes: list[int], which: str, start: PhaseExit, end: Tensor) -> None:
+        """Note that the first or the last step of a phase, from `start` to times `end`, does not converge in some lanes."""
+        for i in lane_numbers(failed):
+            begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.phase_model.name!r}"
+            reason = f"{step}, from t = {begin:.6g} s to t = {float(end[i]):.6g} s, does not converge; more steps help"
+            if not bool(_finite(start.x)[i]):
+                reason = f"the motion is not finite where {step} begins, at t = {begin:.6g} s"
+            self.multiphase.fail(lanes[i], reason)
 
     def _record_shortly_after(self) -> None:
         """Record the points of the grid that lie between a switch and the first that a lane steps to."""
         t = value(self.entry.t)[0]
-        for k in range(len(self.times)):
-            between = self.alive & (t <= self.times[k] + _SAME * self.h) & (k < self.first)
-            if bool(between.any()):
-                h = self._time(k) - self.entry.t
-                self.multiphase.record(
-                    self.phase_model, k, between, shortly_after(self.dynamics.topology, self.entry.x, h)
-                )
+        between = self.alive & (t <= self.times[:, None] + _SAME * self.h)
+        between &= torch.arange(len(self.times))[:, None] < self.first  # [times, lanes]
+        for k in lane_numbers(between.any(1)):
+            h = self._time(k) - self.entry.t
+            x = shortly_after(self.dynamics.topology, self.entry.x, h)
+            self.multiphase.record(self.phase_model, k, between[k], x)
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""
-        g = torch.zeros(self.lanes, dtype=torch.float64)
-        if self.event is not None:
-            for lane in torch.nonzero(self.alive)[:, 0].tolist():
-                g[lane] = self.multiphase.views.value(
-                    self.event, [lane], lanes_of(self.dynamics, [lane]), *self.entry.lane(lane)
-                )[0]
+        g, lanes = torch.zeros(self.lanes, dtype=torch.float64), lane_numbers(self.alive)
+        if self.event is not None and lanes:
+            entry = self.entry.lanes(lanes)
+            g[lanes] = self.multiphase.views.value(self.event, lanes, lanes_of(self.dynamics, lanes), *entry)
         return g
 
     def _passed(self, i: int, x: State, inside: Tensor) -> tuple[Tensor, Tensor]:
@@ -153,52 +169,73 @@ class _PhaseLoop:
             return torch.ones_like(self.alive)
         return self.times[i] > value(self.ends)[0] - _SAME * self.h
 
-    def _leave(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> PhaseExit:
-        """Where a lane leaves between the point i of the grid and the one before, or its entry."""
-        points = [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
+    def _note_base(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> None:
+        """Note where the last step begins of a lane that leaves between the point i of the grid and the one before, or its
+        entry."""
+        record, points = self.record, [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
         share = float(self.g[lane] / (self.g[lane] - g[lane]))
         skipped = self.event is not None and share < self.integrator.shortest_step and bool(points)
-        k = [*points, None][int(skipped)]
-        before = self.entry if k is None else PhaseExit(self._time(k), states[int(skipped)])
-        t, x = before.lane(lane)
-        self.record.base[lane] = k, x
+        k = [*points, -1][int(skipped)]
+        t, x = self.entry if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
+        t, x = pick_lanes(t, [lane]), pick_states(x, [lane])
+        record.left[lane], record.base_point[lane] = True, k
+        record.base, self.base_time = put_states(record.base, [lane], x), put_lanes(self.base_time, [lane], t)
+        self.most[lane], self.share[lane], self.g_before[lane] = self.times[i] - value(t)[0, 0], share, self.g[lane]
+
+    def _leave(self, lanes: list[int]) -> None:
+        """Make the last steps of the lanes that left the phase."""
+        record, most = self.record, self.most[lanes]
+        base = PhaseExit(pick_lanes(self.base_time, lanes), pick_states(record.base, lanes))
         if self.event is None:
-            end = pick_lanes(self.ends, [lane])
-            return PhaseExit(end, self.integrator.step_of_size(lanes_of(self.dynamics, [lane]), x, end - t, end))
-        return self._located(self.event, lane, PhaseExit(t, x), float(self.times[i] - value(t)[0, 0]), share)
+            end = pick_lanes(self.ends, lanes)
+            y = self.integrator.step_of_size(lanes_of(self.dynamics, lanes), base.x, end - base.t, end)
+            there, found = PhaseExit(end, y), _finite(y)
+        else:
+            there, found = self._located(self.event, lanes, base)
+        self._fail(~found, lanes, "last", base, value(base.t)[0] + most)
+        good = lane_numbers(found)
+        if good:
+            own, there = [lanes[i] for i in good], there.lanes(good)
+            record.exit = PhaseExit(put_lanes(record.exit.t, own, there.t), put_states(record.exit.x, own, there.x))
 
     def _time(self, i: int) -> Any:
         """A time of the grid, which no design moves."""
         return self.entry.t * 0.0 + float(self.times[i])
 
-    def _located(self, event: Event, lane: int, base: PhaseExit, most: float, share: float) -> PhaseExit:
-        """Where the event's function of a lane vanishes, within the time `most` after a point."""
-        wide = widened_data(lanes_of(self.dynamics, [lane]))
+    def _located(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[PhaseExit, Tensor]:
+        """Where the event's function of some lanes vanishes within `most` after their bases, and which lanes found it."""
+        wide = widened_data(lanes_of(self.dynamics, lanes))
         x, t = base.x.map(widened), widened(base.t)
-        one = widened(torch.zeros(1, 1, dtype=torch.float64), t.shape[0] - 1)
+        one = widened(torch.zeros(1, len(lanes), dtype=torch.float64), t.shape[0] - 1)
         one.full[-1] = 1.0
-        low, high = 0.0, most
-        h = most - (1.0 - share) * min(self.h, most)
-        sign = math.copysign(1.0, float(self.g[lane]))
+        most, sign = self.most[lanes], self.g_before[lanes].sign()
+        low, high = torch.zeros_like(most), most
+        h = most - (1.0 - self.share[lanes]) * most.clamp_max(self.h)
+        active = torch.ones(len(lanes), dtype=torch.bool)
+        y = slope = None
         for _ in range(_MOST):
-            size = one + h
-            y = self.integrator.step_of_size(wide, x, size, t + size)
-            g, slope = self.multiphase.views.slopes(event, [lane], wide, t + size, y)
-            low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
-            better = h - float(g / slope[-1])
-            if abs(better - h) <= _ROUND * most:
+            size = one + h[None]
+            there = self.integrator.step_of_size(wide, x, size, t + size, y)
+            g, slope_there = self.multiphase.views.slopes(event, lanes, wide, t + size, there)
+            # What a lane gets depends on no other: it stays as it was when it was found.
+            own = lane_numbers(active)
+            y = there if y is None else put_states(y, own, pick_states(there, own))
+            slope = slope_there if slope is None else torch.where(active, slope_there, slope)
+            above = g * sign > 0.0
+            low, high = torch.where(active & above, h, low), torch.where(active & ~above, h, high)
+            better = h - g / slope[-1]
+            active = active & ((better - h).abs() > _ROUND * most) & torch.isfinite(g)
+            if not bool(active.any()):
                 break
-            h = better if low < better < high else 0.5 * (low + high)
+            better = torch.where((low < better) & (better < high), better, 0.5 * (low + high))
+            h = torch.where(active, better, h)
+        assert y is not None
+        assert slope is not None
+        found = _finite(y) & (~active | (high - low <= _BRACKET * most))
         rate = -slope[:-1] / slope[-1]
-        return PhaseExit(narrowed(t + size, rate), y.map(lambda z: narrowed(z, rate)))
+        return PhaseExit(narrowed(t + (one + h[None]), rate), y.map(lambda z: narrowed(z, rate))), found
 
 
-def _with_lane(x: State, lane: int, new: State) -> State:
-    """The state of all lanes with one lane replaced."""
-
-    def put(y: Any, z: Any) -> Any:
-        full = (y.full if isinstance(y, Pair) else y).clone()
-        full[..., lane] = (z.full if isinstance(z, Pair) else z)[..., 0]
-        return Pair(full) if isinstance(y, Pair) else full
-
-    return State(*(put(y, z) for y, z in zip(x, new, strict=True)))
+def _finite(x: State) -> Tensor:
+    """Which lanes of a state are finite [lanes]."""
+    return torch.isfinite(value(x.vd)).flatten(0, 1).all(0)

@@ -122,14 +122,14 @@ class ReversePhaseIntegration:
         names = [name for name, one in zip(self.names, needs_grad, strict=False) if one]
         marks = 5 + len(self.output_data)
         switches = [outputs[i : i + NUMBERS] for i in range(marks, len(outputs), NUMBERS)]
-        found = self._adjoint(names)(
+        lanes, found = self._adjoint(names)(
             PhaseCotangents(outputs[:4], dict(zip(self.output_data, outputs[5:marks], strict=True)), switches), rows
         )
         data = {
-            name: self._of_data(found, ("data", name), self._multiphase.data_without_marks[name], rows)
+            name: self._of_data(lanes, found.get(("data", name)), self._multiphase.data_without_marks[name], rows)
             for name in names
         }
-        designs = self._of_designs(found, rows) if any(needs_grad[len(self.names) :]) else {}
+        designs = self._of_designs(lanes, found, rows) if any(needs_grad[len(self.names) :]) else {}
         return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
@@ -171,27 +171,24 @@ class ReversePhaseIntegration:
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
         return PhaseAdjoint(self._multiphase, self.integrator, names, failed, backward.adjoint_solver)
 
-    def _of_data(self, by_lane: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
+    def _of_data(self, lanes: list[int], by: Tensor | None, like: Tensor, rows: int) -> Tensor:
         """Cotangents [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""
         result = like.new_zeros(*like.shape[:-2], rows, len(self.status))
-        for lane, by in by_lane.items():
-            if key in by:
-                result[..., lane] = by[key][..., 0, 0].movedim(0, -1)
+        if by is not None:
+            result[..., lanes] = by[..., 0, :].movedim(0, -2)
         return result
 
-    def _of_designs(self, by_lane: dict[int, dict[Key, Tensor]], rows: int) -> dict[str, Tensor]:
+    def _of_designs(self, lanes: list[int], by: dict[Key, Tensor], rows: int) -> dict[str, Tensor]:
         """Of designs [component..., rows, lanes]: their own, and those of the mode shapes through the structure stage."""
         whole = self._multiphase.views.whole
-        lanes = len(self.status)
-        kinds = {key for by in by_lane.values() for key in by if key[0] != "data"}
+        kinds = {key for key in by if key[0] != "data"}
         with torch.enable_grad():
             designs = {name: x.detach().clone().requires_grad_() for name, x in whole.designs.items()}
-            shapes = DesignShapes(self.system, designs, lanes)
+            shapes = DesignShapes(self.system, designs, len(self.status))
             outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
         cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
-        for lane, by in by_lane.items():
-            for key in kinds.intersection(by):
-                cotangents[key][:, lane : lane + 1] += by[key]
+        for key in kinds:
+            cotangents[key][:, lanes] += by[key]
         used = [key for key in kinds if outputs[key].requires_grad]
         result = {name: x.new_zeros(rows, *x.shape) for name, x in designs.items()}
         for row in range(rows) if used else ():

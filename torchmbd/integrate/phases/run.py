@@ -9,6 +9,7 @@ Checked in tests/integrate/phases/test_phase.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.phases.events import Event, Views
-from torchmbd.integrate.phases.lanes import join_lanes, join_states, lanes_of, pick_lanes
+from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.switch import (
     InitialState,
@@ -33,6 +34,7 @@ from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
 from torchmbd.multibody.system.start import EquilibriumConditions
+from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, Moment, Switch
 from torchmbd.results.state import State
@@ -46,20 +48,22 @@ class PhaseExit(NamedTuple):
     t: Any
     x: State
 
-    def lane(self, lane: int) -> PhaseExit:
-        return PhaseExit(pick_lanes(self.t, [lane]), self.x.map(lambda y: pick_lanes(y, [lane])))
+    def lanes(self, lanes: Sequence[int]) -> PhaseExit:
+        """Of some lanes."""
+        return PhaseExit(pick_lanes(self.t, lanes), pick_states(self.x, lanes))
 
 
 @dataclass
 class PhaseRecord:
     """The steps of all lanes in one phase, for the adjoint (adjoint.py).
 
-    dynamics   of the phase, with the marks of its locks
-    entry      time and state before the switch that begins the phase;  start: the state after it
-    first      the first point of the grid that a lane steps to [lanes]
-    arrival    its state there, by lane;  on_grid: whether that is `start` itself
-    base       by lane: the point of the grid at which its last step begins (None: at `start`), and the state there
-    exit       where lanes left the phase, by lane
+    dynamics    of the phase, with the marks of its locks
+    entry       time and state before the switch that begins the phase;  start: the state after it
+    first       the first point of the grid that a lane steps to [lanes]
+    on_grid     whether the state there is `start` itself [lanes]
+    arrival     the state there, of lanes that get there
+    exit        where lanes left the phase;  left: which did [lanes]
+    base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes];  base: the state there
     """
 
     number: int
@@ -67,10 +71,17 @@ class PhaseRecord:
     entry: PhaseExit
     start: State
     first: Tensor
-    arrival: dict[int, State] = field(default_factory=dict)
-    on_grid: dict[int, bool] = field(default_factory=dict)
-    base: dict[int, tuple[int | None, State]] = field(default_factory=dict)
-    exit: dict[int, PhaseExit] = field(default_factory=dict)
+    on_grid: Tensor
+    arrival: State = field(init=False)
+    exit: PhaseExit = field(init=False)
+    base: State = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.arrival = self.base = self.start
+        never = linear(torch.zeros_like, self.entry.t)
+        self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start)
+        self.left = torch.zeros_like(self.on_grid)
+        self.base_point = torch.full_like(self.first, -1)
 
 
 @dataclass
@@ -174,10 +185,7 @@ class MultiphaseRun:
         self.whole = replace(self.whole, data=data)
         dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
         self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, phase_model.rows))
-        parts = [
-            self._enter_lane(number, lane, lanes_of(dynamics, [lane]), phase_exit) for lane in range(self.whole.lanes)
-        ]
-        state = join_states(parts)
+        state = self._state_after(number, dynamics, phase_exit)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
         return dynamics, state
@@ -199,57 +207,62 @@ class MultiphaseRun:
 
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
         """Multipliers of all rows [rows, ...] on one side of a switch, of redundant ones those of least norm."""
-        parts = []
-        for lane in range(self.whole.lanes):
-            own = [pick_lanes(y, [lane]) for y in (t, x.q, x.lam)]
-            data = lanes_of(self.whole, [lane]).data if bool(torch.isfinite(value(own[0])).all()) else None
-            parts.append(self.all_multipliers(number, data, *own))
-        return join_lanes(parts)
+        lanes = lane_numbers(torch.isfinite(value(t)[0]))
+        lam = self._with_all_rows(number, x.lam)
+        if not lanes or self.least_norm[number] is None:
+            return lam
+        own = (pick_lanes(y, lanes) for y in (t, x.q, x.lam))
+        return put_lanes(lam, lanes, self.all_multipliers(number, lanes_of(self.whole, lanes).data, *own))
 
-    def all_multipliers(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
-        """Multipliers of all rows of one lane from those of a phase; data None: as they are."""
+    def all_multipliers(self, number: int, data: equations.Data, t: Any, q: Any, lam: Any) -> Any:
+        """Multipliers of all rows from those of a phase, of redundant ones those of least norm."""
+        least, lam = self.least_norm[number], self._with_all_rows(number, lam)
+        return lam if least is None else least.at_varying_time(data, t, q, lam)
+
+    def _with_all_rows(self, number: int, lam: Any) -> Any:
         n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
-        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
-        least = self.least_norm[number]
-        return lam if least is None or data is None else least.at_varying_time(data, t, q, lam)
+        return linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
 
-    def _enter_lane(self, number: int, lane: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
-        """The state of one lane after the switch into a phase; nan where it does not get there."""
-        t, x = phase_exit.lane(lane)
-        if not bool(torch.isfinite(value(x.q)).all()):
+    def _state_after(self, number: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
+        """The state of all lanes after the switch into a phase; nan where they do not get there."""
+        x = phase_exit.x
+        for lane in lane_numbers(~torch.isfinite(value(x.q)).flatten(0, 1).all(0)):
             self.fail(lane, f"the motion is not finite when phase {self.phase_models[number].name!r} begins")
-        if not self.entered_lanes(phase_exit)[lane]:
-            rows = value(x.q).new_zeros(dynamics.topology.rows, *x.q.shape[1:])
-            q, v = x.q * torch.nan, x.v * torch.nan
-            return State(q, v, v, v, Pair(rows) if isinstance(x.q, Pair) else rows)
+        q, v = x.q * torch.nan, x.v * torch.nan
+        rows = value(q).new_zeros(dynamics.topology.rows, *q.shape[1:])
+        state = State(q, v, v, v, Pair(rows) if isinstance(q, Pair) else rows)
+        lanes = lane_numbers(self.entered_lanes(phase_exit))
+        if not lanes:
+            return state
+        entering, own = phase_exit.lanes(lanes), lanes_of(dynamics, lanes)
         if number:
-            self._check_closed(number, lane, dynamics, t, x.q)
-        return self.after(number, self.views, lane, dynamics, t, x)
+            self._check_closed(number, lanes, own, entering.t, entering.x.q)
+        return put_states(state, lanes, self.after(number, self.views, lanes, own, *entering))
 
-    def after(self, number: int, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> State:
-        """The state of one lane after the switch that begins a phase, from the state before it."""
+    def after(self, number: int, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> State:
+        """The state of some lanes after the switch that begins a phase, from the state before it."""
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.phase_models[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
-            v = velocities_after_impact(ended.impact, ended.until, views, [lane], dynamics, t, x._replace(v=v))
+            v = velocities_after_impact(ended.impact, ended.until, views, lanes, dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
-    def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
-        """Fail a lane in which a joint begins to act that is not closed."""
+    def _check_closed(self, number: int, lanes: Sequence[int], dynamics: Dynamics, t: Any, q: Any) -> None:
+        """Fail lanes in which a joint begins to act that is not closed."""
         T, before = dynamics.topology, set(self.phase_models[number - 1].rows)
         new = [k for k, row in enumerate(self.phase_models[number].rows) if row not in before]
         if not new:
             return
-        values = {name: value(x) for name, x in dynamics.data.items()}
-        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0], values))
-        phi = equations.constraints(T, at).abs().amax((1, 2))
-        worst = max(new, key=lambda k: float(phi[k]))
-        if bool(phi[worst] > CLOSED):
+        values, now = {name: value(x) for name, x in dynamics.data.items()}, value(t)
+        at = equations.placement(T, values, value(q), at_own_times(T, now, values))
+        phi = equations.constraints(T, at).abs()[new, 0]
+        for i in lane_numbers((phi > CLOSED).any(0)):
+            k = int(phi[:, i].argmax())
             self.fail(
-                lane,
-                f"{T.row_names[worst]} misses by {float(phi[worst]):.3g} when phase {self.phase_models[number].name!r} begins "
-                f"at t = {float(value(t)[0, 0]):.6g} s: a joint that begins to act must be closed",
+                lanes[i],
+                f"{T.row_names[new[k]]} misses by {float(phi[k, i]):.3g} when phase {self.phase_models[number].name!r} begins "
+                f"at t = {float(now[0, i]):.6g} s: a joint that begins to act must be closed",
             )
 
     def entered_lanes(self, phase_exit: PhaseExit) -> Tensor:
@@ -296,20 +309,11 @@ class MultiphaseRun:
         self.lam[i, ..., lanes] = rows[..., lanes]
         self.phase_number[i, lanes] = self.phase_models.index(phase_model)
 
-    def phase_exit(
-        self, phase_model: PhaseModel, entry: PhaseExit, exits: dict[int, PhaseExit], staying: list[int]
-    ) -> PhaseExit:
-        """Where all lanes left a phase that they entered at `entry`; the time is infinite for lanes that did not.
-
-        exits    of the lanes that left
-        staying  lanes that were in the phase when the simulation ended: an error, unless it is the last
-        """
-        for lane in staying:
+    def never_left(self, phase_model: PhaseModel, staying: Tensor) -> None:
+        """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
+        for lane in lane_numbers(staying):
             if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
                 self.never_ends(phase_model, lane)
-        nowhere = PhaseExit(entry.t * 0.0 + torch.inf, entry.x)
-        parts = [exits.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
-        return PhaseExit(join_lanes([p.t for p in parts]), join_states([p.x for p in parts]))
 
 
 def _moment(x: State, lam: Any) -> Moment:
