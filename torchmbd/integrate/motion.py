@@ -23,6 +23,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import in_transform
+from torchmbd.math.vmap import as_lanes, extent, fold
 from torchmbd.process import one_thread
 
 Tensors = Sequence[Tensor | None]
@@ -77,13 +78,8 @@ class Motion(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, integration: Integration, *inputs: Tensor) -> tuple[tuple[Tensor, ...], Any]:
-        lanes = _lanes(inputs, in_dims[1:])
         batch = info.batch_size
-        folded = [
-            x if d is None and x.shape[-1] == 1 else _fold(x, d, batch, lanes)
-            for x, d in zip(inputs, in_dims[1:], strict=True)
-        ]
-        found = Motion.apply(integration, *folded)
+        found = Motion.apply(integration, *as_lanes(inputs, in_dims[1:], batch))
         return tuple(_unfold(x, batch) for x in found), (0,) * len(found)  # pyright: ignore[reportOptionalIterable, reportArgumentType]
 
 
@@ -152,10 +148,10 @@ class _Backward(_Derivative):
             found: Any = _Backward.apply(integration, needs_grad, *tensors[:n], *stacked)
             return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
         lanes = _lanes(tensors, dims)
-        folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
+        folded = [x if x is None else fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
         found = [_unfold(x, batch) for x in _Backward.apply(integration, needs_grad, *folded)]  # pyright: ignore[reportOptionalIterable]
         single = [
-            x is not None and _extent(x, d) == 1
+            x is not None and extent(x, d) == 1
             for x, d, needed in zip(tensors[:n], dims[:n], needs_grad, strict=True)
             if needed
         ]
@@ -179,24 +175,13 @@ class _Forward(_Derivative):
             found: Any = _Forward.apply(integration, count, *tensors[:count], *stacked)
             return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
         lanes = _lanes(tensors, dims)
-        folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
+        folded = [x if x is None else fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
         found = _Forward.apply(integration, count, *folded)
         return tuple(_unfold(x, batch) for x in found), (0,) * len(found)
 
 
-def _extent(x: Tensor, dim: int | None) -> int:
-    """Lanes of one member of a batch along `dim`."""
-    return x.shape[-1] if dim is None else x.movedim(dim, 0).shape[-1]
-
-
 def _lanes(tensors: Tensors, dims: Sequence[int | None]) -> int:
-    return max(_extent(x, d) for x, d in zip(tensors, dims, strict=True) if x is not None)
-
-
-def _fold(x: Tensor, dim: int | None, batch: int, lanes: int) -> Tensor:
-    """A batch as lanes: [component..., k, batch * lanes]."""
-    y = x[None].expand(batch, *x.shape) if dim is None else x.movedim(dim, 0)
-    return y.expand(*y.shape[:-1], lanes).movedim(0, -2).flatten(-2)
+    return max(extent(x, d) for x, d in zip(tensors, dims, strict=True) if x is not None)
 
 
 def _unfold(x: Tensor, batch: int) -> Tensor:

@@ -116,6 +116,7 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
+    system.join_again()
     integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(simulate))
     initial = start_of(system, start)
     system = system if start == "assembled" else system.starting(initial)

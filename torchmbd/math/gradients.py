@@ -59,6 +59,11 @@ def in_transform(x: Tensor) -> bool:
     return debug_unwrap(x, recurse=False) is not x
 
 
+def wraps(*tensors: Tensor) -> bool:
+    """Whether transforms of torch.func wrap what is computed now of these tensors."""
+    return any(map(in_transform, (*tensors, torch.zeros(()))))
+
+
 def is_differentiated(x: Tensor) -> bool:
     """Whether operations on x are differentiated now: by autograd in grad mode, dual numbers, or a transform of torch.func."""
     return in_transform(x) or (carries_gradient(x) and (torch.is_grad_enabled() or not x.requires_grad))

@@ -21,6 +21,7 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor, nn
 
+from torchmbd.math.vmap import as_lanes
 from torchmbd.process import one_thread
 
 P = ParamSpec("P")
@@ -74,8 +75,8 @@ class _Outside(torch.autograd.Function):
     """An operation whose forward pass runs a function; torch.func calls it after removing all of its transforms."""
 
     @staticmethod
-    def forward(run: Callable[[], None], x: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        run()
+    def forward(run: Callable[..., None], x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        run(*tensors)
         return x.clone()
 
     @staticmethod
@@ -83,12 +84,15 @@ class _Outside(torch.autograd.Function):
         return None
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, run: Callable[[], None], x: Tensor) -> tuple[Any, None]:
-        return _Outside.apply(run, x), None
+    def vmap(info: Any, in_dims: tuple, run: Callable[..., None], x: Tensor, *tensors: Tensor) -> tuple[Any, None]:
+        return _Outside.apply(run, x, *as_lanes(tensors, in_dims[2:], info.batch_size)), None
 
 
-def outside_transforms(f: Callable[[], R]) -> R:
-    """Return f() outside of all transforms of torch.func, without gradients."""
+def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
+    """Return f(*tensors) outside of all transforms of torch.func, without gradients.
+
+    tensors   [..., lanes]; a batch of torch.func.vmap becomes further lanes
+    """
     results: list[R] = []
-    _Outside.apply(lambda: results.append(f()), torch.zeros(()))
+    _Outside.apply(lambda *x: results.append(f(*x)), torch.zeros(()), *(x.detach() for x in tensors))
     return results[0]

@@ -214,7 +214,12 @@ def set_modal_start(body: Any, *given: Sequence[float] | Tensor | None) -> None:
         if values.shape != (body.modes,) or not bool(torch.isfinite(values).all()):
             raise InputError(f"{name} is {x!r}; allowed: {allowed}")
         register(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else values)
-    body.has_modal_start = any(x is not None for x in given)
+    body.modal_start_given = any(x is not None for x in given)
+
+
+def has_modal_start(body: Any) -> bool:
+    """Whether a flexible body starts bent, or with modal rates: by set_modal_start, or by numbers that were loaded since."""
+    return body.modal_start_given or any(bool(getattr(body, key).any()) for key in MODAL)
 
 
 def given_velocities(body: Any) -> list[bool]:

@@ -28,7 +28,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.math.gradients import is_differentiated
+from torchmbd.math.gradients import is_differentiated, untransformed, wraps
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, linear, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
@@ -108,10 +109,27 @@ class Dynamics:
 
     @cached_property
     def rank(self) -> Rank:
-        """Rank of the constraints at the initial position of the first lane whose data are finite."""
+        """Rank of the constraints at the initial position of the first lane whose data are finite; also under torch.func, whose
+        tensors have no values to decide by."""
         ranks = {} if self.shared_start is None else self.shared_start.ranks
         if self.topology in ranks:
             return ranks[self.topology]
+        return self.outside_transforms(Dynamics._rank)
+
+    def outside_transforms(self, f: Callable[..., Any], *tensors: Tensor) -> Any:
+        """f(dynamics, *tensors) of plain values, also under torch.func; tensors [..., lanes], a batch of vmap is more lanes."""
+        values = [value(x) for x in self.data.values()]
+        if not wraps(*values, *tensors):
+            return f(self, *tensors)
+        n = len(values)
+
+        def run(*x: Tensor) -> Any:
+            return f(replace(self, data=dict(zip(self.data, x[:n], strict=True))), *x[n:])
+
+        return outside_transforms(run, *values, *tensors)
+
+    def _rank(self) -> Rank:
+        """As of `rank`, of plain data."""
         lane = first_finite_lane(self.data) if self.topology.rows else None
         if lane is None:
             return Rank(0, ())
@@ -121,7 +139,7 @@ class Dynamics:
             J = jacobians(one, q[None], q.new_zeros(1))[0].numpy()
             rank = confirm_left_out(one, q, rank_of(self.topology, J))
         if self.shared_start is not None and full_rank_undeformed(self.topology, J):
-            ranks[self.topology] = rank
+            self.shared_start.ranks[self.topology] = rank
         if rank.weak:
             warn(
                 f"{', '.join(rank.weak)}: these rows differ by {100 * rank.share:.1g} % of elastic displacement only, "
@@ -160,7 +178,7 @@ class Dynamics:
         row_mask = torch.ones(n + self.topology.rows, dtype=torch.float64)
         diagonal_shift = torch.zeros_like(row_mask)
         if everywhere or len(left_out) < len(self.redundant):
-            diagonal_shift[n:] = REGULARIZATION / float(value(self.data["mass"]).max())
+            diagonal_shift[n:] = REGULARIZATION / float(untransformed(value(self.data["mass"])).max())
         for i in left_out:
             row_mask[n + i], diagonal_shift[n + i] = 0.0, LEFT_OUT
         return row_mask, diagonal_shift

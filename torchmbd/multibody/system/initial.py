@@ -37,6 +37,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.math.gradients import untransformed, wraps
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import given_velocities
@@ -125,6 +127,7 @@ class InitialConditions:
             or isinstance(x, Pair)
             or x.requires_grad
             or x.shape[-1] > 1
+            or wraps(*map(value, dynamics.data.values()))  # what is kept has to outlast the transform
         ):
             return None
         laws = [drive for drive in T.law_jets(x.new_zeros(()), dynamics.data) if drive]
@@ -166,15 +169,15 @@ class InitialConditions:
         for step in range(_STEPS):
             joints = _Joints.of(dynamics, q, t)
             phi = joints.violation()
-            if float(value(phi).detach().abs().max()) < _CLOSED:
+            if float(untransformed(value(phi)).abs().max()) < _CLOSED:
                 if step:
-                    self._warn_moved(dynamics, given, value(q).detach())
+                    dynamics.outside_transforms(self._warn_moved, given, value(q))
                 break
             s = -joints.correction(value(phi).detach())
             residual = phi + joints.rates(s) - joints.rates(0.0 * s)
             q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
         else:
-            self._refuse(value(phi).detach())
+            outside_transforms(self._refuse, value(phi))
         return equations.advance(T, q, -joints.correction(phi)), v
 
     def closing(self, dynamics: Any) -> Closing:
@@ -186,7 +189,7 @@ class InitialConditions:
 
     def _warn_moved(self, dynamics: Any, given: Tensor, q: Tensor) -> None:
         """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
-        built = torch.stack([x.now().reshape(-1, 3)[0] for x in self.topology.attached], 1).detach()
+        built = torch.stack([untransformed(x.now()).reshape(-1, 3)[0] for x in self.topology.attached], 1)
         same = (value(dynamics.data["x"])[:, :, 0].detach() == built[..., None]).all(0).all(0)
         if bool(same.any()):
             lane = int(same.nonzero()[0, 0])
@@ -200,11 +203,12 @@ class InitialConditions:
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
         joints = _Joints.of(dynamics, q, t, self.given.to(t.device))
         s = -joints.correction(value(joints.rates(v)).detach())
-        self._warn_changed(value(v).detach()[:, 0], s[:, 0])
+        outside_transforms(self._warn_changed, value(v), s)
         return v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s))
 
     def _warn_changed(self, v: Tensor, s: Tensor) -> None:
-        """Warn of given velocities v that corrections s change [n_v, lanes]."""
+        """Warn of given velocities v that corrections s change [n_v, 1, lanes]."""
+        v, s = v[:, 0], s[:, 0]
         n, changed = self.topology.bodies, []
         for k, (kind, unit) in enumerate((("velocity", "m/s"), ("angular velocity", "rad/s"))):
             for i, name in enumerate(self.topology.names):
@@ -292,7 +296,7 @@ class _Joints:
         """The terms of ds with u and w [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s."""
         rigid = self.G.shape[2]
         ds = linear(lambda f: self._u_terms(f), self._constraint_forces(_times(self.C.mT, s[:rigid])))
-        if bool(self.F.any()):
+        if bool(untransformed(self.F).any()):
             forces = self._constraint_forces(_times(self.F_inverse.mT, s[:rigid]))
             ds = ds + linear(lambda f: self._w_terms(f), forces)
         return ds

@@ -227,7 +227,7 @@ def first_finite_lane(data: equations.Data) -> int | None:
     """The first lane whose data are finite (those of a lock are nan in lanes that do not reach its phase); None: no lane."""
     finite = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
     for x in data.values():
-        finite &= torch.isfinite(value(x)).flatten(0, -2).all(0).cpu()
+        finite = finite & torch.isfinite(value(x)).flatten(0, -2).all(0).cpu()
     lanes = torch.nonzero(finite)
     return int(lanes[0, 0]) if len(lanes) else None
 

@@ -21,7 +21,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine, Beams
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.bodies import FlexibleBody
-from torchmbd.multibody.bodies.frame import Frame, given_velocities
+from torchmbd.multibody.bodies.frame import Frame, given_velocities, has_modal_start
 from torchmbd.multibody.bodies.interpolation import node_indices
 from torchmbd.multibody.joints import Fixed
 
@@ -99,7 +99,7 @@ def _line(body: Any) -> BeamLine:
         raise InputError(f"body of split is {body!r}; allowed: {allowed}")
     if not all(isinstance(part, Beams) for part in body.parts.values()) or not body.parts or body.links:
         raise InputError(f"body {body.name!r} of split is no beam; allowed: {allowed}")
-    if any(given_velocities(body)) or body.has_modal_start or isinstance(body.position, nn.Parameter):
+    if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):
         raise InputError(f"body {body.name!r} of split has motion or position of its own; allowed: {allowed}")
     if any(body.damping.ratios):
         raise InputError(

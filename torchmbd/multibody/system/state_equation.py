@@ -24,6 +24,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import in_transform
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system.dynamics import Dynamics
 
 
@@ -57,19 +58,32 @@ class StateEquation(nn.Module):
         for x in tensors:
             if x.is_floating_point() and (x.dtype != torch.float64 or x.device.type != "cpu"):
                 raise InputError(f"the system was moved to {x.dtype} on {x.device}; allowed: torch.float64 on cpu")
-        if grad not in self._cache or not _unchanged(self._cache[grad][0], tensors):
-            dynamics = self._reduce()
-            if grad and not any(map(in_transform, tensors)):
-                dynamics.data = _with_kept_graph(dynamics.data, [x for x in self.parameters() if x.requires_grad])
-            self._cache[grad] = [(x, x.detach().clone()) for x in tensors], dynamics
+        if grad not in self._cache or not unchanged(self._cache[grad][0], tensors):
+            plain = not any(map(in_transform, tensors))
+            dynamics = outside_transforms(lambda: self._with_kept_graph(grad)) if plain else self._reduce()
+            self._cache[grad] = with_copies(tensors), dynamics
         return self._cache[grad][1]
+
+    def _with_kept_graph(self, grad: bool) -> Dynamics:
+        """Dynamics of plain parameters, whose graph permits any number of backward passes."""
+        with torch.set_grad_enabled(grad):
+            dynamics = self._reduce()
+            if grad:
+                dynamics.data = _with_kept_graph(dynamics.data, [x for x in self.parameters() if x.requires_grad])
+            return dynamics
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without the cache."""
         return vars(self) | {"_cache": {}}
 
 
-def _unchanged(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
+def with_copies(tensors: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
+    """Each tensor with a copy of its numbers, for `unchanged`."""
+    return [(x, x.detach().clone()) for x in tensors]
+
+
+def unchanged(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
+    """Whether tensors are those of before, with the same numbers."""
     if len(before) != len(now) or any(x is not y for (x, _), y in zip(before, now, strict=True)):
         return False
     return all(in_transform(x) or torch.equal(x, then) for x, then in before)

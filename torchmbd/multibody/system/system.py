@@ -22,18 +22,14 @@ from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.io.mjcf import read_mjcf
 from torchmbd.io.urdf import read_urdf
 from torchmbd.math.checked_numbers import list_of, positive
-from torchmbd.math.gradients import refuse_derivatives, refuse_lost_gradients
-from torchmbd.math.module_call import call_module, exclusive
+from torchmbd.math.gradients import refuse_derivatives
+from torchmbd.math.module_call import call_module, exclusive, outside_transforms
 from torchmbd.math.variable import law_key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
-from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, vector
+from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, has_modal_start, vector
 from torchmbd.multibody.forces.beam_chain import BeamChain
-from torchmbd.multibody.forces.controller import VARIABLES as OF_CONTROLLERS
-from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.force import ForceElement
-from torchmbd.multibody.forces.laws import VARIABLES
-from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 from torchmbd.multibody.joints.joint import AttachmentTable, Joint
 from torchmbd.multibody.system import arrangement
 from torchmbd.multibody.system.beams import beam_data
@@ -43,17 +39,17 @@ from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import start_of_bodies
+from torchmbd.multibody.system.lost_gradients import refuse_lost_constants, refuse_lost_laws
 from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
 from torchmbd.multibody.system.modal_start import in_moving_basis
 from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.start import Start
-from torchmbd.multibody.system.state_equation import StateEquation
+from torchmbd.multibody.system.start import POSE, Start
+from torchmbd.multibody.system.state_equation import StateEquation, unchanged, with_copies
 from torchmbd.multibody.system.truncation import StaticTruncation, static_truncation
 
-_CONSTANTS = ("gravity", "axes")  # numbers of a system and its bodies that cannot be design variables
-_START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # those of the initial state that can
-_VARIABLES = ("mass", "center", "inertia", *_START_VARIABLES)  # all that can, as Parameters of bodies
+_START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # numbers of the initial state that can be design variables
+_START = (*POSE, *VELOCITIES, *MODAL)  # all numbers of the initial state
 
 
 class System(nn.Module):
@@ -128,6 +124,7 @@ class System(nn.Module):
         for body in self.bodies:
             self.add_module(body.name, body)
         self._add_laws()
+        self._own = self._tensors()
         self.register_load_state_dict_post_hook(_rebuild_topology)
 
     @classmethod
@@ -176,6 +173,18 @@ class System(nn.Module):
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = self._start.conditions(self.topology, ordered)
+        self._joined_with = with_copies(self._constants_of_start())
+
+    def _constants_of_start(self) -> list[Tensor]:
+        """Positions, axes, rates and modal coordinates of the bodies that are no design variables."""
+        return [body._buffers[name] for body in self.bodies for name in _START if name in body._buffers]
+
+    @exclusive
+    def join_again(self) -> None:
+        """Join the bodies anew where constants of their start have changed: joints and the initial state depend on them."""
+        if not unchanged(self._joined_with, self._constants_of_start()):
+            refuse_lost_constants(self)
+            self._join(self.joints)
 
     def with_joints(self, joints: Sequence[Joint]) -> Self:
         """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
@@ -233,8 +242,9 @@ class System(nn.Module):
         flexible body or beam: its structure.
         """
         if part is None:
-            equation = StateEquation(dict(self.named_children()), self._own_dynamics)
-            equation.register_load_state_dict_post_hook(functools.partial(_rebuild_topology_of, self))
+            system = self._with_present_numbers()
+            equation = StateEquation(dict(system.named_children()), system._own_dynamics)
+            equation.register_load_state_dict_post_hook(functools.partial(_rebuild_topology_of, system))
             return equation
         if part not in ("data", "stages"):
             return self.body(part).structure()
@@ -242,10 +252,21 @@ class System(nn.Module):
         data = self._data(list(structures.values()))
         return data if part == "data" else (data, structures)
 
+    def _with_present_numbers(self) -> Self:
+        """Itself, or a copy that keeps the tensors that torch.func.functional_call puts in the place of others for one call."""
+        present = self._tensors()
+        if present.keys() == self._own.keys() and all(x is self._own[name] for name, x in present.items()):
+            return self
+        return outside_transforms(lambda: copy.deepcopy(self, {id(x): x for x in present.values()}))
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Parameters and buffers by name."""
+        return dict(self.named_parameters()) | dict(self.named_buffers())
+
     @exclusive
     def _own_dynamics(self) -> Dynamics:
         """Structure stage of the present parameters: one design."""
-        self._refuse_lost()
+        self._check()
         return self._dynamics(self._data(list(self._structures().values())))
 
     @exclusive
@@ -256,7 +277,7 @@ class System(nn.Module):
     @exclusive
     def stages(self, parameters: Mapping[str, Tensor]) -> tuple[Dynamics, dict[str, Tensor]]:
         """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
-        self._refuse_lost()
+        self._check()
         data, structures = call_module(self, parameters, "stages")
         shapes = {name: structure["psi"] for name, structure in structures.items()}
         return self._dynamics(_for_all_lanes(data, parameters)), shapes
@@ -271,7 +292,7 @@ class System(nn.Module):
         parameters  name -> values [lanes, ...]; others keep their present values
         tangents    names among them: the data carry derivatives by all entries of these, flattened in this order
         """
-        self._refuse_lost()
+        self._check()
         own = dict(self.named_parameters())
         given = dict(parameters or {})
         for name, x in own.items():
@@ -303,26 +324,11 @@ class System(nn.Module):
                 data = stage(given)
         return self._dynamics(data)
 
-    def _refuse_lost(self) -> None:
-        """InputError for numbers of the system, its bodies and laws that require a gradient and cannot have one."""
-        for owner in (self, *self.bodies):
-            for name in (*_CONSTANTS, *_VARIABLES):
-                x = owner._buffers.get(name, owner._parameters.get(name) if name in _CONSTANTS else None)
-                if x is not None and (name in owner._parameters or x.requires_grad):
-                    label = name if owner is self else f"{owner.name}.{name}"
-                    allowed = "a tensor that requires none"
-                    if name in _VARIABLES:
-                        allowed += ", or a Parameter given to the constructor of the body"
-                    raise InputError(f"{label!r} is a constant: it has no gradient; allowed: {allowed}")
-        for kind in self.topology.actions:
-            for law in kind.laws:
-                if isinstance(law, Port):
-                    refuse_lost_gradients(law.control.label, law.control.module, OF_CONTROLLERS, law.control.module)
-                else:
-                    refuse_lost_gradients("law of a force", law, VARIABLES)
-        for joint in self.joints:
-            registered = joint.variables.module if joint.variables else None
-            refuse_lost_gradients(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
+    def _check(self) -> None:
+        """Join again where that is due; InputError for what is differentiated and cannot be (lost_gradients.py)."""
+        refuse_lost_constants(self)
+        self.join_again()
+        refuse_lost_laws(self)
 
     def _structures(self) -> dict[str, dict[str, Tensor]]:
         """Structure stage of all flexible bodies, by name in the order of the topology."""
@@ -353,7 +359,7 @@ class System(nn.Module):
             if element.variables is not None and getattr(element, "variables_in_laws", True):
                 data[law_key(element.name)] = element.variables.flat()
         if (
-            any(body.has_modal_start for body in flexible)
+            any(map(has_modal_start, flexible))
             or any(name in body._parameters for body in self.bodies for name in _START_VARIABLES)
             or self._start.tensors
         ):
@@ -373,12 +379,13 @@ class System(nn.Module):
 
 def _rebuild_topology(system: System, _: Any) -> None:
     """Hook after loading a state dict: positions may have changed. No method, as a hook must be picklable."""
+    system._own = system._tensors()
     system._join(system.joints)
 
 
 def _rebuild_topology_of(system: System, *_: Any) -> None:
     """The same for the StateEquation of a system."""
-    system._join(system.joints)
+    _rebuild_topology(system, None)
 
 
 def _for_all_lanes(data: dict[str, Tensor], designs: Mapping[str, Tensor]) -> dict[str, Tensor]:
