@@ -92,12 +92,16 @@ class SharedStart:
 
 @dataclass(frozen=True, eq=False)
 class InitialConditions:
-    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies; given: which velocities users gave [n_v]."""
+    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies.
+
+    given   which velocities users gave [n_v];  built: attached vectors [3, vectors, 1] of the model as it was built
+    """
 
     topology: Topology
     q: Tensor
     v: Tensor
     given: Tensor
+    built: Tensor
     _last: list[SharedStart] = field(default_factory=list, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -109,7 +113,10 @@ class InitialConditions:
         start = {name: x[:, 0, 0].detach().clone() for name, x in start_of_bodies(topology, bodies).items()}
         given = torch.tensor([given_velocities(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
         modal = torch.zeros(topology.n_v - len(given), dtype=torch.bool)
-        return cls(topology, start["q0"], start["v0"], torch.cat([given, modal]))
+        built = torch.zeros(3, topology.vectors, 1, dtype=torch.float64)
+        for i, x in enumerate(topology.attached):
+            built[:, i, 0] = untransformed(x.now()).reshape(-1, 3)[0]
+        return cls(topology, start["q0"], start["v0"], torch.cat([given, modal]), built)
 
     @cached_property
     def condensed(self) -> Condensation | None:
@@ -171,7 +178,7 @@ class InitialConditions:
             phi = joints.violation()
             if float(untransformed(value(phi)).abs().max()) < _CLOSED:
                 if step:
-                    dynamics.outside_transforms(self._warn_moved, given, value(q))
+                    dynamics.outside_transforms(self._warn_moved, given, value(q).detach())
                 break
             s = -joints.correction(value(phi).detach())
             residual = phi + joints.rates(s) - joints.rates(0.0 * s)
@@ -189,8 +196,7 @@ class InitialConditions:
 
     def _warn_moved(self, dynamics: Any, given: Tensor, q: Tensor) -> None:
         """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
-        built = torch.stack([untransformed(x.now()).reshape(-1, 3)[0] for x in self.topology.attached], 1)
-        same = (value(dynamics.data["x"])[:, :, 0].detach() == built[..., None]).all(0).all(0)
+        same = (value(dynamics.data["x"])[:, :, 0].detach() == self.built).all(0).all(0)
         if bool(same.any()):
             lane = int(same.nonzero()[0, 0])
             given, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (given, q))
