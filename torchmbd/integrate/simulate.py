@@ -48,6 +48,7 @@ from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
 from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
+from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.spin import warn_of_spin
@@ -163,6 +164,7 @@ def simulate(
             motion.stats.pop("valid_times", None)
             values = plain(motion, motion.integration.validity[0, 0])
             warn_of_spin(values)
+            warn_of_loads(values)
             warn_of_displacements(values)
         return motion
 

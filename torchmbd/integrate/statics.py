@@ -35,6 +35,7 @@ from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
+from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.motion_data import OK
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.trajectory import Trajectory
@@ -253,6 +254,7 @@ def equilibrium(
         motion.stats["gradients"] = "reverse" if names else "none"
         motion.stats["backend"] = "eager"
         with torch.no_grad():
+            warn_of_loads(plain(motion))
             warn_of_displacements(plain(motion))
         if rotation is not None:
             warn_of_spin(motion)

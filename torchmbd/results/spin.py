@@ -6,7 +6,7 @@ Without stiffening elastic displacements are linear, and only one of two effects
 mode, om_1^2 - om^2, but the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
 order. The error is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
 Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
-but need enough modes each.
+but need enough modes each. Axial loads of any source: load_share.py.
 Source: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10 (1987)
 139-151.
 Checked in tests/validation/test_flexible_benchmarks.py.

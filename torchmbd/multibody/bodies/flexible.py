@@ -370,11 +370,11 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         return SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].detach(), symmetric=True), expand
 
-    def structure(self, nodes: Sequence[int] = ()) -> dict[str, Tensor]:
+    def structure(self, nodes: Sequence[int] = (), second_order: bool = False) -> dict[str, Tensor]:
         """Run the structure stage.
 
         Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; with stiffening also F1, F2 and, of
-        `nodes`, "psi2" (stiffening.py). Leading axes are those of the laminate's parameters (designs).
+        `nodes`, "psi2" (stiffening.py), as with `second_order`. Leading axes are those of the laminate's parameters (designs).
         """
         if self.given_structure is not None:
             return self.given_structure.structure()
@@ -392,4 +392,5 @@ class FlexibleBody(MatrixMethods, nn.Module):
             "Kr": basis.stiffness,
             "psi": psi,
         }
-        return result if self.stiffening is None else result | self.stiffening(K, points, x, psi, nodes)
+        stiffening = self.stiffening or (Stiffening(self.name, self.assembly) if second_order else None)
+        return result if stiffening is None else result | stiffening(K, points, x, psi, nodes)

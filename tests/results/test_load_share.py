@@ -1,0 +1,84 @@
+"""The part of loads in the stiffness: that of Euler's load, in tension and pressure, at rest and in motion."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import pytest
+import torch
+
+import torchmbd as mbd
+
+E, SIDE, LENGTH = 70e9, 0.01, 0.5
+EULER = math.pi**2 * E * SIDE**4 / 12.0 / (2.0 * LENGTH) ** 2  # of a cantilever [N]
+WARNED = "body 'rod': tension and pressure of its loads are {} of its stiffness"
+
+
+def rod(reference: str | None, density: float = 2700.0, **more: Any) -> mbd.FlexibleBody:
+    section = mbd.GivenSection.isotropic(
+        E=E, nu=0.3, density=density, area=SIDE**2, Iyy=SIDE**4 / 12, Izz=SIDE**4 / 12, J=0.14 * SIDE**4
+    )
+    place = (0.0 if reference == "start" else 0.5 * LENGTH, 0.0, 0.0)
+    line = mbd.BeamLine.straight(LENGTH, 16)
+    return mbd.FlexibleBody.beam("rod", line, section, modes=6, reference=reference, position=place, **more)
+
+
+def held(reference: str | None, load: float, **more: Any) -> mbd.System:
+    """A clamped rod under a load along it at its other end."""
+    body = rod(reference, **more)
+    push = mbd.Force(body.at("end"), (load, 0.0, 0.0))
+    return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
+
+
+@pytest.mark.parametrize("part", [-0.3, 0.1, 0.3])
+def test_a_cantilever_has_the_share_of_its_euler_load(part):
+    with pytest.warns(UserWarning, match=WARNED.format(f"{abs(part):g}")):
+        rest = mbd.equilibrium(held("start", part * EULER))
+    assert rest.stats["load_share"]["rod"] == pytest.approx(abs(part), rel=3e-3)  # 16 elements
+
+
+def test_beside_its_middle_a_rod_turns_less():
+    """Each half is a cantilever under the whole load: a quarter of the share."""
+    rest = mbd.equilibrium(held(None, 0.16 * EULER))
+    assert rest.stats["load_share"]["rod"] == pytest.approx(0.04, rel=2e-2)
+
+
+@pytest.mark.parametrize("more", [{"stiffening": True}, {}])
+def test_small_loads_and_stiffened_bodies_are_silent(more):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        mbd.equilibrium(held("start", (0.3 if more else 0.03) * EULER, **more))
+
+
+def carried(acceleration: float, tip: float, reference: str = "start") -> mbd.System:
+    """A rod with a mass at its end, which a drive accelerates along it: a load without spin."""
+    body = rod(reference)
+    foot = mbd.RigidBody("foot", 1.0, (1e-3, 1e-3, 1e-3))
+    head = mbd.RigidBody("head", tip, (1e-9, 1e-9, 1e-9), position=(LENGTH, 0, 0))
+    joints = [
+        mbd.Prismatic(mbd.Ground().at(), foot.at(), axis="x"),
+        mbd.Drive(mbd.Ground().at(), foot.at(), axis="x", position=lambda t: 0.5 * acceleration * t**2, name="push"),
+        mbd.Fixed(foot.at(), body.at("start")),
+        mbd.Spherical(body.at("end"), head.at()),
+    ]
+    return mbd.System([body, foot, head], joints, truncation=None)
+
+
+def test_a_load_of_inertia_counts_along_the_motion():
+    """The same system again, more slowly and faster: the share follows the loads."""
+    with pytest.warns(UserWarning, match=WARNED.format("0.2")):
+        motion = mbd.simulate(carried(0.2 * EULER / 20.0, 20.0), 1e-3, steps=5)
+    assert motion.stats["load_share"]["rod"] == pytest.approx(0.2, rel=1e-2)
+
+
+def test_loads_that_grow_are_looked_at_again():
+    body = rod("start")
+    load = mbd.variable(0.001 * EULER)
+    push = mbd.Force(body.at("end"), (load, 0.0, 0.0), name="push")
+    system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
+    (name,) = [name for name, _ in system.named_parameters() if name.startswith("push")]
+    for part in (0.001, 0.2, 0.1):
+        motion = mbd.equilibrium(system, designs={name: torch.tensor([part * EULER], dtype=torch.float64)})
+        assert motion.stats["load_share"]["rod"] == pytest.approx(part if part > 0.01 else 0.0, rel=1e-2)

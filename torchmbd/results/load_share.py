@@ -1,0 +1,159 @@
+"""The part of loads in the stiffness of flexible bodies without stiffening: what linear elastic displacements leave out.
+
+    Kg(t) = sum_i u_i F1_i + sum_ij Z_ij F2_ij + sum_v p_v . f_v       share = max |x' Kg x| / (x' Kr x)
+
+u, Z   acceleration of the body frame less gravity in its axes, ~omega' + ~omega ~omega: loads of inertia
+p, f   forces of joints and force elements on attached vectors, and displacements of second order of these
+F1, F2, f of the built design, the body held at its reference (multibody/bodies/stiffening.py)
+
+Tension stiffens a body and pressure softens it, with spin or without. At a share of one the body, held at its reference,
+buckles; errors of deflections are of the size of the share, and depend on the reference as it does: beside the tangent at its
+end a rod turns far, beside the one at its middle hardly.
+
+The multipliers in p take longer than a motion. So the share is computed where the size of all loads,
+
+    size = (sum m |r'' - g| + sum |p| of force elements) / (m om_1^2 length),   om_1, length: of the body
+
+is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads.
+Bodies whose frames have more than `_MOST_NODES` nodes are not looked at, nor are those of rods, springs and solids.
+Checked in tests/results/test_load_share.py.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import warn
+from torchmbd.fem.elements import GivenElements
+from torchmbd.math.pair import matvec_t, value
+from torchmbd.math.rotation import skew
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.modal_data import frame_nodes
+from torchmbd.results.motion_data import has_failed
+from torchmbd.results.reaction import in_lanes, placement_at_times
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+LARGE = 0.05  # errors of five percent
+_SMALL = 0.005  # size of loads below which no share is large: a force at the end of a rod has a share of 3 to 6 sizes
+_GROWN = 1.1  # factor of the size beyond which a share is computed anew
+_MOST_NODES = 60  # of frames: there are six unit loads for each
+_LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = (
+    WeakKeyDictionary()
+)  # body -> size and share of its largest loads
+
+
+def load_shares(motion: Trajectory) -> dict[str, float]:
+    """Largest share of every flexible body of plates and beams without stiffening, of all lanes that have not failed."""
+    T, shares = motion.dynamics.topology, {}
+    bodies = [(k, motion.system.body(name)) for k, name in enumerate(T.names[: T.flexible])]
+    bodies = [(k, body) for k, body in bodies if _has_geometric_stiffness(body) and body.stiffening is None]
+    sizes = _sizes(motion) if bodies else []
+    loads = None
+    for k, body in bodies:
+        size, share = _LOOKED_AT.get(body, (0.0, 0.0))
+        if sizes[k] > max(_SMALL, _GROWN * size) and len(frame_nodes(T, k)) <= _MOST_NODES:
+            loads = _loads(motion) if loads is None else loads
+            size, share = _LOOKED_AT[body] = sizes[k], _share(T, k, body, *loads)
+        shares[body.name] = share * sizes[k] / size if size else 0.0
+    return shares
+
+
+def warn_of_loads(motion: Trajectory) -> None:
+    """Keep the shares in stats["load_share"], and warn of those that are large."""
+    motion.stats["load_share"] = load_shares(motion)
+    for name, share in motion.stats["load_share"].items():
+        if share > LARGE:
+            warn(  # few different texts: Python shows each once in an optimization
+                f"body {name!r}: tension and pressure of its loads are {share:.1g} of its stiffness, which linear elastic "
+                "displacements leave out, and its deflections are off by a part of this size; allowed: stiffening=True, "
+                "or a reference in its middle, where the part is smaller"
+            )
+
+
+def _has_geometric_stiffness(body: Any) -> bool:
+    return body.given_structure is None and not any(
+        isinstance(part, GivenElements) for part in body.assembly.parts.values()
+    )
+
+
+def _sizes(motion: Trajectory) -> list[float]:
+    """Size of all loads by that of each flexible body (module header), the largest of all lanes and times."""
+    T, data = motion.dynamics.topology, motion.dynamics.data
+    mass = value(data["mass"])[:, 0]
+    acceleration = in_lanes(motion.a)[: 3 * T.bodies].unflatten(0, (3, -1))
+    if "gravity" in data:
+        acceleration = acceleration - value(data["gravity"])[..., :1]
+    times = len(motion.t)
+    forces = (mass.repeat_interleave(times, -1) if mass.shape[-1] > 1 else mass) * acceleration[:, :, 0].norm(dim=0)
+    total = forces.sum(0)
+    if T.actions:
+        wide, at = placement_at_times(motion)
+        total = total + equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0].norm(dim=0).sum(0)
+    largest = (total.nan_to_num(0.0, 0.0, 0.0).reshape(motion.lanes, times) * _known(motion)).amax(1)
+    sizes = []
+    for k, name in enumerate(T.names[: T.flexible]):
+        lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
+        second = value(data["P0"])[:, :, k, 0].diagonal().sum(-1)  # mass times a square of its length
+        size = largest / (lowest * (mass[k] * second).sqrt())
+        sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
+    return sizes
+
+
+def _share(T: Any, k: int, body: Any, u: Tensor, Z: Tensor, pulls: Tensor) -> float:
+    """The largest share of flexible body k; loads as of `_loads`."""
+    nodes = frame_nodes(T, k)
+    with torch.no_grad():
+        second = body.structure(nodes, second_order=True)
+    L, singular = torch.linalg.cholesky_ex(second["Kr"])
+    if int(singular) or not len(L):
+        return 0.0
+    loads = [u[..., k, :], Z[..., k, :, :].flatten(-2)]
+    slopes = [second["F1"], second["F2"].flatten(0, 1)]
+    for i, of in enumerate(T.vector_flexible.tolist()):
+        if of == k:
+            loads.append(pulls[..., i, :])
+            slopes.append(T.attached[i].quadratic_rows(second["psi"], second["psi2"], nodes).detach())
+    inverse = torch.linalg.inv(L)
+    Kg = torch.tensordot(torch.cat(loads, -1), inverse @ torch.cat(slopes) @ inverse.T, 1)
+    return float(torch.linalg.eigvalsh(Kg.nan_to_num(0.0, 0.0, 0.0)).abs().max())
+
+
+def _loads(motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
+    """u [lanes, times, flexible, 3], Z [..., 3, 3], and forces on attached vectors [lanes, times, vectors, 3]."""
+    T = motion.dynamics.topology
+    f = T.flexible
+    data, at = placement_at_times(motion)
+    v, a = in_lanes(motion.v), in_lanes(motion.a)
+    rdd, omd, _ = equations.split_v(T, a)
+    _, om, _ = equations.split_v(T, v)
+    gravity = motion.dynamics.data.get("gravity")
+    if gravity is not None:
+        rdd = rdd - value(gravity)[..., :1]
+    A = at.A[:, :, :f]
+    u = matvec_t(A, rdd[:, :f])
+    spin = skew(om[:, :f])
+    Z = skew(omd[:, :f]) + torch.einsum("ij...,jk...->ik...", spin, spin)
+    pulls = equations.total_on_vectors(T, data, at, v, in_lanes(motion.lam))
+    if pulls is None:
+        local = u.new_zeros(3, T.attached_flexible, 1, u.shape[-1])
+    else:
+        local = matvec_t(at.A_of, pulls)[:, : T.attached_flexible]
+    shape = (motion.lanes, len(motion.t))
+
+    def last(x: Tensor) -> Tensor:
+        return x[..., 0, :].unflatten(-1, shape).movedim((-2, -1), (0, 1))
+
+    loads = last(u).movedim(2, -1), last(Z).movedim((2, 3), (-2, -1)), last(local).movedim(2, -1)
+    known = _known(motion).bool()[:, 0]
+    return loads[0][known], loads[1][known], loads[2][known]
+
+
+def _known(motion: Trajectory) -> Tensor:
+    """1 for lanes that have not failed, else 0 [lanes, 1]."""
+    return torch.tensor([[float(not has_failed(status))] for status in motion.status], dtype=torch.float64)
