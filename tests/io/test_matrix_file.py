@@ -162,3 +162,24 @@ def test_a_half_of_mixed_triangles_is_the_whole_matrix(tmp_path):
 def test_a_file_that_does_not_exist():
     with pytest.raises(InputError, match=r"K is 'none.mtx'; allowed: a matrix file that exists"):
         read_matrix("K", "none.mtx")
+
+
+def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
+    """Complex and rectangular matrices beside it are refused where they are asked for; before and behind it."""
+    one, two = "1.0000000000000000E+00", "2.0000000000000000E+00"
+    real = "       2       2       6       2KGG     1P,3E23.16\n       1       1       2\n"
+    real += f" {two}-{one}\n       2       1       2\n-{one} {two}\n       3       1       1\n 0.0000000000000000E+00\n"
+    other = f"       1       1       6       4CPX     1P,3E23.16\n       1       1       2\n {one} {one}\n"
+    other += "       2       1       1\n 0.0000000000000000E+00\n"
+    for text in (real + other, other + real, other + real + other.replace("CPX", "CP2")):
+        file = tmp_path / "two.op4"
+        file.write_text(text)
+        for path in (file, f"{file}:KGG"):
+            assert read_matrix("K", path).matrix.toarray().tolist() == [[2.0, -1.0], [-1.0, 2.0]]
+        with pytest.raises(InputError, match=r"two.op4, line \d: CPX has type 4; allowed: 1 or 2, real"):
+            read_matrix("K", f"{file}:CPX")
+    file = tmp_path / "two.dmig"
+    file.write_text("DMIG,KX,0,6,1\nDMIG,KX,3,3,,3,3,100.\nDMIG,RX,0,2,1,,,,1\nDMIG,RX,1,,,3,3,1.\n")
+    assert read_matrix("K", file).matrix.toarray().tolist() == [[100.0]]
+    with pytest.raises(InputError, match=r"DMIG RX \(two.dmig, line 3\): IFO, TIN"):
+        read_matrix("K", f"{file}:RX")

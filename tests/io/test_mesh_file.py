@@ -61,6 +61,49 @@ def test_sets_of_abaqus(tmp_path):
     assert float(mesh.areas[zones["skin"]].sum()) == pytest.approx(1.5)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("*NSET", "*NODE\n7, 9., 9., 9.\n*NSET", ["line 17", "*NODE stands twice"]),
+        ("*NSET", "*INCLUDE, INPUT=none.inp\n*NSET", ["line 17", "*INCLUDE of 'none.inp'"]),
+        ("*NSET", "*INCLUDE, INPUT=plate.inp\n*NSET", ["*INCLUDE in a circle"]),
+        ("*NSET", "*INCLUDE\n*NSET", ["line 17", "*INCLUDE of"]),
+        ("*NSET", "*ELGEN, ELSET=web\n10, 3\n*NSET", ["line 17", "*ELGEN is not read"]),
+        (
+            "*NSET",
+            "*NONSTRUCTURAL MASS, ELSET=web, UNITS=MASS PER AREA\n3.\n*NSET",
+            ["*NONSTRUCTURAL MASS is not read"],
+        ),
+        ("*NSET", "*Tie, name=a\nx, y\n*NSET", ["*TIE is not read"]),
+        ("*NSET", "*INSTANCE, NAME=a, PART=b\n1., 0., 0.\n*NSET", ["line 17", "*INSTANCE is moved"]),
+        (
+            "*NSET",
+            "*INSTANCE, NAME=a, PART=b\n*END INSTANCE\n*INSTANCE, NAME=c, PART=b\n*NSET",
+            ["line 19", "*INSTANCE"],
+        ),
+        ("*NSET", "*ELEMENT, TYPE=B31\n30, 1, 2\n*NSET", ["plate.inp", "beams, rods or masses"]),
+        ("*NSET", "*ELEMENT, TYPE=MASS\n30, 1\n*NSET", ["plate.inp", "MASS"]),
+    ],
+)
+def test_what_meshio_loses_of_abaqus(old, new, words, tmp_path):
+    """Nodes, elements, masses and ties that its reader skips are refused by file, line and keyword."""
+    file = tmp_path / "plate.inp"
+    file.write_text(ABAQUS.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        read_mesh(file)
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_what_abaqus_writes_besides_is_left_out(tmp_path):
+    """Sections, materials, supports and steps; a file that is included."""
+    file = tmp_path / "plate.inp"
+    (tmp_path / "mesh.inp").write_text(ABAQUS)
+    more = "*SHELL SECTION, ELSET=web, MATERIAL=AL\n.01\n*MATERIAL, NAME=AL\n*ELASTIC\n7e10, .3\n*DENSITY\n2700.\n"
+    more += "*BOUNDARY\ntip, 1, 6\n"
+    file.write_text(f"*HEADING\n*INCLUDE, INPUT=mesh.inp\n{more}*STEP\n*FREQUENCY\n5\n*MODEL CHANGE\n")
+    assert float(read_mesh(file).mesh.areas.sum()) == pytest.approx(2.0)
+
+
 def test_physical_groups_of_gmsh(tmp_path):
     """Named surfaces are zones; a named point and a named curve are node sets."""
     cells = [("vertex", np.array([[3]])), ("line", np.array([[0, 5]])), ("quad", QUADS), ("triangle", TRIANGLES)]

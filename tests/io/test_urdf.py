@@ -28,7 +28,8 @@ TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
         ('<mass value="0.4"/>', '<mass value="nan"/>', "value is 'nan'"),
         ('<mass value="0.4"/>', "", "value is missing"),
         ('name="link3"', 'name="link2"', "stands twice"),
-        ('lower="-2" upper="2"', 'lower="2" upper="-2"', "lower below upper"),
+        ('<mass value="0.4"/>', '<mass value="0.4"/><mass value="0.5"/>', "<mass> stands twice"),
+        ("<inertial>", "<inertial/><inertial>", "<inertial> stands twice"),
         ('damping="0.3"', 'damping="-0.3"', "damping, friction"),
         ('<parent link="world"/>', '<parent link="link3"/>', "form a loop"),
         ("</robot>", '<link name="alone"/></robot>', "have no parent"),
@@ -54,6 +55,24 @@ def test_a_mass_without_inertia_is_said(tmp_path):
     path.write_text('<robot name="a"><link name="b"><inertial><mass value="2"/></inertial></link></robot>')
     with pytest.warns(UserWarning, match=r"arm.urdf, link 'b': it has no <inertia>; taken as a point of 2 kg"):
         assert not read_urdf(path).links["b"].inertia.any()
+
+
+def test_lower_above_upper_is_no_limit(tmp_path):
+    """Bullet's convention, with a warning; the system has no stop there."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(TEXT.replace('lower="-2" upper="2"', 'lower="2" upper="-2"'))
+    with pytest.warns(UserWarning, match=r"arm.urdf, joint 'j\d': lower is 2, upper -2; taken as no limits"):
+        limits = [joint.limits for joint in read_urdf(path).joints]
+    path.write_text(TEXT)
+    wanted = [None if joint.limits == (-2.0, 2.0) else joint.limits for joint in read_urdf(path).joints]
+    assert limits == wanted
+
+
+def test_elements_that_are_not_known_are_told(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(TEXT.replace("<inertial>", "<inertail/><inertial>", 1))
+    with pytest.warns(UserWarning, match=r"arm.urdf: left out, as they are not known: <inertail> in <link> \['"):
+        read_urdf(path)
 
 
 def test_joints_of_one_name(tmp_path):

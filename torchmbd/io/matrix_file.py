@@ -58,22 +58,20 @@ def read_matrix(name: str, path: str | Path) -> FileMatrix:
         raise InputError(
             f"{name}: {file.name} has the matrices {list(found)}; allowed: one of them, '{file.name}:NAME'"
         )
-    return found[kind[0]]
+    chosen = found[kind[0]]
+    if isinstance(chosen, InputError):
+        raise chosen
+    return chosen
 
 
-def _read(file: Path) -> dict[str, FileMatrix]:
+def _read(file: Path) -> dict[str, FileMatrix | InputError]:
+    """The matrices of a file by name; of one that is not real and square the reason, which counts where it is asked for."""
     suffix = file.suffix.lower()
     if suffix in (".mtx", ".mm"):
         with file.open(encoding="utf-8", errors="replace") as lines:
             if not lines.readline().startswith("%%MatrixMarket"):
                 return {file.stem: _abaqus(file)}
-        rows, columns, entries, *_ = scipy.io.mminfo(file)
-        _square(file.name, rows, columns)
-        if 2 * entries > file.stat().st_size:
-            raise InputError(
-                f"{file.name}: {entries} entries in {file.stat().st_size} bytes; allowed: as many as it has"
-            )
-        return {file.stem: FileMatrix(_real(file.name, scipy.sparse.csr_array(scipy.io.mmread(file))))}
+        return {file.stem: FileMatrix(_matrix_market(file))}
     if suffix == ".op4":
         return dict(_op4(file))
     if suffix in (".dmig", ".pch", ".bdf", ".dat"):
@@ -86,10 +84,31 @@ def _square(where: str, rows: int, columns: int) -> None:
         raise InputError(f"{where}: a matrix of {rows} x {columns}; allowed: square, at most {LARGEST} rows")
 
 
-def _real(where: str, matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
-    if np.iscomplexobj(matrix.data):
-        raise InputError(f"{where}: the matrix is complex; allowed: real")
-    return scipy.sparse.csr_array(matrix, dtype=np.float64)
+def _matrix_market(file: Path) -> scipy.sparse.csr_array:
+    """Read a file whose entries are checked before: SciPy 1.17 ends the interpreter where a row or column is out of range."""
+    rows, columns, entries, layout, field, symmetry = scipy.io.mminfo(file)
+    _square(file.name, rows, columns)
+    if field not in ("real", "integer") or symmetry not in ("general", "symmetric"):
+        raise InputError(f"{file.name}: the matrix is {symmetry}, {field}; allowed: real, general or symmetric")
+    if 2 * entries > file.stat().st_size:
+        raise InputError(f"{file.name}: {entries} entries in {file.stat().st_size} bytes; allowed: as many as it has")
+    if layout == "array":
+        return scipy.sparse.csr_array(scipy.io.mmread(file), dtype=np.float64)
+    with file.open(encoding="utf-8", errors="replace") as handle:
+        lines = (line for line in handle if line.strip() and not line.startswith("%"))
+        next(lines)  # rows, columns, entries
+        table = np.loadtxt(lines, ndmin=2)
+    if table.shape != (entries, 3):
+        raise InputError(f"{file.name}: {table.shape[0]} lines of {table.shape[1]} numbers; allowed: {entries} of 3")
+    wrong = ((table[:, :2] < 1) | (table[:, :2] > rows) | (table[:, :2] % 1 != 0)).any(1)
+    if wrong.any():
+        at = int(wrong.argmax())
+        raise InputError(f"{file.name}, entry {at + 1}: row, column are {table[at, :2].tolist()}; allowed: 1 to {rows}")
+    i, j = table[:, :2].T.astype(int) - 1
+    matrix = scipy.sparse.csr_array((table[:, 2], (i, j)), shape=(rows, rows))
+    if symmetry == "symmetric":
+        matrix = matrix + matrix.T - scipy.sparse.diags_array(matrix.diagonal())
+    return scipy.sparse.csr_array(matrix)
 
 
 def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
@@ -147,7 +166,7 @@ def _abaqus(file: Path) -> FileMatrix:
 _FORMAT = re.compile(r"(\d*)[ED](\d+)\.(\d+)", re.IGNORECASE)
 
 
-def _op4(file: Path) -> Iterator[tuple[str, FileMatrix]]:
+def _op4(file: Path) -> Iterator[tuple[str, FileMatrix | InputError]]:
     with file.open(encoding="ascii", errors="replace") as handle:
         lines = enumerate(handle, start=1)
         for number, head in lines:
@@ -158,12 +177,26 @@ def _op4(file: Path) -> Iterator[tuple[str, FileMatrix]]:
                 columns, rows, _, kind = (int(head[8 * k : 8 * k + 8]) for k in range(4))
             except ValueError:
                 raise InputError(f"{where}: {head.strip()[:60]!r} is no header of an OP4 matrix") from None
-            if kind not in (1, 2):
-                raise InputError(f"{where}: type {kind}; allowed: 1 or 2, real")
-            _square(where, abs(rows), columns)
-            style = _FORMAT.search(head[40:])
-            width = int(style.group(2)) if style else 16
-            yield head[32:40].strip(), FileMatrix(_op4_columns(file.name, lines, columns, width))
+            name, style = head[32:40].strip(), _FORMAT.search(head[40:])
+            try:
+                if kind not in (1, 2):
+                    raise InputError(f"{where}: {name} has type {kind}; allowed: 1 or 2, real")
+                _square(where, abs(rows), columns)
+            except InputError as error:
+                _skip_columns(lines, columns)
+                yield name, error
+                continue
+            width = max(int(style.group(2)), 1) if style else 16
+            yield name, FileMatrix(_op4_columns(file.name, lines, columns, width))
+
+
+def _skip_columns(lines: Iterator[tuple[int, str]], columns: int) -> None:
+    """Read on to the end of a matrix: the number after its last column."""
+    for _, line in lines:
+        words = [] if "." in line else line.split()
+        if len(words) == 3 and words[0].isdigit() and int(words[0]) > columns:
+            next(lines, None)
+            return
 
 
 def _number(where: str, text: str, kind: type) -> Any:
@@ -205,18 +238,20 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
     return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))
 
 
-def _dmig(file: Path) -> dict[str, FileMatrix]:
-    kinds: dict[str, int] = {}
+def _dmig(file: Path) -> dict[str, FileMatrix | InputError]:
+    refused: dict[str, InputError] = {}
     entries: dict[str, list[tuple[tuple[int, int], tuple[int, int], float]]] = {}
     for card in read_cards(file):
         if card.name != "DMIG":
             continue
         name = card.text(1)
         if card.text(2) == "0":
-            kinds[name] = card.integer(3, "IFO")
-            if kinds[name] not in (1, 6) or card.integer(4, "TIN", 1) not in (1, 2):
-                raise InputError(f"{card}: IFO, TIN are {card.text(3)}, {card.text(4)}; allowed: 1 or 6, and real")
             entries[name] = []
+            if card.integer(3, "IFO") not in (1, 6) or card.integer(4, "TIN", 1) not in (1, 2):
+                text = f"{card}: IFO, TIN are {card.text(3)}, {card.text(4)}; allowed: 1 or 6, and real"
+                refused[name] = InputError(text)
+            continue
+        if name in refused:
             continue
         if name not in entries:
             raise InputError(f"{card}: the card of its header (second field 0) comes later or never")
@@ -225,7 +260,7 @@ def _dmig(file: Path) -> dict[str, FileMatrix]:
             if card.text(start):
                 left = card.integer(start, "G"), card.integer(start + 1, "C", 0) or 1
                 entries[name].append((left, right, card.real(start + 2, "A")))
-    found = {name: _assembled(file.name, own) for name, own in entries.items() if own}
+    found = refused | {name: _assembled(file.name, own) for name, own in entries.items() if own}
     if not found:
         raise InputError(f"{file.name} has no DMIG matrix; allowed: one at least")
     return found

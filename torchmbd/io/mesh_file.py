@@ -6,13 +6,16 @@ are the named groups of cells, node sets the named groups of nodes:
     gmsh      physical surfaces; physical points and curves
     Abaqus    *ELSET; *NSET
 
-Elements of second order or in three dimensions are refused: leaving them out would change the structure.
+Elements of second order or in three dimensions are refused: leaving them out would change the structure; so are keywords of
+Abaqus that meshio skips and that may be structure (abaqus_file.py).
 Needs meshio, an optional dependency.
 Checked in tests/io/test_mesh_file.py.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,11 +26,13 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh.mesh import Mesh
+from torchmbd.io.abaqus_file import check_abaqus
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.units import meters
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
+_STRUCTURES = (".inp", ".bdf", ".fem", ".nas")  # formats of solvers, in which they are masses and beams
 
 
 class MeshFile(NamedTuple):
@@ -47,19 +52,35 @@ def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
     scale = meters("scale", scale)
+    if Path(path).suffix.lower() == ".inp":
+        check_abaqus(Path(path))
+    printed = io.StringIO()
     try:
-        source = meshio.read(path)
-    except SystemExit as error:  # meshio's readers leave the interpreter on files of an unknown kind
-        raise InputError(f"{Path(path).name}: meshio cannot read it") from error
-    except (meshio.ReadError, KeyError, ValueError) as error:
-        raise InputError(f"{Path(path).name}: meshio cannot read it: {error}") from error
-    return mesh_of(source, scale)
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            source = meshio.read(path)
+    except SystemExit as error:  # meshio prints the reason and leaves the interpreter
+        reason = " ".join(printed.getvalue().split())
+        raise InputError(f"{Path(path).name}: meshio cannot read it: {reason}") from error
+    except (
+        Exception
+    ) as error:  # thirty readers, whose errors on spoilt files are of any kind: IndexError, struct.error, ...
+        raise InputError(f"{Path(path).name}: meshio cannot read it: {type(error).__name__} {error}") from error
+    try:
+        if Path(path).suffix.lower() in _STRUCTURES and any(x.type in _POINTS_AND_CURVES for x in source.cells):
+            raise InputError(
+                "it has beams, rods or masses; allowed: triangle, quad (FlexibleBody.from_bdf reads others)"
+            )
+        return mesh_of(source, scale)
+    except InputError as error:
+        raise InputError(f"{Path(path).name}: {error}") from None
 
 
 @constant_arguments
 def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(source.points, dtype=np.float64)) * scale
+    if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
+        raise InputError(f"points are an array {list(points.shape)}; allowed: [n, 2] or [n, 3]")
     points = torch.cat([points, points.new_zeros(len(points), 3 - points.shape[1])], dim=1)
     kinds = {kind: [torch.empty(0, width, dtype=torch.long)] for kind, width in _CELLS.items()}
     owner = {kind: [torch.empty(0, 2, dtype=torch.long)] for kind in _CELLS}  # (block, number in it) of each cell
@@ -75,6 +96,10 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
     used = torch.unique(torch.cat([own.flatten() for own in corners.values()]))
     if not len(used):
         raise InputError("the mesh has no triangles or quadrilaterals")
+    if int(used[0]) < 0 or int(used[-1]) >= len(points):
+        raise InputError(
+            f"cells have the nodes {int(used[0])} to {int(used[-1])} of {len(points)}; allowed: nodes of the file"
+        )
     new_index = torch.full((len(points),), -1, dtype=torch.long)
     new_index[used] = torch.arange(len(used))
     mesh = Mesh(

@@ -1,8 +1,8 @@
 """Robots in the Unified Robot Description Format: links with inertia, joints with origin, axis, limits, damping, friction.
 
-Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins. A <limit> without lower and
-upper does not limit. Refused by file and element: missing or repeated links and joints, loops, texts that are no numbers, a
-document type (entities).
+Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins; unknown elements are told. A
+<limit> without lower and upper does not limit, nor does one with lower above upper (Bullet's convention), which is told.
+Refused by file and element: missing or repeated elements, loops, texts that are no numbers, a document type (entities).
 Source: wiki.ros.org/urdf/XML. Checked in tests/io/test_urdf.py.
 """
 
@@ -19,6 +19,16 @@ from torchmbd.io.robot_file import Link, Pose, Robot, RobotJoint, by_unique_name
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
+#: Elements that are read, and those that do not change the motion; others are told, because mass may stand in them.
+_PARTS = {
+    "robot": "link joint material transmission gazebo sensor group_state mujoco drake",
+    "link": "inertial visual collision contact gazebo sensor self_collision_checking verbose",
+    "inertial": "origin mass inertia",
+    "joint": "origin parent child axis limit dynamics mimic calibration safety_controller hardware gazebo",
+}
+_ONCE = ("inertial", "mass", "inertia", "parent", "child", "axis", "limit", "dynamics", "mimic", "origin")
+
+
 def read_urdf(path: str | Path) -> Robot:
     """Read a robot. InputError names file, element and value."""
     file, root = read_xml(path, "a URDF")
@@ -27,11 +37,31 @@ def read_urdf(path: str | Path) -> Robot:
     for element in root.iter():
         if "xacro" in element.tag:
             raise InputError(f"{file.name} has <{element.tag}>; allowed: plain URDF (expand a xacro file first)")
+    _check_parts(file.name, root)
     links = by_unique_name(file.name, "link", (_link(file.name, element) for element in root.findall("link")))
     joints = by_unique_name(file.name, "joint", (_joint(file.name, element) for element in root.findall("joint")))
     return robot_tree(
         file.name, root.get("name") or "robot", links, list(joints.values()), " (expand a xacro file first)"
     )
+
+
+def _check_parts(file: str, root: ET.Element) -> None:
+    """InputError for an element that stands twice; a warning for those that are not known."""
+    unknown_parts: dict[str, list[str]] = {}
+    within = [*root.findall("link"), *root.findall("joint")]
+    for element in (root, *within, *root.findall("link/inertial")):
+        tags = [child.tag for child in element]
+        twice = [tag for tag in _ONCE if tags.count(tag) > 1]
+        if twice:
+            raise InputError(
+                f"{file}, <{element.tag}> {element.get('name', '')!r}: <{twice[0]}> stands twice; allowed: once"
+            )
+        for tag in set(tags) - set(_PARTS[element.tag].split()):
+            if isinstance(tag, str):
+                unknown_parts.setdefault(f"<{tag}> in <{element.tag}>", []).append(element.get("name", ""))
+    if unknown_parts:
+        listed = "; ".join(f"{kind} {sorted(set(names))[:8]}" for kind, names in sorted(unknown_parts.items()))
+        warn(f"{file}: left out, as they are not known: {listed}")
 
 
 def _named(file: str, element: ET.Element) -> str:
@@ -104,8 +134,9 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
     limit, dynamics, limits = element.find("limit"), element.find("dynamics"), None
     if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
         limits = _one(where, limit, "lower", 0.0), _one(where, limit, "upper", 0.0)
-        if limits[0] > limits[1]:
-            raise InputError(f"{where}: lower is {limits[0]:g}, upper {limits[1]:g}; allowed: lower below upper")
+        if limits[0] > limits[1]:  # the convention of Bullet
+            warn(f"{where}: lower is {limits[0]:g}, upper {limits[1]:g}; taken as no limits")
+            limits = None
     losses = [_one(where, dynamics, key, 0.0) for key in ("damping", "friction")]
     if min(losses) < 0.0:
         raise InputError(f"{where}: damping, friction are {losses}; allowed: zero or positive")

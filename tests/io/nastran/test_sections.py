@@ -83,3 +83,17 @@ def test_what_is_wrong_is_named(text, words):
     with pytest.raises(InputError) as error:
         section(text)
     assert all(word in str(error.value) for word in words), str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("card", "words"),
+    [
+        ("PBAR,5,2,0.,8.,4.,.1", "PBAR 5 (line 2): A is 0"),
+        ("PBAR,5,2,-1.,8.,4.,.1,3.", "PBAR 5 (line 2): A is -1"),
+        ("PBEAM,5,2,0.,8.,4.,0.,.1", "PBEAM 5 (line 2): A is 0"),
+    ],
+)
+def test_a_section_without_area_is_refused(card, words):
+    with pytest.raises(InputError) as error:
+        section(card)
+    assert words in str(error.value)

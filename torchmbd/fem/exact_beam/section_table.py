@@ -77,7 +77,10 @@ class SectionTable(nn.Module):
             matrices = numbers[1:].reshape(2, 6, 6)[:, _BEAMDYN][:, :, _BEAMDYN]
             positions.append(float(numbers[0]))
             sections.append((matrices[0], matrices[1]))
-        return cls(positions, sections)
+        try:
+            return cls(positions, sections)
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
 
     @property
     def mass_varies(self) -> bool:

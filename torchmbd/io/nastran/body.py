@@ -21,6 +21,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, PointMasses
 from torchmbd.fem.mesh import Mesh
+from torchmbd.io.nastran.card import Card
 from torchmbd.io.nastran.cards import read_deck
 from torchmbd.io.nastran.control import MATRICES, TEMPERATURE, Control
 from torchmbd.io.nastran.data import BulkData
@@ -56,10 +57,20 @@ class _Line:
 def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: float | None = None) -> BulkBody:
     """Read a model; `density`: of materials without RHO [kg/m3].
 
-    Raises InputError that names card and line; warns of cards that are left out.
+    Raises InputError that names file, card and line; warns of cards that are left out.
     """
     scale = units_of(units)
     cards, control = read_deck(path)
+    try:
+        return _body(path, cards, control, scale, mass, density)
+    except InputError as error:
+        name = Path(path).name
+        raise error if name in str(error) else InputError(f"{name}: {error}") from None
+
+
+def _body(
+    path: str | Path, cards: list[Card], control: Control | None, scale: Units, mass: str, density: float | None
+) -> BulkBody:
     data = BulkData.of(cards)
     _check_control(data, control)
     if density is not None:

@@ -93,12 +93,12 @@ def moduli_of(card: Card) -> tuple[float, float, float]:
     nu = card.real(4, "NU") if card.text(4) else None
     if nu is None and E and G:
         nu = E / (2.0 * G) - 1.0
-    if nu is None or not (E or G):
-        raise InputError(f"{card}: two of E, G, NU are needed")
+    if nu is None or not (E or G) or not -1.0 < nu < 0.5:
+        raise InputError(f"{card}: E {E:g}, G {G:g}, NU {nu}; allowed: two of them, NU between -1 and 0.5")
     E = E or 2.0 * G * (1.0 + nu)
     G = G or E / (2.0 * (1.0 + nu))
-    if not (E > 0.0 and G > 0.0 and -1.0 < nu < 0.5):
-        raise InputError(f"{card}: E {E:g}, G {G:g}, NU {nu:g}; allowed: E and G > 0, NU between -1 and 0.5")
+    if not (E > 0.0 and G > 0.0):
+        raise InputError(f"{card}: E {E:g}, G {G:g}; allowed: both above 0")
     return E, G, nu
 
 

@@ -38,6 +38,8 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
     if card.name not in readers:
         raise InputError(f"{card}: this section cannot be read; allowed: {', '.join(readers)}")
     numbers, extra = readers[card.name](card)
+    if not numbers.A > 0.0:
+        raise InputError(f"{card}: A is {numbers.A:g}; allowed: above 0")
     L = units.length
     density = ply.density + extra * units.mass / L * data.weight_to_mass / (numbers.A * L**2)
     try:

@@ -129,5 +129,7 @@ def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
 
 
 def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data: BulkData, units: Units) -> Ply:
+    if not thickness > 0.0:
+        raise InputError(f"{card}: its thickness is {thickness:g} m; allowed: above 0")
     extra = card.real(position, "NSM", 0.0) * units.per_area * data.weight_to_mass
     return dataclasses.replace(ply, density=ply.density + extra / thickness) if extra else ply

@@ -55,6 +55,7 @@ class WindIOBlade:
 
     def __init__(self, file: str | Path) -> None:
         path = Path(file)
+        self._file = path.name
         if not path.is_file() or path.stat().st_size > LARGEST:
             raise InputError(f"file is {str(file)!r}; allowed: a windIO file of at most {LARGEST} bytes")
         try:
@@ -119,6 +120,12 @@ class WindIOBlade:
         if not is_whole(cells) or cells < 1:
             raise InputError(f"cells = {cells!r}; allowed: an integer >= 1")
         check_order(order)
+        try:
+            return self._section(position, cells, order)
+        except InputError as error:
+            raise InputError(f"{self._file}: {error}") from None
+
+    def _section(self, position: float, cells: int, order: int) -> Section:
         chord, axis = self._shape["chord"](position), self._shape["pitch_axis"](position)
         if not chord > 0.0:
             raise InputError(f"chord at {position:g} is {chord:g} m; allowed: above 0")
