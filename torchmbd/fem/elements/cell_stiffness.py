@@ -20,7 +20,7 @@ from torch import Tensor
 from torchmbd.fem.elements.facet import Facets
 from torchmbd.fem.elements.inner_forces import CellForces, InnerForces
 from torchmbd.fem.elements.strains import Strains
-from torchmbd.fem.materials import ENTRIES
+from torchmbd.fem.materials import ENTRIES, LaminateStiffness
 
 _FIRST_ROW = {"A": (0, 0), "B": (0, 3), "D": (3, 3), "As": (6, 6)}
 _SAME = 1e-12  # of the largest number: cells that differ by less have one shape
@@ -92,6 +92,19 @@ class CellStiffness:
         if self.inner is not None:
             found = found + self.inner.stiffness(law[0])[..., self.upper[0], self.upper[1]]
         return found.flatten(1)
+
+    def moved(self, strains: Strains, law: LaminateStiffness) -> Float[Tensor, "lanes numbers"]:
+        """Numbers of all variants with other strains, of [lanes variants]; law [lanes, laminates, ...]."""
+        A, B, D, As = (X[:, self.laminate].flatten(0, 1) for X in law)
+        membrane, curvature, shear = strains.at.split([3, 3, 2], -2)  # [lanes variants, points, ., f]
+        A, B, D, As = (X[:, None] for X in (A, B, D, As))
+        forces = [A @ membrane + B @ curvature, B @ membrane + D @ curvature, As @ shear]
+        weighted = torch.cat(forces, -2) * strains.weight[..., None, None]
+        K = strains.at.flatten(1, 2).mT @ weighted.flatten(1, 2)
+        if strains.forces is not None:
+            inner = CellForces(strains.forces)
+            K = K + inner.stiffness(inner.law(A[:, 0], B[:, 0]))
+        return K[:, self.upper[0], self.upper[1]].reshape(len(law.A), -1)
 
     def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> list[Tensor]:
         """Return the adjoint: cotangents of entries and law from those of the numbers."""

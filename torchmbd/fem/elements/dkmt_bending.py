@@ -43,7 +43,7 @@ _SIDES = ((0, 1), (1, 2), (2, 0))
 def plate_strains(
     corners: Float[Tensor, "m 3 2"],
     area: Float[Tensor, " m"],
-    shear_length: float,
+    shear_length: float | Float[Tensor, " m"],
     side_area: Float[Tensor, "m 3"] | None = None,
     mixed: Bool[Tensor, "m 3"] | None = None,
 ) -> tuple[Float[Tensor, "m 3 3 9"], Float[Tensor, "m 3 2 9"]]:

@@ -125,6 +125,13 @@ class LaminationParameters(Laminate):
         B = h**2 / 4.0 * (_plane(U, b) - _plane(U, torch.zeros_like(b)))
         return LaminateStiffness(A, B, D, self.shear_correction * h * _shear(G, a))
 
+    def isotropic_stiffness(self) -> LaminateStiffness:
+        """The stiffness of parameters that are zero: of the mean over all directions."""
+        U, G = _invariants(self._constant)
+        h, none = self.total_thickness[..., None, None], torch.zeros(4, dtype=torch.float64)
+        Q = _plane(U, none)
+        return LaminateStiffness(h * Q, 0.0 * h * Q, h**3 / 12.0 * Q, self.shear_correction * h * _shear(G, none))
+
     def _of_cells(self, x: Tensor) -> Tensor:
         return x if self.field is None else self.field.values(x)
 

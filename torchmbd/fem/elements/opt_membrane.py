@@ -40,15 +40,15 @@ _BETA = (
 )
 
 
-def beta0(poisson: float) -> float:
+def beta0(poisson: float | Float[Tensor, " m"]) -> Float[Tensor, "*m"]:
     """Weight of the higher-order part that is optimal for an isotropic plate of this Poisson's ratio."""
-    return max(0.5 * (1.0 - 4.0 * poisson**2), 0.01)
+    return (0.5 * (1.0 - 4.0 * torch.as_tensor(poisson, dtype=torch.float64) ** 2)).clamp_min(0.01)
 
 
 def membrane_strains(
     corners: Float[Tensor, "m 3 2"],
     area: Float[Tensor, " m"],
-    poisson: float,
+    poisson: float | Float[Tensor, " m"],
     softness: Float[Tensor, " m"] | None = None,
     mixed: Bool[Tensor, "m 3"] | None = None,
 ) -> Float[Tensor, "m 3 3 9"]:

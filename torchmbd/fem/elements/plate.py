@@ -4,12 +4,9 @@
 
 Cells of one shape and one laminate have one matrix (cell_stiffness.py): a new design costs their products and one sum over
 all cells, and derivatives in the design are exact.
-Two numbers enter the strains of a cell (strains.py, shell_elements.py) from the laminate: mean Poisson's ratio and
-shear length (IsotropicMean). They are constants under
-any change of ply angle. When *thickness* is a design variable they stay those of the laminate given here: still a
-converging element with the exact gradient of its results, tuned to a neighboring thickness. Frequencies of a mesh differ from
-those of the element of the right thickness by 0.2 % for a fifth more or less thickness, by 0.5 and 2 % for half or twice of
-it; after larger changes make a new body.
+Three numbers enter the strains of a cell (strains.py, shell_elements.py) from the laminate: mean Poisson's ratio, shear and
+bending length (IsotropicMean). They are constants under any change of ply angle. Where thicknesses or numbers of plies move
+or are differentiated, the strains are made anew in each design (`moved_mean`), as functions of these.
 Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units.
 Source: eqs. (10)-(13) of the paper; the elements name their own.
 Checked in tests/fem/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/convergence/test_plate*.py,
@@ -32,27 +29,41 @@ from torchmbd.fem.elements.facet import Facets, facets
 from torchmbd.fem.elements.shear_recovery import shear_strains
 from torchmbd.fem.elements.shell_elements import ELEMENTS
 from torchmbd.fem.elements.strains import ShearRecovery, Strains
-from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness
+from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness, present_mean
 from torchmbd.fem.mesh import Mesh, directed_area
+from torchmbd.math.gradients import is_differentiated, untransformed
 from torchmbd.math.linear_map import apply_linear
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.sums import Sums
 
+_SAME = 1e-9  # of constants: what rounding makes of a mean
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of one kind: their corners and planes, the shape of each, and the strains of the shapes."""
+    """Cells of one kind: their corners and planes, the shape of each, and planes and strains of the shapes."""
 
+    kind: str
     corners: Int[Tensor, "m c"]
     facets: Facets
     shape: Int[Tensor, " m"]
+    shapes: Facets
     strains: Strains
 
     @classmethod
     def of(cls, kind: str, corners: Int[Tensor, "m c"], plane: Facets, mean: IsotropicMean) -> Cells:
         """Cells in their planes."""
         one, shape = distinct_shapes(plane)
-        return cls(corners, plane, shape, ELEMENTS[kind](Facets(*(x[one] for x in vars(plane).values())), mean))
+        shapes = Facets(*(x[one] for x in vars(plane).values()))
+        return cls(kind, corners, plane, shape, shapes, ELEMENTS[kind](shapes, mean))
+
+    def moved(self, cell: CellStiffness, constants: Float[Tensor, "lanes z 3"]) -> Strains:
+        """Strains of all variants of a cell under other constants of the laminates (`present_mean`), [lanes variants, ...]."""
+        plane = (x[cell.shape] for x in vars(self.shapes).values())
+        lanes = len(constants)
+        of_variants = constants[:, cell.laminate].flatten(0, 1).unbind(-1)
+        repeated = Facets(*(x.repeat(lanes, *[1] * (x.dim() - 1)) for x in plane))
+        return ELEMENTS[self.kind](repeated, IsotropicMean(*of_variants))
 
 
 class _Numbers(NamedTuple):
@@ -71,6 +82,20 @@ class _Numbers(NamedTuple):
         parts = self.sums.adjoint(y).split([own.numbers for own in self.cells], 1)
         found = [own.adjoint(part) for own, part in zip(self.cells, parts, strict=True)]
         return torch.stack([entries for entries, *_ in found]).sum(0), *(law for _, *laws in found for law in laws)
+
+
+class _Summed(NamedTuple):
+    """Sums as a linear map (linear_map.py)."""
+
+    sums: Sums
+
+    def __call__(self, *x: Tensor) -> Tensor:
+        """Sums of x[0]."""
+        return self.sums(x[0])
+
+    def adjoint(self, y: Tensor) -> tuple[Tensor, ...]:
+        """Return the adjoint."""
+        return (self.sums.adjoint(y),)
 
 
 class PlateMatrices:
@@ -160,16 +185,36 @@ class PlateMatrices:
             raise InputError(f"entries has shape {tuple(entries.shape)}; allowed: [..., {len(ENTRIES)}]")
         return SparseMatrix(self.pattern, self.values(entries))
 
+    def moved_mean(self, laminate: Laminate) -> Float[Tensor, "*lanes 3"] | None:
+        """`present_mean` where it differs from the constants of these matrices, or is differentiated; else None."""
+        mean = present_mean(laminate)
+        start = torch.tensor([self.mean.poisson, self.mean.shear_length, self.mean.bending_length], dtype=mean.dtype)
+        same = (untransformed(mean) - start).abs() <= _SAME * start.abs()
+        return None if bool(same.all()) and not is_differentiated(mean) else mean
+
     def values(
-        self, entries: Float[Tensor, "*lanes 21"], positions: Int[Tensor, " k"] | None = None
+        self,
+        entries: Float[Tensor, "*lanes 21"],
+        positions: Int[Tensor, " k"] | None = None,
+        mean: Float[Tensor, "*lanes 3"] | None = None,
     ) -> Float[Tensor, "*lanes nnz"]:
-        """Return the numbers of K on the pattern, or only chosen ones: where they are is found once."""
+        """Return the numbers of K on the pattern, or only chosen ones: where they are is found once; mean: `moved_mean`."""
         picked = self._whole if positions is None else self._of(positions)
         lanes = entries.shape[: -2 if self.several else -1]
         numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
         law = LaminateStiffness.of(numbers)
+        if mean is not None:
+            constants = self.of_lanes(mean, lanes)
+            kinds = zip(self.kinds.values(), picked.cells, strict=True)
+            found = torch.cat([cell.moved(own.moved(cell, constants), law) for own, cell in kinds], 1)
+            return apply_linear(_Summed(picked.sums), found).reshape(*lanes, -1)
         laws = [x for own in picked.cells for x in own.law(law.A, law.B)]
         return apply_linear(picked, numbers, *laws).reshape(*lanes, -1)
+
+    def of_lanes(self, mean: Float[Tensor, "*lanes 3"], lanes: Sequence[int]) -> Float[Tensor, "flat z 3"]:
+        """Constants of all laminates in so many lanes, flattened to one axis."""
+        mean = mean if self.several else mean.unsqueeze(-2)
+        return mean.expand(*lanes, self.laminates, 3).reshape(-1, self.laminates, 3)
 
     def _of(self, chosen: Tensor) -> _Numbers:
         """The map to chosen entries only."""
@@ -180,23 +225,38 @@ class PlateMatrices:
         return self._picked[-1][1]
 
     def section_strains(
-        self, displacements: Float[Tensor, "*lanes n 6 k"], law: LaminateStiffness
+        self,
+        displacements: Float[Tensor, "*lanes n 6 k"],
+        law: LaminateStiffness,
+        mean: Float[Tensor, "*lanes 3"] | None = None,
     ) -> Float[Tensor, "*lanes m 8 k"]:
         """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes.
 
-        law   of one laminate [*lanes, ...], or of several [*lanes, laminates, ...]
+        law   of one laminate [*lanes, ...], or of several [*lanes, laminates, ...];  mean: `moved_mean`
         """
         found = []
         zones = self.zones.split([len(own.shape) for own in self.kinds.values()])
-        for own, zone in zip(self.kinds.values(), zones, strict=True):
+        for own, zone, (cell, variant) in zip(self.kinds.values(), zones, self.variants, strict=True):
             at = displacements[..., own.corners, :, :].flatten(-3, -2)
-            strains = own.strains.center[own.shape] @ at
-            if own.strains.shear is not None:
-                shear = ShearRecovery(*(x[own.shape] for x in own.strains.shear))
+            rows = self._center_rows(own, cell, variant, mean)
+            strains = rows[0] @ at
+            if len(rows) > 1:
+                shear = ShearRecovery(*rows[1:])
                 cells = LaminateStiffness(*(X[..., zone, :, :] if self.several else X.unsqueeze(-3) for X in law))
                 strains = torch.cat([strains[..., :6, :], shear_strains(shear, cells, at)], dim=-2)
             found.append(strains)
         return torch.cat(found, dim=-3)
+
+    def _center_rows(
+        self, own: Cells, cell: CellStiffness, variant: Tensor, mean: Float[Tensor, "*lanes 3"] | None
+    ) -> list[Tensor]:
+        """Rows of the strains at the middle of each cell of a kind, and those of shear recovery, [*lanes, m, ..., f]."""
+        if mean is None:
+            return [x[own.shape] for x in (own.strains.center, *(own.strains.shear or ()))]
+        lanes = mean.shape[: -2 if self.several else -1]
+        moved = own.moved(cell, self.of_lanes(mean, lanes))
+        rows = (x.unflatten(0, (*lanes, -1)) if lanes else x for x in (moved.center, *(moved.shear or ())))
+        return [x.index_select(len(lanes), variant) for x in rows]
 
     def lumped_mass(
         self, mass_per_area: Float[Tensor, "*lanes"], rotary_inertia_per_area: Float[Tensor, "*lanes"]

@@ -94,11 +94,13 @@ class Plates:
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
-        return self.matrices.values(self.laminate.entries(), entries)
+        laminate = self.laminate
+        return self.matrices.values(laminate.entries(), entries, self.matrices.moved_mean(laminate))
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
         """The cells under the membrane forces of k motions."""
-        return stressed_shells(self.matrices, self.laminate.entries(), motion)
+        laminate = self.laminate
+        return stressed_shells(self.matrices, laminate.entries(), motion, self.matrices.moved_mean(laminate))
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""

@@ -33,7 +33,8 @@ class PlyBasis(NamedTuple):
 
 def ply_basis(matrices: PlateMatrices, laminate: Laminate, displacements: Float[Tensor, "*lanes n 6 k"]) -> PlyBasis:
     """Recover the plies of k fields of nodal displacements (u1 u2 u3 phi1 phi2 phi3 of each node, mesh axes)."""
-    section = matrices.section_strains(displacements, laminate.stiffness())[..., :, None, None, :, :]
+    section = matrices.section_strains(displacements, laminate.stiffness(), matrices.moved_mean(laminate))
+    section = section[..., :, None, None, :, :]
     cells = (lambda x: x[..., matrices.zones, :, :, :, :]) if matrices.several else (lambda x: x.unsqueeze(-5))
     strain, stress = (cells(maps) @ section for maps in ply_maps(laminate))
     return PlyBasis(strain.flatten(-5, -3), stress.flatten(-5, -3))

@@ -39,11 +39,12 @@ from torchmbd.fem.materials import IsotropicMean
 
 def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every quadrilateral at its six points, and its inner forces."""
-    points = gauss(plane.corners)
+    mean, points = mean.of_cells(len(plane.area)), gauss(plane.corners)
     softness = plane.area * (plane.tilt**2 + _warp2(plane)) / mean.bending_length**2
     flat = membrane(plane.corners, points, mean.poisson, softness, plane.at_boundary)
     constant, drill, work = (_of_corners(plane, rows) for rows in (flat.mean, flat.drill, flat.forces.work))
-    constant[..., 2:5] += _of_slopes(plane, points) + _of_bows(plane)
+    warped = _of_slopes(plane, points) + _of_bows(plane)
+    constant = constant + torch.nn.functional.pad(warped, (2, 1))
     curvature, shear = (
         torch.cat([own, torch.zeros_like(own[:, :2])], dim=1)
         for own in plate_strains(plane.corners, points, mean, plane.side_area, plane.at_boundary)
@@ -70,10 +71,10 @@ def _of_corners(plane: Facets, rows: Float[Tensor, "m *rows 12"]) -> Float[Tenso
     """Rows on (u, v, theta) of the corners of the mean plane, on all freedoms of the corners in the cell's axes."""
     flat = rows.unflatten(-1, (4, 3))
     w0 = middle(plane.corners).slopes[:, 0]  # gradient of the linear part [m, 2, 4]
-    result = flat.new_zeros(*flat.shape[:-1], 6)
-    result[..., [0, 1, 5]] = flat
-    result[..., 2] = torch.einsum("m...ic,mi,mcj->m...j", flat[..., :2], plane.height, w0)
-    return result
+    w = torch.einsum("m...ic,mi,mcj->m...j", flat[..., :2], plane.height, w0)
+    u, v, theta = flat.unbind(-1)
+    zero = torch.zeros_like(w)
+    return torch.stack([u, v, w, zero, zero, theta], -1)
 
 
 def _of_slopes(plane: Facets, points: Bilinear) -> Float[Tensor, "m 3 4 3"]:

@@ -72,6 +72,7 @@ def plate_strains(
 
     side_area: mean area of the cells at each side [m2]; at_boundary: sides that no other cell shares
     """
+    mean = mean.of_cells(len(corners))
     gap, tangent, length = gaps(corners)
     size2 = quad_size2(length, side_area)
     delta, side_shear = split_gaps(gap, mean.shear_length, size2)
@@ -79,7 +80,7 @@ def plate_strains(
     linear, quadratic = linear_curvatures(points), quadratic_curvatures(points, tangent)
     constant = (share * (linear + quadratic @ delta[:, None])).sum(1, keepdim=True)
     higher = linear - (share * linear).sum(1, keepdim=True)
-    phi = (mean.shear_length**2 / size2).mean(1)[:, None, None, None]
+    phi = _mean_share(mean, size2)[:, None, None, None]
     medians = middle(corners).jacobian[:, 0]
     twisted = higher + _twist(medians)[:, None] @ higher / (1.0 + phi) ** 3
     root = _quadratic_weight(medians).sqrt()
@@ -96,6 +97,7 @@ def curvature_slopes(
 
     The weight of the quadratic parts in the energy makes them smaller in solutions, so here they are multiplied by it.
     """
+    mean = mean.of_cells(len(corners))
     gap, tangent, length = gaps(corners)
     size2 = quad_size2(length, side_area)
     delta, _ = split_gaps(gap, mean.shear_length, size2)
@@ -106,15 +108,22 @@ def curvature_slopes(
     share = (points.weight / points.weight.sum(1, keepdim=True))[..., None]
     x = points.position - (share * points.position).sum(1, keepdim=True)
     nearest = torch.linalg.solve((share * x).mT @ x, (share * x).mT)  # linear field
-    phi = (mean.shear_length**2 / size2).mean(1)
+    phi = _mean_share(mean, size2)
     return torch.einsum("mdp,mpsf->mdsf", nearest, curvature), 1.0 / (1.0 + phi)
 
 
-def _shear_variation(medians: Float[Tensor, "m 2 2"], at_boundary: Bool[Tensor, "m 4"], layer: float) -> ShearVariation:
+def _mean_share(mean: IsotropicMean, size2: Float[Tensor, "m 4"]) -> Float[Tensor, " m"]:
+    """Return phi, the mean of the four sides."""
+    return (mean.shear_length**2)[:, None].div(size2).mean(1)
+
+
+def _shear_variation(
+    medians: Float[Tensor, "m 2 2"], at_boundary: Bool[Tensor, "m 4"], layer: Float[Tensor, " m"]
+) -> ShearVariation:
     """Return the variation of the shear strains in cells at free edges."""
     width = 2.0 * torch.linalg.det(medians)[:, None] / medians.norm(dim=-1)
     one, two = at_boundary[:, [0, 3]].double(), at_boundary[:, [2, 1]].double()
-    z = (width / layer / (one + two).clamp_min(1.0)).clamp_min(0.01)
+    z = (width / layer[:, None] / (one + two).clamp_min(1.0)).clamp_min(0.01)
     weight = (3.0 * (z / torch.tanh(z) - 1.0)).sqrt() / z
     return ShearVariation(0.5 * (1.0 + two - one), torch.where(one + two > 0.0, weight, 1.0))
 
@@ -170,18 +179,17 @@ def shear_strains(
     side = half * (corners.roll(-1, dims=1) - corners)
     covariant = half * (corners.roll(-1, dims=1) - corners).norm(dim=-1, keepdim=True) * along
     start, end = [0, 3], [2, 1]
+    contravariant = torch.linalg.inv(points.jacobian)  # not solve: its tangents under vmap are wrong (torch 2.13)
     t = torch.stack([points.eta, points.xi], dim=-1)[..., None]
 
     def between(value: Tensor) -> Tensor:
-        return torch.linalg.solve(
-            points.jacobian, 0.5 * ((1.0 - t) * value[:, None, start] + (1.0 + t) * value[:, None, end])
-        )
+        return contravariant @ (0.5 * ((1.0 - t) * value[:, None, start] + (1.0 + t) * value[:, None, end]))
 
     if variation is None:
         return between(covariant)
     first = variation.first[..., None]
     known, given = (first * x[:, start] + (1.0 - first) * x[:, end] for x in (side, covariant))
-    constant = torch.linalg.solve(known, given)
+    constant = torch.linalg.inv(known) @ given
     rest = covariant - side @ constant
     weight = variation.weight[:, [0, 1, 0, 1], None]
     return constant[:, None] + between(weight * rest)

@@ -56,7 +56,7 @@ class Membrane(NamedTuple):
 def membrane(
     corners: Float[Tensor, "m 4 2"],
     points: Bilinear,
-    poisson: float,
+    poisson: float | Float[Tensor, " m"],
     softness: Float[Tensor, " m"],
     at_boundary: Bool[Tensor, "m 4"],
 ) -> Membrane:
@@ -65,7 +65,10 @@ def membrane(
     size = area.sqrt()[:, None, None]
     center = (points.weight[..., None] * points.position).sum(1, keepdim=True) / area[:, None, None]
     x = (corners - center) / size
-    flexible = x.new_tensor([[1.0, -poisson, 0.0], [-poisson, 1.0, 0.0], [0.0, 0.0, 2.0 * (1.0 + poisson)]])
+    nu = torch.as_tensor(poisson, dtype=x.dtype).expand(len(x))
+    one, none = torch.ones_like(nu), torch.zeros_like(nu)
+    flexible = torch.stack([one, -nu, none, -nu, one, none, none, none, 2.0 * (1.0 + nu)], -1)
+    flexible = flexible.unflatten(-1, (3, 3))
     per_length = torch.cat([1.0 / size, 1.0 / size, torch.ones_like(size)], dim=-1).repeat(1, 1, 4)
     left = (torch.linalg.inv(_fields(x, flexible)) * per_length)[:, 10:, None]
     drill = _drill_strains(corners, at_boundary)[..., None] * left
@@ -85,7 +88,7 @@ def membrane(
     return Membrane(mean, drill @ soft[:, None], forces._replace(work=forces.work @ soft))
 
 
-def _fields(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "3 3"]) -> Float[Tensor, "m 12 12"]:
+def _fields(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 12 12"]:
     """Values (u, v, theta) x 4 of twelve fields, columns: 3 rigid, 3 constant, 4 linear, 2 left for drill."""
     X, Y = x.unbind(-1)
     none, one = torch.zeros_like(X), torch.ones_like(X)
@@ -95,7 +98,7 @@ def _fields(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "3 3"]) -> Float[Tensor,
         torch.stack([torch.stack(f, dim=-1).flatten(1) for f in fields], dim=-1)
         for fields in (flat, [(none, none, one), (none, none, sign)])
     )
-    return torch.cat([flat, displacements(x, S), left], dim=-1)
+    return torch.cat([flat, displacements(x[:, None], S).squeeze(1), left], dim=-1)
 
 
 def _drill_strains(corners: Float[Tensor, "m 4 2"], at_boundary: Bool[Tensor, "m 4"]) -> Float[Tensor, "m 2 3"]:
@@ -119,11 +122,10 @@ def _softened(forces: InnerForces, drill: Tensor, S: Tensor, softness: Tensor) -
     """Return the map of the freedoms that moves rotations towards those of least energy in forces and drill."""
     A = torch.linalg.inv(S)
     of_forces = forces.work.mT @ CellForces(forces).law(A, torch.zeros_like(A))[:, :4, :4] @ forces.work
-    K = of_forces + torch.einsum("mdsf,st,mdtg->mfg", drill, A, drill)
-    best = -torch.linalg.solve(K[:, _THETA][:, :, _THETA], K[:, _THETA][:, :, _PLANE])
+    K = of_forces + torch.einsum("mdsf,mst,mdtg->mfg", drill, A, drill)
+    # not solve: its tangents under vmap are wrong (torch 2.13)
+    best = -torch.linalg.inv(K[:, _THETA][:, :, _THETA]) @ K[:, _THETA][:, :, _PLANE]
     kept = 1.0 / (1.0 + HIGHER_SOFTNESS * softness).sqrt()
-    T = torch.eye(12, dtype=K.dtype).repeat(len(K), 1, 1)
-    for row, theta in enumerate(_THETA):
-        T[:, theta, theta] = kept
-        T[:, theta, _PLANE] = (1.0 - kept)[:, None] * best[:, row]
-    return T
+    unit, kept = torch.eye(12, dtype=K.dtype), kept[:, None, None]
+    turns = kept * unit[_THETA] + (1.0 - kept) * (best @ unit[_PLANE])
+    return unit.expand(len(K), 12, 12).index_copy(1, torch.tensor(_THETA), turns)

@@ -37,5 +37,5 @@ def shear_strains(
     """Return As^-1 Q of every cell; law: of one laminate [*lanes, 1, ...] or of each cell [*lanes, m, ...]."""
     D = law.D - law.B @ torch.linalg.inv(law.A) @ law.B  # not solve: its tangents under vmap are wrong (torch 2.13)
     P = D[..., _PARTS, :].flatten(-2)
-    bending = torch.linalg.inv(law.As) @ P @ (shear.slopes.flatten(1, 2) @ displacements)
+    bending = torch.linalg.inv(law.As) @ P @ (shear.slopes.flatten(-3, -2) @ displacements)
     return bending + shear.strain @ displacements

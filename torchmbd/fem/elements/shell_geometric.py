@@ -20,25 +20,39 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.fem.elements.cell_stiffness import CellStiffness
 from torchmbd.fem.elements.facet import Facets
 from torchmbd.fem.elements.geometric import StressedCells, corner_motions
-from torchmbd.fem.elements.plate import Cells, PlateMatrices
+from torchmbd.fem.elements.inner_forces import CellForces
+from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.quad_shape import ETA, XI, gauss
+from torchmbd.fem.elements.strains import Strains
 from torchmbd.fem.materials import ENTRIES, LaminateStiffness
 from torchmbd.math.rigid_motion import hat
 
 
 def stressed_shells(
-    matrices: PlateMatrices, entries: Float[Tensor, "*lanes 21"], motion: Float[Tensor, "*lanes n 6 k"]
+    matrices: PlateMatrices,
+    entries: Float[Tensor, "*lanes 21"],
+    motion: Float[Tensor, "*lanes n 6 k"],
+    mean: Float[Tensor, "*lanes 3"] | None = None,
 ) -> list[StressedCells]:
-    """Return the cells of each kind under the membrane forces of k motions; entries as of `PlateMatrices.values`."""
+    """Return the cells of each kind under the membrane forces of k motions; entries and mean as of `PlateMatrices.values`."""
     numbers = entries if matrices.several else entries[..., None, :]
     assert numbers.shape[-1] == len(ENTRIES)
     law = LaminateStiffness.of(numbers)
     stressed = []
     for (kind, cells), (cell, variant) in zip(matrices.kinds.items(), matrices.variants, strict=True):
-        rows = _force_rows(cells, cell, law)  # [*lanes, variants, p, 3, f]
+        A, B = (X[..., cell.laminate, :, :] for X in (law.A, law.B))
+        weight = cells.strains.weight[cell.shape]
+        if mean is None:
+            strains, inner = Strains(cells.strains.at[cell.shape], weight, cells.strains.center[cell.shape]), cell.inner
+            rows = _force_rows(strains, inner, A, B)  # [*lanes, variants, p, 3, f]
+        else:
+            lanes = A.shape[:-3]
+            strains = cells.moved(cell, matrices.of_lanes(mean, lanes))
+            inner = None if strains.forces is None else CellForces(strains.forces)
+            rows = _force_rows(strains, inner, A.reshape(-1, 3, 3), B.reshape(-1, 3, 3))
+            rows = rows.reshape(*lanes, len(weight), *rows.shape[1:])
         p = rows.shape[-3]
         N = rows.flatten(-3, -2)[..., variant, :, :] @ corner_motions(cells.corners, motion)  # [*lanes, m, 3 p, k]
         stressed.append(
@@ -47,16 +61,15 @@ def stressed_shells(
     return stressed
 
 
-def _force_rows(cells: Cells, cell: CellStiffness, law: LaminateStiffness) -> Float[Tensor, "*lanes variants p 3 f"]:
+def _force_rows(
+    strains: Strains, inner: CellForces | None, A: Float[Tensor, "*lanes v 3 3"], B: Float[Tensor, "*lanes v 3 3"]
+) -> Float[Tensor, "*lanes v p 3 f"]:
     """Return N_11, 2 N_12, N_22 at the points, times the area of a point, as rows of the freedoms of the corners."""
-    A, B = (X[..., cell.laminate, :, :] for X in (law.A, law.B))
-    weight = cells.strains.weight[cell.shape]
-    inner = cell.inner
+    weight = strains.weight
     if inner is None:
-        strains = cells.strains.at[cell.shape]  # [variants, p, 8, f]
-        rows = A[..., None, :, :] @ strains[..., :3, :] + B[..., None, :, :] @ strains[..., 3:6, :]
+        rows = A[..., None, :, :] @ strains.at[..., :3, :] + B[..., None, :, :] @ strains.at[..., 3:6, :]
     else:
-        center, weight = cells.strains.center[cell.shape], weight[:, :4]
+        center, weight = strains.center, weight[:, :4]
         mean = A @ center[..., :3, :] + B @ center[..., 3:6, :]
         amounts = inner.amounts(A, B) @ inner.rows  # of the states that vary over the cell, without mean
         rows = mean[..., None, :, :] + inner.at_points(weight) @ amounts[..., None, :, :]

@@ -32,20 +32,13 @@ def mean_strain(
     corners: Float[Tensor, "m c 2"], area: Float[Tensor, " m"], alpha: Float[Tensor, "m c"]
 ) -> Float[Tensor, "m 3 f"]:
     """Mean (eps_xx, eps_yy, gamma_xy) from (u, v, theta_z) of the corners; alpha of every side."""
-    m, count, _ = corners.shape
     side = corners.roll(-1, dims=1) - corners
     nx, ny = side[..., 1], -side[..., 0]  # times the length
     zero = torch.zeros_like(nx)
     push = torch.stack([torch.stack([nx, zero, ny], -1), torch.stack([zero, ny, nx], -1)], -1)  # [m, k, 3, (u, v)]
     bulge = alpha[..., None] / 12.0 * torch.stack([nx * nx, ny * ny, 2.0 * nx * ny], -1)
-    strain = corners.new_zeros(m, 3, count, 3)
-    for k in range(count):
-        i, j = k, (k + 1) % count
-        strain[:, :, i, :2] += 0.5 * push[:, k]
-        strain[:, :, j, :2] += 0.5 * push[:, k]
-        strain[:, :, i, 2] -= bulge[:, k]
-        strain[:, :, j, 2] += bulge[:, k]
-    return strain.flatten(-2) / area[:, None, None]
+    of_corner = [0.5 * (push + push.roll(1, dims=1)), (bulge.roll(1, dims=1) - bulge)[..., None]]
+    return torch.cat(of_corner, -1).transpose(1, 2).flatten(-2) / area[:, None, None]
 
 
 def gaps(
@@ -64,9 +57,11 @@ def gaps(
     return gap, tangent, length
 
 
-def split_gaps(gap: Tensor, shear_length: float, size2: Float[Tensor, "m c"]) -> tuple[Tensor, Tensor]:
+def split_gaps(
+    gap: Tensor, shear_length: float | Float[Tensor, " m"], size2: Float[Tensor, "m c"]
+) -> tuple[Tensor, Tensor]:
     """Split gaps into bending and shear: Delta_k and gamma_k of every side, as rows on the freedoms of the gap."""
-    phi = shear_length**2 / size2
+    phi = torch.as_tensor(shear_length, dtype=size2.dtype)[..., None] ** 2 / size2
     return (-1.5 / (1.0 + phi))[..., None] * gap, (phi / (1.0 + phi))[..., None] * gap
 
 

@@ -64,11 +64,10 @@ def in_mesh_axes(
     membrane    of (u, v, theta_z), or of all six in the cell's axes, of every corner
     curvature, shear   of (w, beta_x, beta_y); beta_x = phi_y, beta_y = -phi_x
     """
-    m, points, _, corners, given = membrane.shape
-    local = membrane.new_zeros(m, points, 8, corners, 6)
-    local[:, :, :3, :, [0, 1, 5] if given == 3 else list(range(6))] = membrane
-    local[:, :, 3:] = plate_rows(torch.cat([curvature, shear], dim=2))
-    return to_mesh_axes(axes, local)
+    if membrane.shape[-1] == 3:
+        pad = torch.nn.functional.pad
+        membrane = pad(membrane[..., :2], (0, 4)) + pad(membrane[..., 2:], (5, 0))
+    return to_mesh_axes(axes, torch.cat([membrane, plate_rows(torch.cat([curvature, shear], dim=2))], dim=2))
 
 
 def plate_rows(rows: Float[Tensor, "*rows 3c"]) -> Float[Tensor, "*rows c 6"]:

@@ -24,6 +24,7 @@ from torchmbd.fem.materials import IsotropicMean
 
 def triangle_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every triangle at its three points."""
+    mean = mean.of_cells(len(plane.area))
     softness = 2.0 * plane.area * (plane.tilt / mean.bending_length) ** 2
     membrane = membrane_strains(plane.corners, plane.area, mean.poisson, softness, plane.mixed)
     curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length, plane.side_area, plane.mixed)

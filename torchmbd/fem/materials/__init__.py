@@ -3,7 +3,7 @@
 from torchmbd.fem.materials.divided_laminate import DividedLaminate
 from torchmbd.fem.materials.failure_forms import FailureForms
 from torchmbd.fem.materials.failure_modes import MODES
-from torchmbd.fem.materials.isotropic_mean import IsotropicMean
+from torchmbd.fem.materials.isotropic_mean import IsotropicMean, present_mean
 from torchmbd.fem.materials.laminate import ENTRIES, Laminate, LaminateStiffness
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.ply_maps import PlyMaps, ply_maps
@@ -28,6 +28,7 @@ __all__ = [
     "mean_factor",
     "ply_maps",
     "power_law_damage",
+    "present_mean",
     "progressive_failure",
     "tsai_wu",
     "tsai_wu_irf",

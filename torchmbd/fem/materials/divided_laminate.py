@@ -54,9 +54,16 @@ class DividedLaminate(Laminate):
 
     def stiffness(self) -> LaminateStiffness:
         """See the module header."""
-        t, e = self.thickness[..., None], self.offset
         Q, G = torch.stack([self.membrane, self.bending]), self.shear.expand(2, 2, 2)
-        Q, G = turned_stiffness(self.angles.expand(*self.angles.shape[:-1], 2), Q, G)
+        return self._of_materials(*turned_stiffness(self.angles.expand(*self.angles.shape[:-1], 2), Q, G))
+
+    def isotropic_stiffness(self) -> LaminateStiffness:
+        """The same at the angle zero, of the same mean over all directions."""
+        return self._of_materials(torch.stack([self.membrane, self.bending]), self.shear.expand(2, 2, 2))
+
+    def _of_materials(self, Q: Tensor, G: Tensor) -> LaminateStiffness:
+        """Of the materials of membrane and bending, in plate axes."""
+        t, e = self.thickness[..., None], self.offset
         A, D = t * Q[..., 0, :, :], t**3 / 12.0 * Q[..., 1, :, :]
         return LaminateStiffness(A, e * A, D + e**2 * A, t * G[..., 0, :, :])
 

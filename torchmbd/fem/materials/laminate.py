@@ -22,6 +22,7 @@ Differentiable, forward and reverse, in angles, thicknesses and numbers of plies
 Assumed: perfect bond, small strains, plane stress in each ply.
 Source: eqs. (11)-(12) of the paper (the paper's H_2 and H_3 carry z and z^2); Jones, Mechanics of Composite Materials,
 chapter 4; Reddy, Mechanics of Laminated Composite Plates and Shells, section 3.4.
+Over 300 lines: the class that users build, with what elements, masses and stresses need of it.
 Checked in tests/fem/materials/test_laminate.py.
 """
 
@@ -171,7 +172,10 @@ class Laminate(nn.Module):
 
     def stiffness(self) -> LaminateStiffness:
         """Integrate the ply stiffnesses through the thickness."""
-        Qbar, Gbar = turned_stiffness(self.layer_angles, *self.layer_stiffness)
+        return self._integrated(*turned_stiffness(self.layer_angles, *self.layer_stiffness))
+
+    def _integrated(self, Qbar: Tensor, Gbar: Tensor) -> LaminateStiffness:
+        """Stiffness of layers in plate axes."""
         H = self._moments()
         A, B, D = self._integrals(H, Qbar)
         if isinstance(self.shear_correction, str):
@@ -179,6 +183,16 @@ class Laminate(nn.Module):
         else:
             As = self.shear_correction * torch.einsum("...k,...kij->...ij", H[0], Gbar)
         return LaminateStiffness(A, B, D, As)
+
+    def isotropic_stiffness(self) -> LaminateStiffness:
+        """Stiffness of the stack whose every ply is replaced by its own mean over all directions, whatever the angles."""
+        Q, G = self.layer_stiffness
+        direct, mixed = plane_invariants(Q)
+        none = torch.zeros_like(direct)
+        rows = [direct, mixed, none, mixed, direct, none, none, none, (direct - mixed) / 2.0]
+        Q = torch.stack(rows, -1).unflatten(-1, (3, 3))
+        G = G.diagonal(dim1=-2, dim2=-1).mean(-1)[..., None, None] * torch.eye(2, dtype=G.dtype)
+        return self._integrated(Q, G)
 
     def shear_shape(self) -> ShearShape:
         """Return the stresses through the thickness of unit transverse shear forces."""
@@ -280,6 +294,13 @@ def turned_stiffness(
     """Return ply stiffnesses in plate axes: T' Q T and R' G R."""
     T, R = strain_rotations(theta)
     return T.mT @ Q @ T, R.mT @ G @ R
+
+
+def plane_invariants(X: Float[Tensor, "*lanes 3 3"]) -> tuple[Float[Tensor, "*lanes"], Float[Tensor, "*lanes"]]:
+    """Return U1 and U4 of a stiffness in the plane: its direct and mixed numbers in the mean over all directions."""
+    U1 = (3.0 * X[..., 0, 0] + 3.0 * X[..., 1, 1] + 2.0 * X[..., 0, 1] + 4.0 * X[..., 2, 2]) / 8.0
+    U4 = (X[..., 0, 0] + X[..., 1, 1] + 6.0 * X[..., 0, 1] - 4.0 * X[..., 2, 2]) / 8.0
+    return U1, U4
 
 
 def strain_rotations(
