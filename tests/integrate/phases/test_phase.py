@@ -345,3 +345,11 @@ def test_lanes_that_do_not_reach_a_lock_leave_the_others_alone():
         if any(ends):
             alone = mbd.simulate(system, 0.05, steps=25, designs={NAME: ordered[1:]}, phases=phases)
             assert_close(motion.q[1], alone.q[0], rtol=0, atol=1e-12)
+
+
+def test_steps_that_are_too_long_are_unresolved_with_phases_as_without():
+    """Three steps for half a second of an arm that vibrates at 30 Hz: the status says so, whether there is a phase or not."""
+    plain = mbd.simulate(mbd.examples.arm(modes=4), 0.5, steps=3, gradients="none")
+    phased = mbd.simulate(mbd.examples.arm(modes=4), 0.5, steps=3, gradients="none", phases=[mbd.Phase()])
+    assert plain.status[0].startswith("unresolved: ")
+    assert phased.status == plain.status

@@ -17,6 +17,7 @@ from torchmbd.integrate.contacts import ContactWatch, UnresolvedContact
 from torchmbd.integrate.estimates import StepErrors
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import mark_unresolved_contacts, status_of_lanes, warn_unresolved
+from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
@@ -41,7 +42,7 @@ def integrate(
 
     def integrate_by(integrator: Integrator) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
         multiphase = MultiphaseRun(dynamics, phase_models, views, duration, steps)
-        statistics = integrator.integrate_phases(multiphase)
+        statistics = integrator.integrate_phases(multiphase) | _step_errors(multiphase, integrator)
         of_steps = status_of_lanes(multiphase.history, duration, statistics)
         status = [own if own != OK else other for own, other in zip(multiphase.status, of_steps, strict=True)]
         mark_unresolved_contacts(status, _unresolved_contacts(multiphase, by_steps=integrator.adjoint))
@@ -66,6 +67,16 @@ def _unresolved_contacts(multiphase: MultiphaseRun, by_steps: bool) -> dict[int,
     return watch.unresolved(multiphase.duration / multiphase.steps, by_steps)
 
 
+def _step_errors(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
+    """Estimated errors of the steps within the phases [lanes]; none of a method that has no such estimates."""
+    if not isinstance(integrator, OneStep):
+        return {}
+    constant = abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0)
+    errors = StepErrors(multiphase.whole, constant, multiphase.duration / multiphase.steps)
+    errors.update(multiphase.recorded(), multiphase.phase_number[1:] == multiphase.phase_number[:-1])
+    return errors.statistics(multiphase.steps)
+
+
 def steps_of_phases(
     system: Any,
     dynamics: Dynamics,
@@ -80,15 +91,12 @@ def steps_of_phases(
 
     def integrate_by(steps: int) -> Trial[None]:
         multiphase = MultiphaseRun(values, phase_models, Views.of(system, values, designs), duration, steps)
-        statistics = integrator.integrate_phases(multiphase)
-        constant = abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0)  # pyright: ignore[reportAttributeAccessIssue]
-        errors = StepErrors(values, constant, duration / steps)
-        errors.update(multiphase.recorded(), multiphase.phase_number[1:] == multiphase.phase_number[:-1])
+        statistics = integrator.integrate_phases(multiphase) | _step_errors(multiphase, integrator)
         status = status_of_lanes(multiphase.history, duration, statistics)
         # A phase that never ends does so with more steps as well.
         status = [OK if own != OK else other for own, other in zip(multiphase.status, status, strict=True)]
         contacts = _unresolved_contacts(multiphase, by_steps=True)
-        return Trial(None, statistics | errors.statistics(steps), status, contacts)
+        return Trial(None, statistics, status, contacts)
 
     return choose_steps(integrator, values, duration, integrate_by, check_memory)[0]
 
