@@ -7,7 +7,8 @@ Parameters are replaced in place, and torch.func keeps its transforms in globals
 `exclusive`, run by one thread at a time. Their operators of torch use one thread, too: two make them 2 to 50 times slower.
 
 Under a transform of torch.func every new tensor is wrapped, also one that is not differentiated: code that keeps tensors, or
-reads their memory, is run by `outside_transforms`.
+reads their memory, is run by `outside_transforms`. What is computed once and kept is none of the tensors that the calling graph
+saves: torch.utils.checkpoint counts those, and its second pass does not compute it again.
 Checked in tests/math/test_module_call.py.
 """
 
@@ -71,12 +72,17 @@ def run_with_parameters(module: nn.Module, values: Mapping[str, Tensor], run: Ca
     return call_module(_Runner(module), {f"module.{name}": x for name, x in values.items()}, run)
 
 
+def _itself(x: Tensor) -> Tensor:
+    return x
+
+
 class _Outside(torch.autograd.Function):
     """An operation whose forward pass runs a function; torch.func calls it after removing all of its transforms."""
 
     @staticmethod
     def forward(run: Callable[..., None], x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        run(*tensors)
+        with torch.autograd.graph.saved_tensors_hooks(_itself, _itself):
+            run(*tensors)
         return x.clone()
 
     @staticmethod
@@ -89,7 +95,7 @@ class _Outside(torch.autograd.Function):
 
 
 def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
-    """Return f(*tensors) outside of all transforms of torch.func, without gradients.
+    """Return f(*tensors) outside of all transforms of torch.func and hooks of saved tensors, without gradients.
 
     tensors   [..., lanes]; a batch of torch.func.vmap becomes further lanes
     """
