@@ -44,8 +44,8 @@ def exclusive(f: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(f)
     def locked(*args: P.args, **kwargs: P.kwargs) -> R:
         # The compiler of torch takes seconds to import: where it is not loaded, nothing is traced.
-        run = torch.compiler.disable(alone) if "torch._dynamo" in sys.modules else alone  # pyright: ignore[reportCallIssue]
-        return run(*args, **kwargs)
+        run = torch.compiler.disable(alone) if "torch._dynamo" in sys.modules else alone
+        return run(*args, **kwargs)  # pyright: ignore[reportCallIssue]
 
     locked._torchdynamo_disable = True  # pyright: ignore[reportAttributeAccessIssue]
     return locked
