@@ -28,9 +28,9 @@ def curve_of(motion: Trajectory, samples: Samples, window: Window = None) -> Spl
         return Spline.of(motion.t, y, window, rates)
     parts = []
     for lane in range(motion.lanes):
-        found = lane_motion(motion, lane)
-        y, rates = samples(found.motion, slice(lane, lane + 1))
-        parts.append((found.motion.t, found.begins, y[0], *(x[0] for x in rates or ())))
+        whole = lane_motion(motion, lane)
+        y, rates = samples(whole.motion, slice(lane, lane + 1))
+        parts.append((whole.motion.t, whole.begins, y[0], *(x[0] for x in rates or ())))
     most = max(len(part[0]) for part in parts)
     t, begins, y, *rates = (torch.stack([_lengthened(x, most) for x in column]) for column in zip(*parts, strict=True))
     limits = float(motion.t[0].detach()), float(motion.t[-1].detach())
@@ -47,5 +47,5 @@ def samples_over_time(history: Any, motion: Trajectory, lane: int) -> tuple[Tens
     """Times and values [n] of one lane of a history at all times at which the lane has states, for figures."""
     if not has_lane_times(motion):
         return motion.t, history(motion)[lane]
-    found = lane_motion(motion, lane).motion
-    return found.t, history(found)[0]
+    alone = lane_motion(motion, lane).motion
+    return alone.t, history(alone)[0]

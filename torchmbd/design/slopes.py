@@ -34,8 +34,8 @@ def slopes(t: Tensor, y: Tensor, begins: Tensor | None = None) -> Tensor:
     apart = member[..., :, None] & member[..., None, :] & ~torch.eye(WIDTH, dtype=torch.bool)
     divisors = torch.where(apart, between, 1.0).prod(-1)
     weights = torch.where(others, ahead.prod(-1, keepdim=True) / (ahead * divisors), 0.0)
-    own = torch.where(others, 1.0 / ahead, 0.0).sum(-1, keepdim=True)
-    return (torch.where(center, own, weights) * torch.where(member, values, 0.0)).sum(-1)
+    of_center = torch.where(others, 1.0 / ahead, 0.0).sum(-1, keepdim=True)
+    return (torch.where(center, of_center, weights) * torch.where(member, values, 0.0)).sum(-1)
 
 
 def _stencils(t: Tensor, begins: Tensor | None) -> tuple[Tensor, Tensor]:

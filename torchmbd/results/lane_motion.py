@@ -55,17 +55,17 @@ def lane_motion(motion: MotionData, lane: int) -> LaneMotion:
         begins = (order < len(sides)) & (order % 2 == 1)
         outputs = torch.argsort(order, stable=True)[len(sides) :][outputs]
         signals = _WithSides(signals, [moment for _, moment in sides], lane, order)
-    one = slice(lane, lane + 1)
+    lanes = slice(lane, lane + 1)
     alone = replace(
         motion,
         t=t,
         signals=signals,
-        status=motion.status[one],
+        status=motion.status[lanes],
         dynamics=_dynamics_of(motion, lane),
         shapes=SomeLanes(motion.shapes, [lane]),
-        designs={name: x[one] for name, x in motion.designs.items()},
+        designs={name: x[lanes] for name, x in motion.designs.items()},
         parameters=(),
-        good=None if motion.good is None else motion.good[one],
+        good=None if motion.good is None else motion.good[lanes],
         switches=[],
         known=None,
         variables={},

@@ -93,8 +93,8 @@ class Turns:
             return angles, rates
         x = {name: y[rows, :, 0].permute(2, 0, 1) for name, y in (("q", self.q), ("v", self.v))}
         recorded = replace(self.base, t=self.times[rows], signals=TensorSignals(x), turns=None, known=None)
-        found, found_rates = (y.detach().T for y in angle.wrapped_jet(recorded))
-        for i, a, w in zip(rows.tolist(), found, found_rates, strict=True):
+        wrapped, wrapped_rates = (y.detach().T for y in angle.wrapped_jet(recorded))
+        for i, a, w in zip(rows.tolist(), wrapped, wrapped_rates, strict=True):
             known = torch.isfinite(angles[:i])
             row = (
                 torch.where(known, torch.arange(i)[:, None], 0).amax(0) if i else torch.zeros(len(a), dtype=torch.long)
