@@ -314,5 +314,7 @@ def test_a_motion_faster_than_light_has_failed():
     assert motion.status[0].startswith("failed: the motion is faster than light from t = 0.03")
     assert not bool(torch.isfinite(motion.q[0, -1]).any())
     assert float(motion.q[0, 25, 0].abs()) < 3e8
-    orbit = mbd.System([mbd.RigidBody("probe", 1.0, (0.01,) * 3, position=(1e11, 0, 0), velocity=(0, 3e4, 0))], free=["probe"])
+    orbit = mbd.System(
+        [mbd.RigidBody("probe", 1.0, (0.01,) * 3, position=(1e11, 0, 0), velocity=(0, 3e4, 0))], free=["probe"]
+    )
     mbd.simulate(orbit, 1e5, steps=20, gradients="none").require_ok()
