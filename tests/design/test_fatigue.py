@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.design import history
+from torchmbd.design import fatigue, history
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.rainflow import rainflow
 from torchmbd.design.spline import Spline
@@ -215,6 +215,62 @@ def test_the_worst_point_of_all(swinging):
             most = max(most, damage)
     assert most > 0.0
     assert float(FatigueDamage("arm")(swinging)) == pytest.approx(most, rel=2e-2)
+
+
+def waves(amplitude: float, mean: float) -> torch.Tensor:
+    """Twenty equal waves about a mean, at their ends only [40]."""
+    sign = torch.ones(40, dtype=torch.float64)
+    sign[1::2] = -1.0
+    return mean + amplitude * sign
+
+
+def bounds_and_damages(y: torch.Tensor, rule: FatigueDamage, strengths: torch.Tensor | None = None):
+    """Upper bounds [points] of histories [points, times] of component 22, and their damages by the cycles."""
+    basis = torch.zeros(1, len(y), 5, y.shape[1], dtype=torch.float64)
+    basis[0, :, 1] = y
+    bounds = fatigue._upper_bounds(basis, torch.eye(y.shape[1], dtype=torch.float64)[None], strengths, rule)
+    strength = None if strengths is None else strengths[0]
+    return bounds[0], rule.of_cycles(rainflow(y), 1, strength)
+
+
+def test_the_bound_of_the_screening_is_sharp_for_equal_waves():
+    """A curve without influence of the mean: the damage is (turns + 1) half cycles of the whole range."""
+    rule = FatigueDamage("arm", curves={"22": SNCurve([(1e3, 100e6), (1e6, 50e6)])})
+    y = torch.stack([waves(a, m) for a, m in ((30e6, 0.0), (70e6, 20e6), (50e6, -90e6))])
+    bounds, damages = bounds_and_damages(y, rule)
+    assert_close(bounds, damages, rtol=1e-12, atol=0)
+    assert float(damages[2]) == pytest.approx(19.5e-6, rel=1e-12)  # 39 half cycles of a life of 1e6
+
+
+def test_no_damage_is_above_the_bound_of_the_screening():
+    """Waves about means on both sides of the most that the diagram allows, small ones beside a large one, and noise."""
+    make = torch.Generator().manual_seed(3)
+    noise = 40e6 * torch.randn(40, 40, generator=make, dtype=torch.float64) + torch.linspace(-3e7, 3e7, 40)[:, None]
+    far = torch.stack([waves(10e6, m) for m in (-120e6, -60e6, 0.0, 60e6, 120e6)])
+    y = torch.cat([noise, far, torch.cat([far[:, :39], -far[:, :1]], 1)])
+    strengths = torch.tensor([3e8, 2e8, 2e8, 2.5e8, 6e7, 5e7, 5e7, 0.0], dtype=torch.float64).expand(1, len(y), 8)
+    for exponent in (1.0, 10.0):
+        bounds, damages = bounds_and_damages(y, FatigueDamage("arm", {"22": exponent}), strengths)
+        assert bool((bounds >= damages).all())
+    curve = SNCurve([(1e3, 100e6), (1e6, 50e6)], tension=200e6, compression=250e6)
+    bounds, damages = bounds_and_damages(y, FatigueDamage("arm", curves={"22": curve}))
+    assert bool((bounds >= damages).all())
+
+
+def test_the_screening_finds_the_worst_point(monkeypatch):
+    """Where one history at a time is counted: the one with the largest bound has not the largest damage."""
+    monkeypatch.setattr(fatigue, "_HISTORIES", 1)
+    make = torch.Generator().manual_seed(8)
+    basis = 3e7 * torch.randn(2, 25, 5, 30, generator=make, dtype=torch.float64)
+    strengths = 3e8 + 1e8 * torch.rand(2, 25, 8, generator=make, dtype=torch.float64)
+    w, rule = torch.eye(30, dtype=torch.float64).expand(2, 30, 30), FatigueDamage("arm", 4.0)
+    component, point = fatigue._worst_points(basis, w, strengths, rule)
+    first = fatigue._upper_bounds(basis, w, strengths, rule).argmax(1).tolist()
+    for lane in range(2):
+        damages = [rule.of_cycles(rainflow(basis[lane, :, c]), c, strengths[lane]) for c in range(5)]
+        worst = int(torch.cat(damages).argmax())
+        assert worst == 25 * int(component[lane]) + int(point[lane])
+        assert worst != first[lane]
 
 
 def test_repeats_and_curves(swinging):

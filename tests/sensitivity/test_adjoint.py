@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.mechanisms import finished, pendulum, spoilt, sprung
+from tests.mechanisms import GRAVITY, box, finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrate import adjoint, pullback
@@ -18,6 +18,7 @@ from torchmbd.integrate.native.backward import NativeAdjointSolver
 from torchmbd.multibody.system import System
 from torchmbd.results import history
 
+GROUND = mbd.Ground()
 TIGHT = {"iterations": (6, 6)}
 WAYS = ("forward", "reverse")
 
@@ -91,6 +92,23 @@ def test_segments_change_nothing(backend, native, monkeypatch):
         motion = finished(mbd.simulate(system, duration, gradients="reverse", backend=backend, **options))
         found.append(differentiate(everything, motion).gradient)
     assert_close(found[1], found[0], rtol=1e-11, atol=1e-13 * float(found[0].abs().max()))
+
+
+def test_laws_of_the_design_over_many_segments(monkeypatch):
+    """Segments go back from the last one: what drives prescribe is put together in order of time."""
+    hub, bob = mbd.RigidBody("hub", 1.0, (1e-3, 1e-3, 1e-3)), box("bob", position=(0.2, 0.0, 0.0))
+    motor = mbd.Drive(GROUND.at(), hub, angle=mbd.Sine(mbd.variable(0.3), mbd.variable(4.0)), name="motor")
+    joints = [mbd.Revolute(GROUND.at(), hub.at()), motor, mbd.Spherical(hub.at(0.2, 0.0, 0.0), bob.at())]
+    system = mbd.System([hub, bob], joints, gravity=GRAVITY)
+    names = [name for name, _ in system.named_parameters()]
+    assert names == ["motor.amplitude", "motor.frequency"]
+    monkeypatch.setattr(history, "SEGMENT", 2)
+    forward, back = (
+        finished(mbd.simulate(system, 0.05, steps=5, gradients=way, variables=names, backend="eager", **TIGHT))
+        for way in WAYS
+    )
+    wanted, found = (differentiate(everything, motion).gradient for motion in (forward, back))
+    assert_close(found, wanted, rtol=1e-8, atol=1e-8 * float(wanted.abs().max()))
 
 
 def test_the_compiled_error_is_the_largest_of_all_steps(native):

@@ -156,3 +156,27 @@ def test_laminates_of_one_kind_are_one_part(mass):
 def test_laminates_on_one_cell_stay_apart():
     parts = {name: Plates(MESH, GENERAL, cells=cells) for name, cells in (("one", [0, 1]), ("other", [1, 2]))}
     assert merge_plates(parts) == parts
+
+
+ISOTROPIC = mbd.Ply.isotropic(70e9, 0.3, 2700.0)
+STACK = {"ply": [CARBON, ISOTROPIC], "thickness": [2e-3, 1e-3], "symmetric": True}
+UNLIKE = {
+    "offset": {"offset": 1e-3},
+    "thickness": {"thickness": [1e-3, 2e-3]},
+    "symmetry": {"symmetric": False},
+    "plies": {"ply": [ISOTROPIC, CARBON]},
+    "shear": {"shear_correction": 5.0 / 6.0},
+    "mass": {"mass": "consistent"},
+}
+
+
+@pytest.mark.parametrize("unlike", UNLIKE)
+def test_laminates_that_differ_in_more_than_angles_stay_apart(unlike):
+    parts = {}
+    for name, cells, other in (("one", HALVES[0], {}), ("other", HALVES[1], UNLIKE[unlike])):
+        own = STACK | other
+        mass = own.pop("mass", "lumped")
+        parts[name] = Plates(MESH, Laminate(angles=deg([10, 50]), **own), cells=cells, mass=mass)
+    assert merge_plates(parts) == parts
+    alike = {name: Plates(MESH, Laminate(angles=deg([10, 50]), **STACK), cells=parts[name].cells) for name in parts}
+    assert list(merge_plates(alike)) == ["one"]

@@ -78,6 +78,28 @@ def test_quadratic_stiffness_is_kept_and_turns_with_the_coordinates(plate, made,
     assert torch.equal(swing(read), bent)
 
 
+@pytest.mark.parametrize("size", [6e7, -6e7])
+def test_a_static_deflection_with_quadratic_stiffness(plate, made, size):
+    """Kr w + 1/2 w' K2 w = F by an iteration of one's own, and the energy 1/2 Kr ww + 1/6 K2 www of that."""
+    row = torch.tensor([1.0, 0.5, -0.3], dtype=torch.float64)
+    cubic = size * torch.einsum("i,j,k->ijk", row, row, row)
+    nodes = plate.mesh.nodes - plate.origin
+    own = mbd.FlexibleBody.from_reduced("arm", nodes, made["psi"], made["Kr"], numbers(made), K2=cubic)
+    Kr, load = made["Kr"], made["psi"][-1, 2] * 0.3
+    clamp = mbd.Fixed(mbd.Ground().at(*nodes[0].tolist()), own.at(0))
+    force = mbd.Force(own.at(len(nodes) - 1), (0.0, 0.0, 0.3))
+    w = torch.zeros_like(load)
+    for _ in range(20):
+        w = w - torch.linalg.solve(Kr + cubic @ w, Kr @ w + 0.5 * cubic @ w @ w - load)
+    linear = torch.linalg.solve(Kr, load)
+    assert float((w - linear).norm()) > 0.02 * float(linear.norm())
+    rest = mbd.equilibrium(mbd.System([own], [clamp], [force]))
+    assert_close(rest.body("arm").w[0, 0], w, rtol=1e-8, atol=0)
+    energy = 0.5 * w @ Kr @ w + cubic @ w @ w @ w / 6.0
+    assert_close(mbd.Max(mbd.StrainEnergy("arm"))(rest)[0], energy, rtol=1e-8, atol=0)
+    assert_close(rest.energies.strain[0, 0], energy, rtol=1e-8, atol=0)
+
+
 def test_inertia_may_stand_for_its_matrix(plate, made):
     own = numbers(made)
     P0 = own.pop("P0")
