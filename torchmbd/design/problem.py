@@ -43,8 +43,8 @@ from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
 from torchmbd.integrate.memory import lanes_at_once, require_memory
-from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
+from torchmbd.integrate.segment import segments_of, switching
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.multibody.system import System
@@ -118,11 +118,12 @@ class Problem(Summary):
         if isinstance(start, str):
             start, motion_start = None, start
         start_of(system, motion_start)
+        phases = switching(phases)
         integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(Problem))
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
         if phases is not None:
-            plan(system, phases, duration)
+            segments_of(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
             if measure.until > duration * (1.0 + 1e-9):

@@ -34,7 +34,7 @@ from torchmbd.errors import InputError, SimulationFailure, nearest, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.arguments import start_of
-from torchmbd.integrate.phases.phase import plan
+from torchmbd.integrate.segment import segments_of
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 
@@ -152,7 +152,7 @@ class Scenarios(Problem):
                 )
         start_of(system, self.simulation.get("start", "assembled"))
         if self.simulation["phases"] is not None:
-            plan(system, self.simulation["phases"], self.duration)
+            segments_of(system, self.simulation["phases"], self.duration)
         for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
             measure.check(system)
 

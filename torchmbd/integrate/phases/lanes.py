@@ -64,8 +64,8 @@ def lanes_of(dynamics: Dynamics, lanes: Sequence[int]) -> Dynamics:
     some = dynamics.select_lanes(lanes)
     if some is not dynamics:
         some = replace(some, statistics=dynamics.statistics)
-        if "rank" in vars(dynamics):
-            vars(some)["rank"] = dynamics.rank
+        if dynamics.known_rank is not None:
+            some.known_rank = dynamics.known_rank
     return some
 
 

@@ -19,8 +19,8 @@ from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import mark_unresolved_contacts, status_of_lanes, warn_unresolved
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.segment import Segment
 from torchmbd.integrate.step_count import Trial, choose_steps
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
@@ -32,7 +32,7 @@ NUMBERS = 1 + 2 * len(SIDES)  # of a switch
 
 def integrate(
     dynamics: Dynamics,
-    phase_models: list[PhaseModel],
+    phase_models: list[Segment],
     views: Views,
     duration: float,
     steps: int,
@@ -80,7 +80,7 @@ def _step_errors(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str,
 def steps_of_phases(
     system: Any,
     dynamics: Dynamics,
-    phase_models: list[PhaseModel],
+    phase_models: list[Segment],
     designs: dict[str, Tensor],
     duration: float,
     integrator: Integrator,
