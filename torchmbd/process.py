@@ -70,3 +70,13 @@ def brief_warnings() -> None:
             print(f"warning: {message}", file=file or sys.stderr)
 
     warnings.showwarning = show
+
+
+def utf8(text: str) -> str:
+    """Return a name of a file as UTF-8 reads it, where the locale has another encoding (POSIX: ASCII)."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def file_of(text: str) -> Path:
+    """Return the path of a file whose name is written in UTF-8, in the encoding of the locale."""
+    return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))

@@ -26,16 +26,20 @@ def swing(rate: float, axes: torch.Tensor) -> mbd.Trajectory:
 
 
 def test_angle_of_a_hinge_grows_with_time():
-    """Three quarters of a turn: a range around its middle has no jump, one around zero has one of a turn."""
+    """Three quarters of a turn; another center changes it by whole turns."""
     rate, axes = 1.5 * math.pi, turned(0.4, -0.7, 0.3)
     motion = swing(rate, axes)
     expected = rate * motion.t
     normal = tuple(axes[:, 1].tolist())
-    found = Angle("door", normal, center=0.75 * math.pi).values(motion)[0]
+    found = Angle("door", normal).values(motion)[0]
     assert_close(found - found[0], expected, rtol=0, atol=1e-6)
-    around_zero = Angle("door", normal).values(motion)[0]
-    assert float(around_zero.max()) <= math.pi
-    turns = (found - around_zero) / (2.0 * math.pi)
+    further = Angle("door", normal, center=7.0 * math.pi).values(motion)[0]
+    assert abs(float(further[0]) - 7.0 * math.pi) <= math.pi
+    turns = (further - found) / (2.0 * math.pi)
+    assert_close(turns, turns[0].round().expand_as(turns), rtol=0, atol=1e-9)
+    wrapped = Angle("door", normal, wrapped=True).values(motion)[0]
+    assert float(wrapped.max()) <= math.pi
+    turns = (found - wrapped) / (2.0 * math.pi)
     assert_close(turns, turns.round(), rtol=0, atol=1e-9)
 
 
@@ -60,7 +64,66 @@ def test_errors_name_the_argument():
         ({"axis": "x", "seen_from": "c"}, "'c'"),
         ({"axis": "x", "seen_from": "a"}, "seen from itself"),
         ({"axis": "x", "center": math.nan}, "center of an angle is nan"),
+        ({"axis": "x", "wrapped": "yes"}, "wrapped is 'yes'"),
         ({"axis": "x", "center": "half"}, "center of an angle is 'half'"),
     ):
         with pytest.raises(mbd.InputError, match=said):
             Angle("a", **given).check(system)
+
+
+def spinning(speed: float = 6.0) -> mbd.System:
+    crank = mbd.RigidBody("crank", 1.0, (0.01,) * 3, angular_velocity=(0.0, 0.0, speed))
+    return mbd.System([crank], [mbd.Revolute(mbd.Ground().at(), crank.at(), axis="z", name="hinge")])
+
+
+@pytest.mark.parametrize("steps", [10, 400])
+def test_an_angle_is_continuous_along_a_motion(steps):
+    """Nearly two turns: the largest was half a turn and more, from a spline through the jump."""
+    motion, angle = mbd.simulate(spinning(), 2.0, steps=steps, gradients="none"), Angle("crank", "z")
+    assert_close(angle(motion)[0], 6.0 * motion.t, rtol=0, atol=1e-9)
+    assert float(mbd.Max(angle)(motion)) == pytest.approx(12.0, abs=1e-9)
+    assert float(mbd.Min(angle)(motion)) == pytest.approx(0.0, abs=1e-9)
+    assert float(mbd.AtTime(angle, math.pi / 6.0)(motion)) == pytest.approx(math.pi, abs=1e-9)
+    wrapped = Angle("crank", "z", wrapped=True)
+    assert float(wrapped(motion).abs().max()) <= math.pi
+    with pytest.raises(mbd.InputError, match="Max of an angle with wrapped=True, which jumps"):
+        mbd.Max(wrapped + 1.0)
+
+
+def test_turns_of_a_body_seen_from_one_that_turns_and_tilts():
+    """Counted from rates, in a general position; the difference of both angles on one axis."""
+    axes = turned(0.4, -0.7, 0.3)
+    round_one = {"axes": axes, "center": (0.0, 0.0, 0.0), "inertia": (0.1, 0.1, 0.1)}
+    bodies = [box(name, angular_velocity=(0.0, rate, 0.0), **round_one) for name, rate in (("a", 3.0), ("b", -4.0))]
+    motion = mbd.simulate(mbd.System(bodies, [], free=["a", "b"]), 2.0, steps=20, gradients="none")
+    found = Angle("b", "y", seen_from="a")(motion)[0]
+    assert_close(found, -7.0 * motion.t, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("first", [[], [mbd.Phase(lasting=0.9)]], ids=["at the start", "later"])
+def test_an_event_sees_the_continuous_angle(first):
+    """A crank that turns forward never falls to -0.5 rad, and passes 7 rad in its second turn."""
+
+    def time(function: mbd.History, direction: str) -> mbd.Trajectory:
+        phases = [*first, mbd.Phase(until=mbd.Event(function, direction)), mbd.Phase(lock=["hinge"])]
+        return mbd.simulate(spinning(), 2.0, steps=200, phases=phases, gradients="none")
+
+    angle = Angle("crank", "z")
+    never = time(angle + 0.5, "falling")
+    assert "its event does not occur" in never.status[0]
+    for function, at in ((angle - 7.0, 7.0), (angle**2 - 100.0, 10.0)):
+        found = time(function, "rising").require_ok()
+        assert float(found.switches[-1].t) == pytest.approx(at / 6.0, abs=1e-9)
+        assert float(mbd.Max(angle)(found)) == pytest.approx(at, abs=1e-8)
+
+
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
+def test_the_time_of_an_event_after_turns_has_its_gradient(mode):
+    """theta^2 = 100 at t = 10 / w: the derivative by the speed w needs the turns of theta."""
+    speed = torch.nn.Parameter(tensor(0.0, 0.0, 6.0))
+    crank = mbd.RigidBody("crank", 1.0, (0.01,) * 3, angular_velocity=speed)
+    system = mbd.System([crank], [mbd.Revolute(mbd.Ground().at(), crank.at(), axis="z", name="hinge")])
+    phases = [mbd.Phase(until=mbd.Event(Angle("crank", "z") ** 2 - 100.0, "rising")), mbd.Phase(lock=["hinge"])]
+    motion = mbd.simulate(system, 2.0, steps=200, phases=phases, gradients=mode).require_ok()
+    [slope] = torch.autograd.grad(motion.switches[0].t.sum(), list(motion.variables.values()))
+    assert float(slope.flatten()[2]) == pytest.approx(-10.0 / 36.0, rel=1e-6)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
+from torchmbd.design.slopes import slopes
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
 
@@ -115,7 +116,7 @@ def test_the_gradient_of_a_peak_is_the_slope_of_its_value(curvature):
 
     def highest(x: Tensor) -> Tensor:
         y, m, c = x.unbind(-2)
-        return Spline(t, y, m, (), c).interval_maxima()[:, 0]
+        return Spline(t, y, m, c).interval_maxima()[:, 0]
 
     slope = (highest(knots + 1e-7 * along) - highest(knots - 1e-7 * along)) / 2e-7
     assert_close(torch.func.jvp(highest, (knots,), (along,))[1], slope, rtol=1e-5, atol=1e-6)
@@ -278,3 +279,37 @@ def test_a_polynomial_at_unequal_times_is_exact(times, power):
     curve, between = Spline.of(t, 50.0 * t**power), torch.linspace(0.0, times[-1], 7, dtype=torch.float64)
     assert_close(curve.at(between), 50.0 * between**power)
     assert float(curve.maximum()) == pytest.approx(50.0 * times[-1] ** power)
+
+
+def test_vmap_and_jvp_of_maxima_without_exact_rates():
+    """torch.func.vmap over designs: of curves by differences, of quintics, and forward mode through both."""
+    t = torch.linspace(0.0, 1.0, 41, dtype=torch.float64)
+
+    def top(b: Tensor, exact: bool) -> Tensor:
+        y = (torch.sin(4.0 * t + b[0]) * b[1])[None]
+        rates = (4.0 * b[1] * torch.cos(4.0 * t + b[0]))[None], -16.0 * y
+        curve = Spline.of(t, y, (0.1, 0.93), rates if exact else None)
+        return torch.cat([curve.maximum(), curve.peaks(2)[0], curve.extremes()[0, 3:5]])
+
+    b = torch.tensor([[0.2, 1.0], [-0.4, 2.0], [2.9, 0.5]], dtype=torch.float64)
+    for exact in (True, False):
+        wanted = torch.stack([top(x, exact) for x in b])
+        assert_close(torch.func.vmap(lambda x, exact=exact: top(x, exact))(b), wanted, rtol=0, atol=1e-15)
+        forward, reverse = (
+            torch.func.vmap(jac(lambda x, exact=exact: top(x, exact)))(b)
+            for jac in (torch.func.jacfwd, torch.func.jacrev)
+        )
+        assert_close(forward, reverse, rtol=1e-12, atol=1e-12)
+        assert_close(reverse[:2, 0, 1], torch.ones(2, dtype=torch.float64), rtol=0, atol=1e-4)
+
+
+def test_slopes_of_samples_at_unequal_times():
+    """Polynomials of fourth degree inside, of second degree next to the ends, on both sides of a switch."""
+    t = torch.tensor([[0.0, 0.1, 0.25, 0.3, 0.42, 0.5, 0.5, 0.61, 0.7, 0.78, 0.9, 1.0]], dtype=torch.float64)
+    begins = torch.zeros(1, 12, dtype=torch.bool)
+    begins[0, 6] = True
+    second = torch.where(begins.cumsum(-1) > 0, -3.0 + t - 2.0 * t**2, t**2)
+    slope = torch.where(begins.cumsum(-1) > 0, 1.0 - 4.0 * t, 2.0 * t)
+    assert_close(slopes(t, second, begins), slope, rtol=0, atol=1e-13)
+    fourth = torch.where(begins.cumsum(-1) > 0, 7.0, t**4)
+    assert_close(slopes(t, fourth, begins)[:, [2, 3]], 4.0 * t[:, [2, 3]] ** 3, rtol=0, atol=1e-13)

@@ -176,3 +176,83 @@ def test_a_contact_does_not_hide_a_failure():
     contact = UnresolvedContact("contact 'floor' of 'ground' and 'ball' from t = 0.05 s on lasts 3 steps", 8, False)
     mark_unresolved_contacts(status, {0: contact, 1: contact})
     assert status == ["failed: the motion is not finite from t = 0.1 s on", f"unresolved: {contact.message}"]
+
+
+def impact(k: Tensor | float = 2e4) -> mbd.System:
+    return dropped(stiffness=k, damping=0.1)
+
+
+ACCELERATION, SPEED = mbd.Acceleration("ball", "z"), mbd.Velocity("ball", "z")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("steps", [31, 60])
+def test_responses_see_the_smaller_steps(steps):
+    """Peaks, integrals and energies are those of fine outputs: of coarse ones the contact was lost, with the status ok."""
+    motion = mbd.simulate(impact(), 0.25, steps=steps, gradients="none").require_ok()
+    fine = mbd.simulate(impact(), 0.25, steps=6000, gradients="none").require_ok()
+    assert motion.stats["halved"] == [0]
+    assert motion.q.shape[1] == steps + 1
+    for measure in (mbd.Max(ACCELERATION), mbd.Min(mbd.Position("ball", "z")), mbd.RMS(ACCELERATION)):
+        assert_close(measure(motion), measure(fine), rtol=5e-3, atol=0.0)
+    change = mbd.Final(SPEED)(motion)
+    assert_close(mbd.Integral(ACCELERATION)(motion), change, rtol=0, atol=5e-3 * float(mbd.Max(SPEED)(fine)))
+    assert float(motion.energies.balance.abs().max()) < 5e-3 * MASS * G * 0.1
+    load = mbd.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
+    assert_close(load(motion), load(fine), rtol=5e-3, atol=0.0)
+
+
+@pytest.mark.parametrize("gradients", ["reverse", "forward"])
+def test_derivatives_of_responses_at_smaller_steps(gradients):
+    """By the stiffness of two lanes, of which one is soft enough for the steps that were asked for."""
+    system, measure = impact(mbd.variable(2e4)), mbd.Max(ACCELERATION) + mbd.Integral(ACCELERATION**2)
+
+    def value(k: Tensor, gradients: str = gradients) -> Tensor:
+        designs = {"floor.stiffness": k}
+        return measure(mbd.simulate(system, 0.2, steps=60, designs=designs, gradients=gradients, iterations=(6, 4)))
+
+    k = torch.tensor([2e4, 2e2], dtype=torch.float64, requires_grad=True)
+    [slope] = torch.autograd.grad(value(k).sum(), k)
+    with torch.no_grad():
+        up, down = (value(k * (1.0 + d), "none") for d in (1e-6, -1e-6))
+    assert_close(slope, (up - down) / (2e-6 * k.detach()), rtol=2e-5, atol=0.0)
+
+
+def test_smaller_steps_under_vmap():
+    system, measure = impact(mbd.variable(2e4)), mbd.Max(ACCELERATION)
+
+    def value(k: Tensor) -> Tensor:
+        motion = mbd.simulate(system, 0.2, steps=60, designs={"floor.stiffness": k[None]}, iterations=(6, 4))
+        return measure(motion)[0]
+
+    k = torch.tensor([2e4, 2e2], dtype=torch.float64)
+    wanted = torch.stack([value(x) for x in k])
+    assert_close(torch.func.vmap(value)(k), wanted, rtol=1e-12, atol=0.0)
+    tangents = torch.func.vmap(lambda x: torch.func.jvp(value, (x,), (torch.ones_like(x),))[1])(k)
+    gradients = torch.stack([torch.func.grad(value)(x) for x in k])
+    assert_close(tangents, gradients, rtol=1e-7, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        mbd.forces.Gap(2e4),
+        mbd.forces.Scaled(2.0, mbd.forces.Gap(1e4)),
+        mbd.forces.Scaled(mbd.variable(1.0), mbd.forces.Gap(2e4)),
+    ],
+    ids=["gap", "scaled", "variable"],
+)
+def test_stops_by_a_gap_are_watched(law):
+    """As planes are: the energy after a stop that steps pass over was 5.6 times that before, with the status ok."""
+    ball = mbd.RigidBody("ball", MASS, (0.01,) * 3, position=(0.0, 0.0, 0.1))
+    stop = mbd.AxialSpringDamper(GROUND.at(), ball.at(), axis="z", law=law, name="stop")
+    system = mbd.System([ball], forces=[stop], gravity=(0.0, 0.0, -G), free=["ball"])
+    with pytest.warns(UserWarning, match="contact by Gap"):
+        short = mbd.simulate(system, 0.25, steps=31, gradients="none", halvings=0)
+    assert short.status[0].startswith("unresolved: contact by Gap(limit=0, sign=1) from t = 0.1")
+    motion = mbd.simulate(system, 0.25, steps=31, gradients="none").require_ok()
+    assert motion.stats["halved"] == [0]
+    w = math.sqrt(2e4 / MASS)
+    deepest = (G + math.sqrt(G**2 + 2.0 * G * 0.1 * w**2)) / w**2
+    assert float(mbd.Min(mbd.Position("ball", "z"))(motion)) == pytest.approx(-deepest, rel=1e-3)
+    assert float(motion.energies.balance.abs().max()) < 5e-3 * MASS * G * 0.1

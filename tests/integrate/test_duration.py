@@ -174,3 +174,45 @@ def test_what_is_no_duration_or_would_be_lost_is_refused():
         torch.vmap(lambda t: mbd.simulate(system, t, steps=8).q)(torch.tensor([0.01, 0.02], dtype=torch.float64))
     with pytest.raises(InputError, match=r"duration is -0.01 s; allowed: a positive number"):
         mbd.simulate(system, -T, steps=8)
+
+
+DEFLECTION = mbd.Displacement("arm", "y", node="right")
+HEIGHT = mbd.Position("tool", "y")
+OF_TIME = [
+    mbd.EquivalentLoad(HEIGHT, exponent=3.0),
+    mbd.EquivalentLoad(HEIGHT, exponent=3.0, cycles=2.0),
+    mbd.AtTimes(HEIGHT, count=3),
+    mbd.AtTimes(HEIGHT, times=(0.05, 0.1)),
+    mbd.AtTime(HEIGHT, 0.07),
+    mbd.AtPeaks(DEFLECTION, count=3),
+    mbd.Integral(HEIGHT),
+    mbd.Integral(mbd.Reaction("hinge", "y"), window=(0.02, 0.1)),
+    mbd.Mean(mbd.Velocity("tool", "y")),
+    mbd.RMS(mbd.Velocity("tool", "y")),
+    mbd.Max(mbd.StrainEnergy("arm")),
+    mbd.Min(mbd.Acceleration("tool", "y")),
+    mbd.Max(mbd.Angle("arm", "z") * mbd.Reaction("hinge", "y")),
+    mbd.SmoothMax(DEFLECTION, scale=1e-3),
+    mbd.Final(mbd.Angle("arm", "z")),
+    mbd.FatigueDamage("arm", {"22": 3}),
+    mbd.Damage(mbd.PlyStress("arm", "11", layer=1), curve=mbd.SNCurve([(1e2, 1e9), (1e6, 1e5)])),
+]
+
+
+@pytest.mark.thorough
+def test_every_response_has_its_gradient_by_the_duration(native):
+    """Values divided by the duration, and at shares of it, lacked what the division and the times add."""
+    system = mbd.examples.arm()
+
+    def values(T: Tensor | float) -> Tensor:
+        motion = mbd.simulate(
+            system, T, steps=60, iterations=(8, 8), gradients="auto" if isinstance(T, Tensor) else "none"
+        )
+        return torch.cat([measure(motion).reshape(-1) for measure in OF_TIME])
+
+    T = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
+    found = values(T)
+    slopes = torch.stack([torch.autograd.grad(x, T, retain_graph=True)[0] for x in found])
+    h = 1e-5
+    wanted = (values(0.2 + h) - values(0.2 - h)) / (2.0 * h)
+    assert_close(slopes, wanted, rtol=1e-4, atol=1e-6)

@@ -359,7 +359,7 @@ def test_vmap_over_phases(system, angles):
     for inside in (torch.func.jacrev, torch.func.jacfwd):
         found = torch.vmap(inside(f))(many)
         assert_close(found, slopes, rtol=0, atol=1e-8 * float(slopes.abs().max()))
-    with pytest.raises(InputError, match=r"energies of a motion with phases .*vmap"):
+    with pytest.raises(InputError, match=r"energies of lanes with phases .*vmap"):
         torch.vmap(lambda x: motion(x).energies.stored)(many)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import yaml
 
 import torchmbd as mbd
 from torchmbd.errors import InputError
+from torchmbd.io.windio.blade import _loaded
 
 FLAT = [0.0, 1.0]
 
@@ -151,9 +153,9 @@ def test_caps_carry_along_the_span(blade):
         ([skin("outer", "steel", 2e-3) | {"thickness": {"grid": FLAT, "values": ["a", 1]}}], [], "thickness of outer"),
         ([layer("outer", "steel", 2e-3, start_nd_arc=along(0.0))], [], "outer"),
         (
-            [skin("outer", "steel", 2e-3), layer("cap", "steel", 2e-3, start_nd_arc=along(0.9), end_nd_arc=along(0.1))],
+            [skin("outer", "steel", 2e-3), layer("cap", "steel", 2e-3, start_nd_arc=along(0.9), end_nd_arc=along(0.9))],
             [],
-            r"layer 'cap' at 0\.5 reaches from 0\.9 to 0\.1 of the contour; allowed: start below end",
+            r"layer 'cap' at 0\.5 reaches from 0\.9 to 0\.9 of the contour; allowed: start below end",
         ),
         ([*FULL[:6], *FULL[6:]], [*WEBS, WEBS[0] | {"name": "other"}], None),
     ],
@@ -261,3 +263,74 @@ def test_linear_elements_give_nearly_the_same_section(blade):
     made = blade(circle(), [skin("outer", "steel", 0.02)], [])
     linear, quadratic = (made.section(0.5, order=order).stiffness().diagonal().detach() for order in (1, 2))
     assert float((linear / quadratic - 1.0).abs().max()) < 2e-3
+
+
+def test_a_layer_round_the_trailing_edge_is_two_layers(blade):
+    """Its start is above its end; the wall that closes the edge has it once, of two layers both."""
+    outer = skin("outer", "steel", 2e-3)
+    whole = layer("edge", "steel", 2e-3, start_nd_arc=along(0.94), end_nd_arc=along(0.06))
+    parts = [
+        layer(f"edge_{a}", "steel", 2e-3, start_nd_arc=along(a), end_nd_arc=along(b))
+        for a, b in ((0.94, 1.0), (0.0, 0.06))
+    ]
+    found = [blade(wing(), [outer, *own], []).section(0.5) for own in ([whole], parts)]
+    masses = [float(section.mass()[0, 0]) for section in found]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-2)
+    assert masses[0] < masses[1]
+    plain = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
+    points = blade(wing(), [outer], []).contour(0.5) * 2.0
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    extra = 7850.0 * 2e-3 * 0.12 * length
+    assert 0.8 * extra < masses[0] - plain < 1.05 * extra  # walls are cut where the edge is thinner than both
+
+
+def test_layers_without_orientation_lie_along_the_blade(blade):
+    """The schema's default of fiber_orientation is zero."""
+    bare = {key: x for key, x in skin("outer", "carbon", 2e-3).items() if key != "fiber_orientation"}
+    section, wanted = (blade(wing(), [own], []).section(0.5) for own in (bare, skin("outer", "carbon", 2e-3)))
+    assert section.angles.tolist() == [0.0]
+    torch.testing.assert_close(section.stiffness(), wanted.stiffness())
+
+
+def test_an_anchor_may_be_defined_again(tmp_path, blade):
+    """As in YAML 1.2: an alias names the definition before it, also where the blade uses them."""
+    outer = skin("outer", "steel", 2e-3)
+    wanted = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
+    path = tmp_path / "blade.yaml"
+    text = path.read_text()
+    path.write_text("a: &g [7, 9]\nb: &g [0.0, 1.0]\nc: *g\n" + text)
+    assert float(mbd.WindIOBlade(path).section(0.5).mass()[0, 0]) == pytest.approx(wanted, rel=1e-14)
+    assert _loaded(path.read_text())["c"] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("gap", [0.002, 0.01])
+@pytest.mark.parametrize("end", [0.9955, 0.9971, 0.9976, 0.9983, 0.9992])
+@pytest.mark.parametrize("side", ["start", "end"])
+def test_a_layer_that_ends_shortly_before_the_trailing_edge(side, end, gap, blade):
+    """Its mass is that of one which ends there, within 0.1 % of the section; from both sides."""
+    ends = (0.0, end) if side == "end" else (1.0 - end, 1.0)
+    inner = layer("inner", "steel", 2e-3, start_nd_arc=along(ends[0]), end_nd_arc=along(ends[1]))
+    found = float(blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), inner], []).section(0.5).mass()[0, 0])
+    whole = float(
+        blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), skin("inner", "steel", 2e-3)], [])
+        .section(0.5)
+        .mass()[0, 0]
+    )
+    length = float(np.linalg.norm(np.diff(blade(wing(0.18, gap), [], []).contour(0.5) * 2.0, axis=0), axis=1).sum())
+    assert found == pytest.approx(whole - 7850.0 * 2e-3 * (1.0 - end) * length, rel=2e-3)
+
+
+@pytest.mark.parametrize("core", [0.03, 0.06, 0.09])
+@pytest.mark.parametrize("ends", [(0.43, 0.57), (0.43, 0.492), (0.502, 0.58)])
+def test_a_core_thicker_than_the_radius_of_the_nose(core, ends, blade):
+    """The radius is 4 % of the chord: the mesh stays valid, and the wall is thinner where there is no room."""
+    core_layer = layer("core", "foam", core, start_nd_arc=along(ends[0]), end_nd_arc=along(ends[1]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        section = blade(
+            wing(0.18), [skin("outer", "steel", 1.5e-3), core_layer, skin("inner", "steel", 1.5e-3)], []
+        ).section(0.5)
+    area = float(section.geometry.weight[section.geometry.layer == 1].sum())
+    length = float(np.linalg.norm(np.diff(blade(wing(0.18), [], []).contour(0.5) * 2.0, axis=0), axis=1).sum())
+    assert 0.1 * core * (ends[1] - ends[0]) * length < area < core * (ends[1] - ends[0]) * length
+    assert float(torch.linalg.eigvalsh(section.stiffness())[0]) > 0.0

@@ -130,3 +130,24 @@ def test_the_other_body_feels_the_opposite():
 def test_a_joint_that_does_not_exist(boxes):
     with pytest.raises(InputError, match=r"joint 'higne' does not exist.*did you mean 'hinge'"):
         boxes.reaction("higne")
+
+
+@pytest.mark.parametrize("gradients", ["none", "reverse", "forward"])
+def test_a_locked_joint_transmits_the_moment_of_the_lock(gradients):
+    """m g c about the axis while the phase locks the hinge, then none; about the other body the opposite."""
+    bob = mbd.RigidBody("bob", mbd.variable(2.0), (0.01, 0.02, 0.03), center=(0.5, 0.0, 0.0))
+    system = mbd.System(
+        [bob], [mbd.Revolute(mbd.Ground().at(), bob.at(), axis="z", name="hinge")], gravity=(0, -10.0, 0)
+    )
+    phases = [mbd.Phase(lasting=0.1, lock=["hinge"]), mbd.Phase(lasting=0.05), mbd.Phase(lock=["hinge"])]
+    motion = mbd.simulate(system, 0.2, steps=40, phases=phases, gradients=gradients).require_ok()
+    torque = motion.reaction("hinge").torque[0, :, 2]
+    assert_close(torque[motion.t < 0.0999], tensor(10.0).expand(20), rtol=1e-9, atol=0)
+    assert_close(torque[(motion.t > 0.1) & (motion.t < 0.1499)], torch.zeros(9, dtype=torch.float64), rtol=0, atol=1e-9)
+    assert float(torque[-1].abs()) > 1.0
+    measure = mbd.Max(mbd.Reaction("hinge", "z", kind="torque"), window=(0.0, 0.1))
+    other = mbd.Min(mbd.Reaction("hinge", "z", kind="torque", on="ground"), window=(0.0, 0.1))
+    assert float(measure(motion)) == pytest.approx(10.0, rel=1e-9)
+    assert float(other(motion)) == pytest.approx(-10.0, rel=1e-9)
+    if gradients != "none":
+        assert float(measure.value_and_gradient(motion)[1]) == pytest.approx(5.0, rel=1e-8)

@@ -224,7 +224,7 @@ def test_a_study_runs_on_jobs(slurm, folder, monkeypatch, capsys):
     assert cli.main([*command, "--scheduler", str(write(slurm)), "--workers", "2"]) == 0
     output = capsys.readouterr().out
     assert "6 starts" in output
-    assert "evaluations known" not in output
+    assert "evaluations of this problem are on disk" not in output
     [job] = re.findall(r"\d+", (slurm / "cancelled").read_text())  # nothing is left in the queue
     for _ in range(300):
         if _over(job):

@@ -163,3 +163,11 @@ def test_all_that_a_key_may_be_is_said(write):
         load(write(simulate={"duration": 0.01, "steps": 4, "start": "equilibrum"}))
     said = "allowed: assembled, equilibrium; or a mapping (key: value); did you mean 'equilibrium'?"
     assert str(error.value).endswith(f"simulate.start = 'equilibrum': {said}")
+
+
+@pytest.mark.parametrize(
+    "key", ["simulate.steps", "simulate.start", "optimizer.max_iterations", "starts.count", "starts", "tracking.uri"]
+)
+def test_a_key_without_a_value_is_named(write, key):
+    with pytest.raises(StudyError, match=f"{key} = null: no value; allowed: a value, or the file without this key"):
+        load(write(), [f"{key}=null"])

@@ -12,11 +12,13 @@ from rich.console import Console
 from torchmbd.optimization.optimizer import Iterate, OptimizationResult
 from torchmbd.study.columns import Columns
 from torchmbd.study.progress import (
+    ROWS,
     Progress,
     SearchCounter,
     drop_order,
     outcome_cells,
     print_table,
+    shown_rows,
     table_of,
     wrapped_heading,
 )
@@ -131,3 +133,11 @@ def test_a_terminal_counts_them():
         searches.ended(ended("converged"))
         searches.ended(ended("failed"))
     assert "front of energy, mass [kg]: 2 searches, 24 simulations" in output.getvalue()
+
+
+def test_long_tables_show_a_screen_of_rows():
+    assert shown_rows(ROWS) == list(range(ROWS))
+    rows = shown_rows(2000, 777)
+    assert len(rows) == ROWS + 1
+    assert {0, 777, 1999} <= set(rows)
+    assert max(np.diff(shown_rows(2000))) <= 52  # evenly spaced

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -280,3 +281,41 @@ def test_the_default_store(monkeypatch, tmp_path):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://localhost:1")
     assert str(store_uri()) == "http://localhost:1"
     assert str(store_uri("sqlite:///there.db")) == f"sqlite:///{tmp_path / 'there.db'}"
+
+
+UMLAUT = """
+import os, sys
+from torchmbd.process import file_of
+from torchmbd.study.model import find_function
+from torchmbd.tracking import MlflowTracker
+assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
+folder, name = os.getcwdb(), "gr\\u00f6\\u00dfe"
+file = os.fsdecode(name.encode()) + ".py"
+open(file, "w").write("def f(): pass")
+assert find_function(f"{name}.py:f", file_of("."))
+tracker = MlflowTracker("e", f"sqlite:///{sys.argv[1]}")
+tracker.begin("study", os.fsdecode(name.encode()), tags={"file": file}, params={"file": file})
+tracker.artifact("study", file)
+tracker.end("study", "FINISHED")
+print(tracker.close().runs["study"])
+"""
+
+
+@pytest.mark.thorough
+def test_names_beyond_the_locale(tmp_path, monkeypatch):
+    """A model and a study with umlauts where the locale is POSIX, in ASCII; a new store in such a folder is refused."""
+    environment = {**os.environ, "LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    environment |= {"PYTHONPATH": str(Path(__file__).parents[2]), "TORCHMBD_PATIENCE": "0"}
+    command = [sys.executable, "-c", UMLAUT, "runs.db"]
+    found = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    monkeypatch.chdir(tmp_path)
+    run = open_store("sqlite:///runs.db").get_run(found.stdout.strip())
+    assert run.info.run_name == "größe"
+    assert run.data.tags["file"] == run.data.params["file"] == run.data.tags["files"] == "größe.py"
+    assert (tmp_path / "mlartifacts" / run.info.run_id / "artifacts/größe.py").is_file()
+    (tmp_path / "ü").mkdir()
+    for cwd, name in ((tmp_path / "ü", "runs.db"), (tmp_path, "ü/runs.db")):
+        command[-1] = name
+        refused = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
+        assert "is not of this locale, whose names are in ascii; allowed: PYTHONUTF8=1" in refused.stderr

@@ -6,6 +6,7 @@ Source: closed solutions; the speed ratio of Hooke's joint e.g. Shigley and Uick
 from __future__ import annotations
 
 import math
+import warnings
 
 import pytest
 import torch
@@ -51,6 +52,20 @@ def test_hookes_joint_turns_unevenly(bend):
     found = motion.body("driven").omega[0, :, 0] / speed
     assert_close(found, ratio, rtol=0, atol=2e-3)
     assert float(ratio.max()) == pytest.approx(1.0 / math.cos(b), rel=1e-3)
+
+
+@pytest.mark.parametrize(("axes", "skew"), [("zy", "0.35"), ("yz", None)])
+def test_a_skewed_cross_is_told(axes: str, skew: str | None):
+    """Shafts along x, the second one turned about z by 20 degrees: its arm z is across both, y of the first is not."""
+    R = turned(0.0, 0.0, math.radians(20.0))
+    driver, driven = (mbd.RigidBody(name, 1.0, (0.01, 0.02, 0.02)) for name in ("driver", "driven"))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        mbd.Universal(driver.at(), driven.at(axes=R), axes=axes, name="cross")
+    texts = [str(x.message) for x in told]
+    assert len(texts) == (skew is not None)
+    assert all("the cross of 'cross' is skewed at the start: its second arm, 'y' of driver" in x for x in texts)
+    assert all(f"is {skew} rad from" in x for x in texts)
 
 
 def test_a_cylindrical_joint_lets_a_body_screw_down():

@@ -70,3 +70,14 @@ def test_a_single_design_of_many_variables():
 def test_headings_must_fit(count):
     with pytest.raises(InputError, match="a variable for each heading"):
         design_map(PATHS, OBJECTIVES, ["x"] * count)
+
+
+def test_five_hundred_minima_leave_the_axes_their_room():
+    """The legend names the best minima only."""
+    paths = {f"start {k}": np.array([[float(k), 0.0], [float(k), 1.0]]) for k in range(500)}
+    figure = design_map(
+        paths, {name: np.array([2.0, 1.0]) for name in paths}, ["a", "b"], {n: k for k, n in enumerate(paths)}
+    )
+    figure.canvas.draw()
+    assert len(figure.legends[0].get_texts()) == 11
+    assert figure.axes[0].get_position().height > 0.5

@@ -5,7 +5,9 @@
 e       axis, in the axes of the observer
 theta   the body's rotation about e if it turns about e alone; else the angle of u, projected along e    [rad]
 
-theta is within half a turn of `center`. Differentiable where the turned u is not parallel to e.
+theta is within half a turn of `center` at the start and continuous from there on: of two times the turns between follow from
+the mean of the rates there, so that a body may turn far in a step. The event of a phase sees the same angle (turns.py).
+Differentiable where the turned u is not parallel to e.
 Checked in tests/design/test_angle.py.
 """
 
@@ -23,16 +25,18 @@ from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
+from torchmbd.results.turns import turns_between
 
 
 @dataclass(frozen=True)
 class Angle(History):
-    """Rotation of a body about an axis of another body, or of the ground [lanes, times] [rad].
+    """Rotation of a body about an axis of another body, or of the ground [lanes, times] [rad]; continuous along a motion.
 
     body       the body that turns
     axis       "x", "y", "z" or a direction of three numbers, in the axes of the observer
     seen_from  the observer: a body or "ground"
-    center     the angle is given within half a turn of this one [rad]
+    center     the angle is within half a turn of this one at the start [rad]
+    wrapped    within half a turn of `center` at all times: it jumps by a turn, which measures of a motion refuse
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
     >>> round(mbd.Angle("bob", "z")(motion)[0, -1].item(), 2)
@@ -43,6 +47,11 @@ class Angle(History):
     axis: Direction
     seen_from: str = GROUND
     center: float = 0.0
+    wrapped: bool = False
+
+    @property
+    def smooth(self) -> bool:
+        return not self.wrapped
 
     def check(self, system: System) -> None:
         unit_vector(self.axis)
@@ -52,15 +61,31 @@ class Angle(History):
         if self.seen_from == self.body:
             raise InputError(f"angle of {self.body!r} seen from itself is zero; allowed: another body, or 'ground'")
         scalar("center of an angle", self.center, "a finite number [rad]")
+        if not isinstance(self.wrapped, bool):
+            raise InputError(f"wrapped is {self.wrapped!r}; allowed: True or False")
 
     def values(self, motion: Trajectory) -> Tensor:
+        angle, rate = self.wrapped_jet(motion)
+        if self.wrapped:
+            return angle
+        before = None if motion.turns is None else motion.turns.before(self)
+        return angle + 2.0 * math.pi * turns_between(motion, angle.detach(), rate.detach(), before)
+
+    def wrapped_jet(self, motion: Trajectory) -> tuple[Tensor, Tensor]:
+        """The angle within half a turn of `center`, and its rate [lanes, times]."""
         e = unit_vector(self.axis)
         u = torch.eye(3, dtype=e.dtype)[int(e.abs().argmin())]
         u = torch.linalg.cross(e, u)
         u = u / u.norm()
-        turned = motion.body(self.body).A @ u
+        across = torch.linalg.cross(e, u)
+        body = motion.body(self.body)
+        turned, rate = body.A @ u, (body.A @ torch.linalg.cross(body.omega, u.expand_as(body.omega))[..., None])[..., 0]
         if self.seen_from != GROUND:
-            turned = torch.einsum("ltji,ltj->lti", motion.body(self.seen_from).A, turned)
-        sine, cosine = turned @ torch.linalg.cross(e, u), turned @ u
+            observer = motion.body(self.seen_from)
+            turned, rate = (torch.einsum("ltji,ltj->lti", observer.A, x) for x in (turned, rate))
+            rate = rate - torch.linalg.cross(observer.omega, turned)
+        sine, cosine = turned @ across, turned @ u
         c, s = math.cos(self.center), math.sin(self.center)
-        return torch.atan2(c * sine - s * cosine, c * cosine + s * sine) + self.center
+        angle = torch.atan2(c * sine - s * cosine, c * cosine + s * sine) + self.center
+        square = (sine * sine + cosine * cosine).detach()
+        return angle, (cosine * (rate @ across) - sine * (rate @ u)) / torch.where(square > 0.0, square, 1.0)

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from torchmbd.design.measures import OfHistory
@@ -64,7 +63,7 @@ class AtTimes(OfHistory):
     def reduce(self, curve: Spline) -> Tensor:
         if self.times is not None:
             return curve.sampled(curve.t.new_tensor([float(t) for t in self.times]))
-        return curve.at(torch.linspace(float(curve.t[0]), float(curve.t[-1]), self.count, dtype=curve.t.dtype))
+        return curve.spaced(self.count)
 
 
 @dataclass(frozen=True)
@@ -90,8 +89,9 @@ class AtPeaks(OfHistory):
         return self.count
 
     def reduce(self, curve: Spline) -> Tensor:
-        if len(curve.t) <= self.count:
-            raise InputError(f"count is {self.count}; allowed: at most {len(curve.t) - 1}, the intervals of the motion")
+        intervals = curve.t.shape[-1] - 1
+        if intervals < self.count:
+            raise InputError(f"count is {self.count}; allowed: at most {intervals}, the intervals of the motion")
         return curve.peaks(self.count)
 
     def __ge__(self, limit: float | str) -> Constraint:

@@ -21,6 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.design.curve import curve_of
 from torchmbd.design.measures import OfHistory
 from torchmbd.design.rainflow import Cycles, rainflow
 from torchmbd.design.response import Measure
@@ -30,6 +31,7 @@ from torchmbd.fem.materials import PLY_COMPONENTS, SNCurve, power_law_damage
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
+from torchmbd.results.lane_motion import has_lane_times, lane_motion
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
@@ -69,7 +71,7 @@ class EquivalentLoad(OfHistory):
 
     def reduce(self, curve: Spline) -> Tensor:
         counted = rainflow(curve.extremes())
-        number = float(curve.t[-1] - curve.t[0]) if self.cycles is None else self.cycles
+        number = curve.duration if self.cycles is None else self.cycles
         size = counted.range.detach().amax(-1, keepdim=True)
         size = torch.where(size > 0.0, size, 1.0)  # powers of ranges may overflow
         total = (counted.count * (counted.range / size) ** self.exponent).sum(-1) / number
@@ -198,14 +200,27 @@ def _stresses(motion: Trajectory, name: str) -> list[tuple[Tensor, Tensor | None
 
 def _worst_damage(basis: Tensor, strengths: Tensor | None, rule: FatigueDamage, motion: Trajectory) -> Tensor:
     """Damage [lanes] at the point and in the component where it is largest; arguments as of `_stresses`."""
-    view, lanes = motion.body(rule.body), torch.arange(motion.lanes)
+    lanes = torch.arange(motion.lanes)
     with torch.no_grad():
-        component, point = _worst_points(basis, view.w, strengths, rule)
-    y, rate, second_rate = (
-        torch.einsum("ltm,lm->lt", x, basis[lanes, point, component]) for x in (view.w, view.wd, view.wdd)
-    )
-    cycles = rainflow(Spline.of(motion.t, y, rates=(rate, second_rate)).extremes())
+        component, point = _worst_points(basis, _modal_coordinates(motion, rule.body), strengths, rule)
+    stress = basis[lanes, point, component]
+
+    def samples(part: Trajectory, of_lanes: slice) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+        view = part.body(rule.body)
+        y, rate, second_rate = (torch.einsum("ltm,lm->lt", x, stress[of_lanes]) for x in (view.w, view.wd, view.wdd))
+        return y, (rate, second_rate)
+
+    cycles = rainflow(curve_of(motion, samples).extremes())
     return _damages(cycles, component, None if strengths is None else strengths[lanes, point], rule)
+
+
+def _modal_coordinates(motion: Trajectory, body: str) -> Tensor:
+    """At all times of the lanes [lanes, times, modes]; the last ones repeated where others have more."""
+    if not has_lane_times(motion):
+        return motion.body(body).w
+    parts = [lane_motion(motion, lane).motion.body(body).w[0] for lane in range(motion.lanes)]
+    most = max(len(w) for w in parts)
+    return torch.stack([torch.cat([w, w[-1:].expand(most - len(w), -1)]) for w in parts])
 
 
 def _damages(cycles: Cycles, component: Tensor, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:

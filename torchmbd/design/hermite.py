@@ -28,19 +28,22 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
     """The polynomial, or a derivative of it by time, at t0 + s h [..., n].
 
     ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends [..., n]
-    h      length of the interval [s] [n]
-    s      [n], or [..., n]
+    h, s   length of the interval [s] and position in it [n], or [..., n]
     """
     table = torch.tensor(_table(len(ends), derivative), dtype=s.dtype, device=s.device)
     powers = [torch.ones_like(s)]
     for _ in range(table.shape[1] - 1):
         powers.append(powers[-1] * s)
     sizes = torch.stack([h ** (k - derivative) for k in range(len(ends)) for _ in range(2)])
-    weights = torch.tensordot(table, torch.stack(powers), 1)
-    weights = weights * sizes.reshape(len(sizes), *[1] * (s.dim() - 1), -1)
-    # One product: weights do not depend on the design, values and derivatives at the ends do.
+    weights = _leading(torch.tensordot(table, torch.stack(powers), 1), h.dim()) * _leading(sizes, s.dim())
+    # One product: weights do not depend on the design but by moving ends; values and derivatives at the ends do.
     at_ends = torch.stack([x for pair in ends for x in pair])
-    return (weights.reshape(len(weights), *[1] * (at_ends.dim() - weights.dim()), *s.shape) * at_ends).sum(0)
+    return (_leading(weights, at_ends.dim() - 1) * at_ends).sum(0)
+
+
+def _leading(x: Tensor, dims: int) -> Tensor:
+    """[k, n] with as many dimensions between as make `dims` behind the first."""
+    return x.reshape(len(x), *[1] * (dims - x.dim() + 1), *x.shape[1:])
 
 
 @cache

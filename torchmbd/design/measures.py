@@ -1,6 +1,6 @@
 """Measures: one number of a whole motion, from a history or from the design itself.
 
-    Integral   int y dt            trapezoidal rule over the output times                     eq. (21)
+    Integral   int y dt            trapezoidal rule over all states of the motion                    eq. (21)
     Mean       1/T int y dt
     RMS        (1/T int y^2 dt)^1/2
     Max, Min   the peak, located between the output times (spline.py)                         eq. (18)
@@ -25,12 +25,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchmbd.design.curve import curve_of
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History, Measure
-from torchmbd.design.spline import Jump, Spline, Window, checked_window
+from torchmbd.design.spline import Spline, Window, checked_window
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import eigenvalues
-from torchmbd.integrate import Moment, Switch, Trajectory
+from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, scalar
 from torchmbd.multibody.system import System
 
@@ -70,6 +71,11 @@ def _require_history(measure: Measure, history: object) -> None:
     if not isinstance(history, History):
         name = type(measure).__name__
         raise InputError(f"{name} of {history!r}; allowed: a history, such as StrainEnergy('rod')")
+    if not history.smooth:
+        name = type(measure).__name__
+        raise InputError(
+            f"{name} of an angle with wrapped=True, which jumps between the samples; allowed: the continuous angle"
+        )
 
 
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
@@ -82,21 +88,10 @@ def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
             return known[history, window]
     except TypeError:  # not hashable: an axis given as a list
         known = None
-    y, rates = history.values(motion), history.rates(motion)
-    curve = Spline.of(motion.t, y, window, _jumps(history, motion), rates)
+    curve = curve_of(motion, lambda part, lanes: (history.values(part), history.rates(part)), window)
     if known is not None:
         known[history, window] = curve
     return curve
-
-
-def _jumps(history: History, motion: Trajectory) -> tuple[Jump, ...]:
-    """The values of a history before and after every switch from one phase to the next."""
-
-    def values_at(switch: Switch, moment: Moment) -> Tensor:
-        motions = [motion.at_moment(lane, t, moment) for lane, t in enumerate(switch.t)]
-        return torch.cat([history.values(one)[:, 0] for one in motions])
-
-    return tuple(Jump(s.t, values_at(s, s.before), values_at(s, s.after)) for s in motion.switches)
 
 
 class Integral(OfHistory):
@@ -240,8 +235,8 @@ class SmoothMax(OfHistory):
                 raise InputError(f"{name} is {x!r}; allowed: a positive number")
 
     def reduce(self, curve: Spline) -> Tensor:
-        rho = self.sharpness / self.scale
-        return torch.logsumexp(rho * curve.y, -1) / rho
+        rho, (y, new) = self.sharpness / self.scale, curve.samples()
+        return torch.logsumexp(torch.where(new, rho * y, -torch.inf), -1) / rho
 
 
 @dataclass(frozen=True)

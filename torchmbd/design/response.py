@@ -63,6 +63,11 @@ class History(_Constant):
         """First and second derivative by time [lanes, times] if they are known exactly; None: by differences."""
         return None
 
+    @property
+    def smooth(self) -> bool:
+        """Whether the history is smooth between the switches of a motion, so that it may be looked at between its samples."""
+        return True
+
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes, times]; lanes that failed have nan, and no derivative."""
         return motion.sound(self.values(motion))
@@ -114,6 +119,10 @@ class Combined(History):
         for part in self.parts:
             if not isinstance(part, (History, int, float)):
                 raise InputError(f"a history is combined with {part!r}; allowed: another history or a number")
+
+    @property
+    def smooth(self) -> bool:
+        return all(part.smooth for part in self.parts if isinstance(part, History))
 
     def values(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.values(motion) if isinstance(part, History) else part for part in self.parts))

@@ -1,57 +1,56 @@
-"""A sampled history as a smooth curve: values between samples, windows, peaks and integrals.
+"""A sampled history as a curve of smooth pieces: values between samples, windows, peaks and integrals.
 
 On each interval the curve is the quintic with the values, slopes and curvatures of its ends, if the history has exact rates;
-else the cubic with slopes at the samples from differences of fourth order (hermite.py). The curve is at least C1, so its
+else the cubic with slopes at the samples from differences of fourth order (hermite.py). A piece is at least C1, so its
 maximum is differentiable, also where the peak moves past a sample. Of a vibration that is sampled five times per period the
 peaks of the cubic are half a percent off, those of the quintic a ten thousandth.
 
-Peaks are located without derivatives, and the curve is differentiated at their fixed times: at an inner maximum the derivative
-by time is zero, and an end of the curve does not move (envelope theorem). The gradient at the largest sample would be 2 % off
-at 500 samples.
-Where a motion passes from phase to phase (integrate/phases/phase.py), a history may jump, at a time that depends on the design:
-a `Jump`. Integrals use both sides of it as further samples, so their derivatives contain the effect of the moving jump.
-Checked in tests/design/test_spline.py.
+Peaks are located without derivatives, and the curve is differentiated at their fixed positions: at an inner maximum the
+derivative by time is zero (envelope theorem). The gradient at the largest sample would be 2 % off at 500 samples.
+
+Where a motion passes from phase to phase (integrate/phases/phase.py) a history may jump, at a time that depends on the design:
+one piece ends there and another begins, with two values at one time; nothing looks through the interval of length zero
+between them. The curve has the later value there, a window that begins at a switch the later and one that ends there the
+earlier one. Knots that move carry total derivatives, so all derivatives contain the effect of the moving jump.
+Over 300 lines: each method is a measure of the same knots.
+Checked in tests/design/test_spline.py, tests/design/test_switches.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.design.hermite import hermite
+from torchmbd.design.slopes import ends_of_pieces, slopes
 from torchmbd.errors import InputError
 
 NEWTON = 10  # steps from the maximum of the cubic to that of the quintic
 STATIONARY = 1e-6  # slope that is taken as zero, relative to the slopes at the ends of an interval
+_NEAR = 0.25  # of a mean interval: samples so near to a switch make differences of rounding errors
+_EQUAL = 1e-9  # of the largest value: sides of a switch that are equal
 Window = tuple[float, float] | None
-
-
-class Jump(NamedTuple):
-    """Time [lanes] of a jump and the values on its sides [lanes]."""
-
-    t: Tensor
-    before: Tensor
-    after: Tensor
 
 
 @dataclass(frozen=True)
 class Spline:
     """A curve through knots.
 
-    t      times of the knots, increasing [n]
-    y, m   values and slopes [..., n];   c  curvatures [..., n], or None: cubic
-    jumps  between knots; only integrals use them
+    t       times of the knots [n], or [..., n] of curves with switches; equal where an interval has no length
+    y, m    values and slopes [..., n];   c  curvatures [..., n], or None: cubic
+    begins  knots at which a piece begins after a switch [..., n]; None: one piece
+    limits  first and last time, which no design moves [s]; None: those of t
     """
 
     t: Tensor
     y: Tensor
     m: Tensor
-    jumps: tuple[Jump, ...] = ()
     c: Tensor | None = None
+    begins: Tensor | None = None
+    limits: tuple[float, float] | None = None
 
     @classmethod
     def of(
@@ -59,17 +58,21 @@ class Spline:
         t: Tensor,
         y: Tensor,
         window: Window = None,
-        jumps: tuple[Jump, ...] = (),
         rates: tuple[Tensor, Tensor] | None = None,
+        begins: Tensor | None = None,
+        limits: tuple[float, float] | None = None,
     ) -> Spline:
-        """The spline of samples y [..., n] at times t [n], on the window (t0, t1) or, by default, on all times.
+        """The spline of samples y [..., n] at times t, on the window (t0, t1) or, by default, on all times.
 
         rates   first and second derivative by time of the samples [..., n]; None: slopes by differences
         """
-        if len(t) < 2:  # the state of an equilibrium
+        if t.shape[-1] < 2:  # the state of an equilibrium
             rates = torch.zeros_like(y), torch.zeros_like(y)
-        m, c = (_slopes(t, y), None) if rates is None else rates
-        curve = cls(t, y, m, jumps, c)
+        if rates is None and begins is not None:
+            kept = _kept(_far_from_switches(t.detach(), begins))
+            t, y, begins = _take(t, kept), _take(y, kept), _take(begins, kept) & _first(kept)
+        m, c = (slopes(t, y, begins), None) if rates is None else rates
+        curve = cls(t, y, m, c, begins, limits)
         return curve if window is None else curve.cut(window)
 
     @property
@@ -77,70 +80,108 @@ class Spline:
         """Values, slopes and, of the quintic, curvatures at the knots [..., n]."""
         return (self.y, self.m) if self.c is None else (self.y, self.m, self.c)
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s]."""
+        return self.limits or (float(self.t[0].detach()), float(self.t[-1].detach()))
+
+    @property
+    def _lengths(self) -> tuple[Tensor, Tensor]:
+        """Lengths of the intervals [n - 1], or [..., n - 1], with 1 instead of zero, and which are not zero."""
+        h = self.t.diff()
+        real = h.detach() > 0.0
+        return torch.where(real, h, 1.0), real
+
     def negative(self) -> Spline:
-        """The negative of the curve, without jumps."""
-        return Spline(self.t, -self.y, -self.m, (), None if self.c is None else -self.c)
+        """The negative of the curve."""
+        c = None if self.c is None else -self.c
+        return Spline(self.t, -self.y, -self.m, c, self.begins, self.limits)
 
     def cut(self, window: tuple[float, float]) -> Spline:
         """The part within a window, whose ends become knots; InputError for a window outside the knots."""
         first, last = checked_window(window)
-        rounding = 1e-9 * float(self.t[-1])
-        if first < float(self.t[0]) - rounding or last > float(self.t[-1]) + rounding:
+        start, end = self.span
+        rounding = 1e-9 * end
+        if first < start - rounding or last > end + rounding:
             raise InputError(
-                f"window is ({first:g}, {last:g}) s; allowed: within the simulated time, "
-                f"{float(self.t[0]):g} to {float(self.t[-1]):g} s"
+                f"window is ({first:g}, {last:g}) s; allowed: within the simulated time, {start:g} to {end:g} s"
             )
-        ends = self.t.new_tensor([first, last]).clamp(self.t[0], self.t[-1])
-        inside = torch.nonzero((self.t > ends[0] + rounding) & (self.t < ends[1] - rounding))[:, 0]
+        ends = self.t.detach().new_tensor([max(first, start), min(last, end)])
+        t = self.t.detach()
+        inside = (t > ends[0] + rounding) & (t < ends[1] - rounding)
+        kept = _kept(torch.nn.functional.pad(inside, (1, 1), value=True))
+        begins = None
+        if self.begins is not None:
+            begins = _take(torch.nn.functional.pad(self.begins, (1, 1)), kept) & _first(kept)
 
-        def with_ends(x: Tensor, at_ends: Tensor) -> Tensor:
-            return torch.cat([at_ends[..., :1], x[..., inside], at_ends[..., 1:]], -1)
+        def with_ends(x: Tensor, first: Tensor, last: Tensor) -> Tensor:
+            return _take(torch.cat([first, x, last], -1), kept)
 
-        y, m, *c = (with_ends(x, self.at(ends, order)) for order, x in enumerate(self.knots))
-        return Spline(with_ends(self.t, ends), y, m, self.jumps, *c)
+        def at_ends(order: int) -> tuple[Tensor, Tensor]:
+            return self._at(ends[:1], order, rounding), self._at(ends[1:], order, rounding, before=True)
+
+        times = (x.expand(*self.t.shape[:-1], 1) for x in (ends[:1], ends[1:]))
+        y, m, *c = (with_ends(x, *at_ends(order)) for order, x in enumerate(self.knots))
+        return Spline(with_ends(self.t, *times), y, m, c[0] if c else None, begins, (float(ends[0]), float(ends[1])))
 
     def integral(self, f: Callable[[Tensor], Tensor] = lambda y: y) -> Tensor:
-        """Integral of f(y) over time [...], by the trapezoidal rule on the knots and on both sides of the jumps."""
-        if not self.jumps:
-            return torch.trapezoid(f(self.y), self.t, dim=-1)
-        times, values = [], []
-        for jump in self.jumps:
-            inside = (jump.t > self.t[0]) & (jump.t < self.t[-1])
-            times += 2 * [torch.where(inside, jump.t, self.t[0])]  # outside: an interval of length zero
-            values += [f(jump.before), f(jump.after)]
-        t = torch.cat([torch.stack(times, -1), self.t.expand_as(self.y)], -1)
-        y = torch.cat([torch.stack(values, -1), f(self.y)], -1)
-        order = torch.argsort(t.detach(), dim=-1, stable=True)
-        return torch.trapezoid(y.gather(-1, order), t.gather(-1, order), dim=-1)
+        """Integral of f(y) over time [...], by the trapezoidal rule on the knots."""
+        return torch.trapezoid(f(self.y), self.t, dim=-1)
 
     def mean(self, f: Callable[[Tensor], Tensor] = lambda y: y) -> Tensor:
         """Mean of f(y) over time [...]."""
-        if len(self.t) < 2:
+        if self.t.shape[-1] < 2:
             return f(self.y)[..., 0]
-        return self.integral(f) / (self.t[-1] - self.t[0])
+        return self.integral(f) / self.duration
+
+    @property
+    def duration(self) -> Tensor:
+        """Length of the curve [s], [] or [...]."""
+        return self.t[..., -1] - self.t[..., 0]
 
     def at(self, times: Tensor, derivative: int = 0) -> Tensor:
-        """Values, or derivatives by time, at times [k] within the knots: [..., k]."""
-        if len(self.t) < 2:
-            return self.knots[derivative].expand(*self.y.shape[:-1], len(times))
-        start = (torch.searchsorted(self.t, times, right=True) - 1).clamp(0, len(self.t) - 2)
-        h = self.t[start + 1] - self.t[start]
-        ends = [(x[..., start], x[..., start + 1]) for x in self.knots]
-        return hermite(ends, h, (times - self.t[start]) / h, derivative)
+        """Values, or derivatives by time, at times [k], or [..., k], within the knots: [..., k]; at a switch the later ones."""
+        return self._at(times, derivative)
+
+    def _at(self, times: Tensor, derivative: int = 0, rounding: float = 0.0, before: bool = False) -> Tensor:
+        """As `at`; before: at a switch the earlier values. A switch is at a time if it is nearer than `rounding`."""
+        n = self.t.shape[-1]
+        if n < 2:
+            return self.knots[derivative].expand(*self.y.shape[:-1], times.shape[-1])
+        t, where = self.t.detach(), times.detach() + (-rounding if before else rounding)
+        if t.dim() > 1:
+            where = where.expand(*t.shape[:-1], where.shape[-1])
+        start = torch.searchsorted(t.contiguous(), where.contiguous(), right=not before) - 1
+        start = start.clamp(0, n - 2)
+        h, _ = self._lengths
+        ends = [(_take(x, start), _take(x, start + 1)) for x in self.knots]
+        h = _take(h, start)
+        return hermite(ends, h, (times - _take(self.t, start)) / h, derivative)
 
     def sampled(self, times: Tensor) -> Tensor:
         """Values at times [k]: [..., k]; InputError outside the knots."""
-        rounding = 1e-9 * float(self.t[-1])
-        if float(times.min()) < float(self.t[0]) - rounding or float(times.max()) > float(self.t[-1]) + rounding:
-            wrong = float(times.max()) if float(times.max()) > float(self.t[-1]) else float(times.min())
-            raise InputError(
-                f"time is {wrong:g} s; allowed: within the simulated time, {float(self.t[0]):g} to {float(self.t[-1]):g} s"
-            )
-        return self.at(times)
+        start, end = self.span
+        rounding = 1e-9 * end
+        if float(times.min()) < start - rounding or float(times.max()) > end + rounding:
+            wrong = float(times.max()) if float(times.max()) > end else float(times.min())
+            raise InputError(f"time is {wrong:g} s; allowed: within the simulated time, {start:g} to {end:g} s")
+        return self._at(times, rounding=rounding)
+
+    def spaced(self, count: int) -> Tensor:
+        """Values at equally spaced times from the first to the last: [..., count]; the times move with the ends."""
+        share = torch.linspace(0.0, 1.0, count, dtype=self.t.dtype)
+        return self.at(self.t[..., :1] + self.duration[..., None] * share)
+
+    def samples(self) -> tuple[Tensor, Tensor]:
+        """Values at the knots [..., n], and which of them are not repetitions of the one before."""
+        new = self.t.detach().diff() > 0.0
+        if self.begins is not None:
+            new = new | self.begins[..., 1:]
+        return self.y, torch.nn.functional.pad(new, (1, 0), value=True)
 
     def interval_maxima(self) -> Tensor:
         """The largest value of every interval [..., n - 1]; the value of a single knot [..., 1]."""
-        if len(self.t) < 2:
+        if self.t.shape[-1] < 2:
             return self.y
         s, _ = self._maximum_positions()
         return self._at_positions(s)
@@ -157,8 +198,9 @@ class Spline:
         s, local = self._maximum_positions()
         tops = self._at_positions(s)
         rank = torch.argsort(torch.argsort(tops.detach(), -1), -1)
-        # Local maxima from the highest down, then everything else from the lowest up.
-        score = torch.where(local, rank + len(self.t), -rank)
+        # Local maxima from the highest down, then all other intervals from the lowest up, then those without length.
+        n = self.t.shape[-1]
+        score = torch.where(local, rank + n, torch.where(self._lengths[1], -rank, -rank - n))
         order = torch.argsort(score, -1, descending=True)
         return torch.gather(tops, -1, order[..., :count])
 
@@ -173,16 +215,46 @@ class Spline:
     def _at_positions(self, s: Tensor, derivative: int = 0) -> Tensor:
         """Value or derivative at the position s, 0 to 1, in every interval [..., n - 1]."""
         ends = [(x[..., :-1], x[..., 1:]) for x in self.knots]
-        return hermite(ends, self.t.diff(), s, derivative)
+        return hermite(ends, self._lengths[0], s, derivative)
 
     def _maximum_positions(self) -> tuple[Tensor, Tensor]:
-        """Position of the largest value in every interval, 0 to 1, and whether it is a local maximum of the curve."""
-        s, local = _MaximumPositions.apply(self.t, *self.knots)  # pyright: ignore[reportGeneralTypeIssues]
-        return s, local
+        """Position of the largest value in every interval, 0 to 1, and whether it is a local maximum of the curve.
+
+        Constants: neither autograd nor torch.func differentiates the search.
+        """
+        plain = Spline(*(None if x is None else x.detach() for x in (self.t, *self.knots)), begins=self.begins)  # pyright: ignore[reportArgumentType]
+        return plain._searched()
+
+    def _searched(self) -> tuple[Tensor, Tensor]:
+        """As `_maximum_positions`, of numbers without derivatives."""
+        root, inner = self._stationary_positions()
+        y0, y1 = self.y[..., :-1], self.y[..., 1:]
+        inner = inner & self._lengths[1] & (self._at_positions(root) >= torch.maximum(y0, y1))
+        s = torch.where(inner, root, (y1 > y0).to(y0.dtype))
+        starts, ends = self._ends_that_are_maxima()
+        return s, inner | (starts & (s == 0.0)) | (ends & (s == 1.0))
+
+    def _ends_that_are_maxima(self) -> tuple[Tensor, Tensor]:
+        """At which intervals the curve, or a piece of it, has a local maximum at the start or at the end [..., n - 1].
+
+        Of a switch with equal values on both sides, the end of the earlier piece stands for both.
+        """
+        y, m, (_, real) = self.y, self.m, self._lengths
+        i = torch.arange(real.shape[-1]).expand(real.shape)
+        before = torch.nn.functional.pad(torch.where(real, i + 1, 0).cummax(-1).values[..., :-1], (1, 0))
+        after = torch.where(real, i, real.shape[-1]).flip(-1).cummin(-1).values.flip(-1)
+        after = torch.nn.functional.pad(after[..., 1:], (0, 1), value=real.shape[-1])
+        equal = _EQUAL * y.abs().amax(-1, keepdim=True)
+        start = (before == 0) | (before != i) & (y[..., :-1] > _take(y, before) + equal)
+        rise = y[..., 1:] - _take(y, after)
+        end = (after == real.shape[-1]) | (after != i + 1) & (
+            (rise > equal) | (rise.abs() <= equal) & (_take(m, after) <= 0.0)
+        )
+        return real & start & (m[..., :-1] <= 0.0), real & end & (m[..., 1:] >= 0.0)
 
     def _stationary_positions(self) -> tuple[Tensor, Tensor]:
         """Position in every interval where the slope is zero and the curvature negative, and whether there is one."""
-        h, y0, y1 = self.t.diff(), self.y[..., :-1], self.y[..., 1:]
+        h, y0, y1 = self._lengths[0], self.y[..., :-1], self.y[..., 1:]
         m0, m1 = h * self.m[..., :-1], h * self.m[..., 1:]
         a, b = 2.0 * (y0 - y1) + m0 + m1, 3.0 * (y1 - y0) - 2.0 * m0 - m1
         # Slope of the cubic: 3 a s^2 + 2 b s + m0 = 0; of its roots the one with a negative second derivative.
@@ -200,12 +272,11 @@ class Spline:
         the root: the gradient of the maximum assumes that the slope is zero there. Else the steps may end where the slope is
         not zero; the interval then has no stationary position.
         """
-        changes_sign = (self.m[..., :-1] > 0.0) & (self.m[..., 1:] < 0.0)
-        where = torch.nonzero(changes_sign | inner, as_tuple=True)  # few of all intervals
-        ends = [(x[..., :-1][where], x[..., 1:][where]) for x in self.knots]
-        h, s, (start, end) = self.t.diff()[where[-1]], root[where], ends[1]
-        bracketed, low, high = changes_sign[where], torch.zeros_like(s), torch.ones_like(s)
-        s = torch.where(bracketed & ~inner[where], start / torch.where(bracketed, start - end, 1.0), s)
+        bracketed = (self.m[..., :-1] > 0.0) & (self.m[..., 1:] < 0.0)
+        ends = [(x[..., :-1], x[..., 1:]) for x in self.knots]
+        h, s, (start, end) = self._lengths[0], root, ends[1]
+        low, high = torch.zeros_like(s), torch.ones_like(s)
+        s = torch.where(bracketed & ~inner, start / torch.where(bracketed, start - end, 1.0), s)
         for _ in range(NEWTON):
             slope, curvature = hermite(ends, h, s, 1), hermite(ends, h, s, 2)
             low = torch.where(bracketed & (slope > 0.0), s, low)
@@ -214,43 +285,8 @@ class Spline:
             outside = bracketed & ((step < low) | (step > high) | (curvature >= 0.0))
             s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
         flat = hermite(ends, h, s, 1).abs() <= STATIONARY * torch.maximum(start.abs(), end.abs())
-        return root.index_put(where, s), inner.index_put(where, flat)
-
-
-class _MaximumPositions(torch.autograd.Function):
-    """Positions of the interval maxima as constants: autograd and torch.func do not differentiate the search."""
-
-    @staticmethod
-    def forward(t: Tensor, y: Tensor, m: Tensor, c: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        curve = Spline(t, y, m, (), c)
-        root, inner = curve._stationary_positions()
-        y0, y1 = y[..., :-1], y[..., 1:]
-        inner = inner & (curve._at_positions(root) >= torch.maximum(y0, y1))
-        s = torch.where(inner, root, (y1 > y0).to(y0.dtype))
-        local = inner.clone()
-        local[..., 0] |= (s[..., 0] == 0.0) & (m[..., 0] <= 0.0)
-        local[..., -1] |= (s[..., -1] == 1.0) & (m[..., -1] >= 0.0)
-        return s, local
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, Tensor]) -> None:
-        ctx.mark_non_differentiable(*output)
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, t: Tensor, *knots: Tensor) -> tuple:
-        leading = (
-            x[None].expand(info.batch_size, *x.shape) if d is None else x.movedim(d, 0)
-            for x, d in zip(knots, in_dims[1:], strict=True)
-        )
-        return _MaximumPositions.apply(t, *leading), (0, 0)
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> tuple[None, None]:
-        return None, None
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> tuple[None, None, None, None]:
-        return None, None, None, None
+        searched = bracketed | inner
+        return torch.where(searched, s, root), torch.where(searched, flat, inner)
 
 
 def checked_window(window: tuple[float, float]) -> tuple[float, float]:
@@ -264,16 +300,33 @@ def checked_window(window: tuple[float, float]) -> tuple[float, float]:
     return first, last
 
 
-def _slopes(t: Tensor, y: Tensor) -> Tensor:
-    """Slopes at samples [..., n]: of fourth order inside and second order at the ends; at unequal times of second order."""
-    h = t.diff()
-    if float((h - h[0]).abs().max()) > 1e-6 * float(h[0]):
-        return torch.gradient(y, spacing=(t,), dim=-1, edge_order=min(2, len(t) - 1))[0]
-    if len(t) < 5:
-        return torch.gradient(y, dim=-1)[0] / h[0]
-    forward, backward = y.new_tensor([-1.5, 2.0, -0.5]), y.new_tensor([0.5, -2.0, 1.5])
-    start, end = y[..., :3] @ forward, y[..., -3:] @ backward
-    second, last_but_one = (y[..., 2] - y[..., 0]) / 2.0, (y[..., -1] - y[..., -3]) / 2.0
-    inner = (8.0 * (y[..., 3:-1] - y[..., 1:-3]) - (y[..., 4:] - y[..., :-4])) / 12.0
-    first_two, last_two = torch.stack([start, second], -1), torch.stack([last_but_one, end], -1)
-    return torch.cat([first_two, inner, last_two], -1) / h[0]
+def _far_from_switches(t: Tensor, begins: Tensor) -> Tensor:
+    """Which knots [..., n] are ends of pieces, or not too near to these for differences."""
+    first, last = ends_of_pieces(t, begins)
+    i, near = torch.arange(t.shape[-1]), _NEAR * (t[..., -1:] - t[..., :1]) / (t.shape[-1] - 1)
+    far = (t - t.gather(-1, first) > near) & (t.gather(-1, last) - t > near)
+    return far | (i == first) | (i == last)
+
+
+def _kept(mask: Tensor) -> Tensor:
+    """Numbers of the knots of a mask [n] or [..., n], in order; rows that have fewer than others repeat their last one.
+
+    Under torch.func.vmap all rows have as many as there are knots.
+    """
+    if mask.dim() == 1:
+        return torch.nonzero(mask)[:, 0]
+    order = torch.argsort((~mask).to(torch.int8), dim=-1, stable=True)
+    count = mask.sum(-1, keepdim=True)
+    return order.gather(-1, torch.arange(mask.shape[-1]).minimum(count - 1))
+
+
+def _first(kept: Tensor) -> Tensor:
+    """Which of these numbers are not repetitions of the one before."""
+    return torch.nn.functional.pad(kept.diff() > 0, (1, 0), value=True)
+
+
+def _take(x: Tensor, index: Tensor) -> Tensor:
+    """Entries of x [n] or [..., n]: index [k] for all rows, or [..., k]."""
+    if index.dim() == 1:
+        return x[..., index]
+    return x.expand(*index.shape[:-1], x.shape[-1]).gather(-1, index)

@@ -14,15 +14,19 @@ Checked in tests/integrate/test_contacts.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.math.pair import value
 from torchmbd.math.variable import law_key
+from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.forces.contact_law import ContactControl
+from torchmbd.multibody.forces.laws import Gap, Scaled
+from torchmbd.multibody.forces.parametric_law import ParametricLaw
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.times_as_lanes import as_lanes
@@ -50,11 +54,51 @@ class UnresolvedContact(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Gap:
-    """Gaps of a contact law; `inputs`: where its inputs are among s | s' of all actions."""
+class _ContactGaps:
+    """Gaps of a contact; `inputs`: where its inputs are among s | s' of all actions."""
 
     control: ContactControl
     inputs: Tensor
+
+    @property
+    def labels(self) -> list[str]:
+        return self.control.count * [f"{self.control.label} of {self.control.what}"]
+
+    def __call__(self, data: Mapping[str, Tensor], s: Tensor) -> tuple[Tensor, Tensor]:
+        """Gaps and rates [gaps, lanes] for s | s' of all actions."""
+        p = data[law_key(self.control.name)][:, 0] if self.control.variables is not None else s[:0]
+        return self.control.gaps(self.control.numbers(p), s[self.inputs])
+
+
+@dataclass(frozen=True)
+class _LawGap:
+    """The gap of a law `Gap` of an action; `inputs`: where its s and s' are among those of all actions."""
+
+    law: Gap
+    inputs: tuple[int, int]
+
+    @property
+    def labels(self) -> list[str]:
+        return [f"contact by Gap(limit={self.law.limit:g}, sign={self.law.sign:g})"]
+
+    def __call__(self, data: Mapping[str, Tensor], s: Tensor) -> tuple[Tensor, Tensor]:
+        """As of _ContactGaps."""
+        i, j = self.inputs
+        return self.law.sign * (s[i : i + 1] - self.law.limit), self.law.sign * s[j : j + 1]
+
+
+def _law_gaps(actions: Sequence[Action]) -> list[_LawGap]:
+    """The gaps of all laws `Gap`, also of those that are scaled."""
+    laws: list[Any] = []
+    for action in actions:
+        laws += action.laws if len(action.laws) > 1 else len(action.members[0]) * action.laws
+    gaps = []
+    for i, law in enumerate(laws):
+        while isinstance(law, (Scaled, ParametricLaw)):
+            law = law.law
+        if isinstance(law, Gap):
+            gaps.append(_LawGap(law, (i, len(laws) + i)))
+    return gaps
 
 
 class ContactWatch:
@@ -63,8 +107,10 @@ class ContactWatch:
     def __init__(self, dynamics: Dynamics):
         """dynamics: of the whole system."""
         self.dynamics = dynamics
-        links = dynamics.topology.links.each if dynamics.topology.actions else []
-        self.gaps = [_Gap(x.control, x.read) for x in links if isinstance(x.control, ContactControl)]
+        actions = dynamics.topology.actions
+        links = dynamics.topology.links.each if actions else []
+        contacts = [_ContactGaps(x.control, x.read) for x in links if isinstance(x.control, ContactControl)]
+        self.gaps = [*contacts, *_law_gaps(actions)]
         self.parts: list[tuple[Tensor, Tensor]] = []  # gaps and rates so far
 
     @property
@@ -89,7 +135,7 @@ class ContactWatch:
         if not self.parts:
             return {}
         gaps, rates = (torch.cat(x, 1) for x in zip(*self.parts, strict=True))  # [gaps, times, lanes]
-        labels = [f"{gap.control.label} of {gap.control.what}" for gap in self.gaps for _ in range(gap.control.count)]
+        labels = [label for gap in self.gaps for label in gap.labels]
         result: dict[int, UnresolvedContact] = {}
         for lane in range(gaps.shape[-1]):
             contacts = [
@@ -110,10 +156,7 @@ class ContactWatch:
         at = equations.placement(T, data, q, as_lanes(T.schedule(times, plain), lanes))
         states = equations.action_states(T, data, at, v)
         inputs = torch.cat([value(x[k]) for k in range(2) for x in states])[:, 0]
-        parts = []
-        for gap in self.gaps:
-            p = data[law_key(gap.control.name)][:, 0] if gap.control.variables is not None else inputs[:0]
-            parts.append(gap.control.gaps(gap.control.numbers(p), inputs[gap.inputs]))
+        parts = [gap(data, inputs) for gap in self.gaps]
         gaps, rates = (torch.cat(x).unflatten(-1, (count, lanes)) for x in zip(*parts, strict=True))
         return gaps, rates
 

@@ -32,6 +32,9 @@ IMPRECISE = 1e-3
 STEP_ERROR = 3.0
 # Of accelerations: vibrations with less than five steps to a period.
 ALTERNATION = 0.3
+# Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
+LIGHT = 3e8  # [m/s]; of angular and modal rates as well
+FAR = 1e13  # [m]
 # Statistics [lanes] of the steps by which a finite motion is judged.
 STEP_STATISTICS = ("iteration_error", "turn", "step_error", "suggested_steps", "alternation")
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
@@ -45,7 +48,7 @@ def status_of_lanes(
 
     failed   lanes that the integrator gave up, with the reason
     """
-    finite, result = _finite(history), []
+    finite, possible, result = _finite(history), _possible(history), []
     for lane in range(finite.shape[1]):
         gap = torch.nonzero(~finite[:, lane])
         if failed and lane in failed:
@@ -53,6 +56,12 @@ def status_of_lanes(
         elif len(gap):
             time = duration * int(gap[0]) / (len(history.q) - 1)
             result.append(f"failed: the motion is not finite from t = {time:.6g} s on")
+        elif len(gap := torch.nonzero(~possible[:, lane])):
+            time = duration * int(gap[0]) / (len(history.q) - 1)
+            result.append(
+                f"failed: the motion is faster than light from t = {time:.6g} s on, as one that grows from step to step; "
+                "more steps help, or a smaller load"
+            )
         else:
             own = {name: float(statistics[name][lane]) for name in STEP_STATISTICS if name in statistics}
             result.append(_status_of_steps(own))
@@ -62,6 +71,12 @@ def status_of_lanes(
 def _finite(history: History) -> Tensor:
     """Whether all numbers of a state are finite [times, lanes]: a sum is where all its terms are, short of overflow."""
     return torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
+
+
+def _possible(history: History) -> Tensor:
+    """Whether all rates of a state are below the speed of light, and no coordinate has left the solar system [times, lanes]."""
+    largest = [x[:, :, 0].abs().amax(1) for x in (history.q, history.v)]
+    return (largest[0] < FAR) & (largest[1] < LIGHT)
 
 
 def _status_of_steps(statistics: Mapping[str, float]) -> str:
@@ -136,7 +151,8 @@ def validity(history: History, status: Sequence[str], statistics: Mapping[str, A
     A tensor, and an output of `Motion`: torch.func.vmap takes it apart as it does the motion.
     """
     failed = torch.tensor([has_failed(x) for x in status])
-    before = _finite(history).int().cumprod(0).sum(0)  # times before the first that is not finite
+    sound = _finite(history) & _possible(history)
+    before = sound.int().cumprod(0).sum(0)  # times before the first that is not
     before = before.minimum(statistics.get("valid_times", before)).clamp_min(0)
     valid = torch.where(failed, before, len(history.q))
     return torch.stack([valid.double(), (~failed).double()])[:, None]

@@ -15,6 +15,7 @@ Checked in tests/math/test_module_call.py.
 from __future__ import annotations
 
 import functools
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeVar
@@ -31,13 +32,22 @@ _LOCK = threading.RLock()
 
 
 def exclusive(f: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: one thread at a time runs any of the exclusive functions, with one thread of torch; others wait."""
+    """Decorator: one thread at a time runs any of the exclusive functions, with one thread of torch; others wait.
 
-    @functools.wraps(f)
-    def locked(*args: P.args, **kwargs: P.kwargs) -> R:
+    torch.compile does not trace them; it compiles what is around them.
+    """
+
+    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
         with _LOCK, one_thread():
             return f(*args, **kwargs)
 
+    @functools.wraps(f)
+    def locked(*args: P.args, **kwargs: P.kwargs) -> R:
+        # The compiler of torch takes seconds to import: where it is not loaded, nothing is traced.
+        run = torch.compiler.disable(alone) if "torch._dynamo" in sys.modules else alone
+        return run(*args, **kwargs)  # pyright: ignore[reportCallIssue]
+
+    locked._torchdynamo_disable = True  # pyright: ignore[reportAttributeAccessIssue]
     return locked
 
 

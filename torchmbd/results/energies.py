@@ -9,8 +9,8 @@
 
     balance = kinetic + strain + potential + dissipated + lost - applied - driven, less its value at the start
 
-is zero along an exact motion; the rest is the error of steps and iterations. Integrals are trapezoidal over the output
-times, and on both sides of every switch.
+is zero along an exact motion; the rest is the error of steps and iterations. Integrals are trapezoidal over all states of a
+lane (lane_motion.py): at the output times or its smaller steps, and on both sides of every switch.
 Values only. All functions of time [lanes, times] [J].
 Checked in tests/physics/test_energies.py: against nodal sums, and the balance to second order.
 """
@@ -18,7 +18,6 @@ Checked in tests/physics/test_energies.py: against nodal sums, and the balance t
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,6 +28,7 @@ from torchmbd.multibody.system import beams, equations
 from torchmbd.multibody.system.moments import bent_stiffness, moments
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
+from torchmbd.results.lane_motion import has_lane_times, lane_motion
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
 
@@ -66,45 +66,19 @@ class Energies(Summary):
 
 def energies(motion: MotionData) -> Energies:
     """The energies of all lanes of a motion."""
-    if motion.switches and len(motion.status) != motion.lanes:
+    if has_lane_times(motion) and len(motion.status) != motion.lanes:
         raise InputError(
-            "energies of a motion with phases are asked for in torch.func.vmap, but lanes switch at times of their own; "
+            "energies of lanes with phases or smaller steps of their own are asked for in torch.func.vmap; "
             "allowed: designs [lanes, ...] in one simulate"
         )
     parts = [_lane(motion, lane) for lane in range(motion.lanes)]
     return Energies(*(torch.stack(x) for x in zip(*parts, strict=True)))
 
 
-class _Samples(NamedTuple):
-    """One lane at all times [n]: q, v, lam [rows, 1, n]; `output`: at output times, `begins`: after a switch."""
-
-    t: Tensor
-    q: Tensor
-    v: Tensor
-    lam: Tensor
-    output: Tensor
-    begins: Tensor
-
-    @classmethod
-    def of(cls, motion: MotionData, lane: int) -> _Samples:
-        """The output times and both sides of the switches, in order; of equal times the output comes last."""
-        passed = [s for s in motion.switches if bool(torch.isfinite(s.t[lane]))]
-        sides = [side for s in passed for side in (s.before, s.after)]
-        t = torch.cat([torch.stack([s.t[lane], s.t[lane]]) for s in passed] + [motion.t])
-        order = torch.argsort(t, stable=True)
-
-        def sampled(name: str) -> Tensor:
-            x = torch.stack([*(getattr(side, name)[lane] for side in sides), *getattr(motion, name)[lane]])
-            return x[order].T[:, None]
-
-        begins = (order < len(sides)) & (order % 2 == 1)
-        return cls(t[order], sampled("q"), sampled("v"), sampled("lam"), order >= len(sides), begins)
-
-
 def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     """Energies and works [times] of one lane: its times take the place of lanes."""
-    T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
-    t, q, v, lam = samples[:4]
+    T, (alone, begins, outputs) = motion.dynamics.topology, lane_motion(motion, lane)
+    t, (q, v, lam) = alone.t, (alone.signals.values(name)[0].T[:, None] for name in ("q", "v", "lam"))
     data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
     at = equations.placement(T, data, q, as_lanes(T.schedule(t, data)))
     w, wd = at.w, equations.split_v(T, v)[2]
@@ -124,12 +98,12 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
         dissipation = dissipation if rates is None else dissipation + beams.dissipation(T, data, at, rates)
     momentum = torch.cat([x.flatten(0, 1) for x in equations.inertia_forces(T, plain, at, torch.zeros_like(v), v)])
     energy = [0.5 * dot(v, momentum), strain, _potential(motion, data, at, q)]
-    powers = [dissipation, _applied(motion, data, at, v, samples.begins.cumsum(0)), _driven(T, data, t, q, lam)]
+    powers = [dissipation, _applied(motion, data, at, v, begins.cumsum(0)), _driven(T, data, t, q, lam)]
     drop = -energy[0][0].diff(prepend=energy[0][0, :1])
-    lost = torch.where(samples.begins, drop, 0.0).cumsum(0)
+    lost = torch.where(begins, drop, 0.0).cumsum(0)
     works = [torch.nn.functional.pad(torch.cumulative_trapezoid(x[0], t), (1, 0)) for x in powers]
     valid = torch.where(torch.isfinite(q).all(0)[0], 0.0, torch.nan)  # nan after a failure, also of constant energies
-    return [(x + valid)[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
+    return [(x + valid)[outputs] for x in (*(e[0] for e in energy), *works, lost)]
 
 
 def _of(x: Tensor, lane: int) -> Tensor:

@@ -85,6 +85,7 @@ class MotionData(Summary):
     good        which lanes have not failed [lanes], also where torch.func.vmap makes several motions of one; None: all
     actions     applied forces of each phase; none: of all the same
     variables   designs by which the motion is differentiable, by name [lanes, ...]: inputs of torch.autograd.grad
+    turns       of an instant of a motion that is being integrated: what its angles continue (turns.py)
     integration how it was integrated, with its tangents if it has any (forward_integration.py, reverse_integration.py)
     """
 
@@ -103,6 +104,7 @@ class MotionData(Summary):
     good: Tensor | None = field(default=None, repr=False)
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
     integration: Any = field(default=None, repr=False)
+    turns: Any = field(default=None, repr=False)
 
     def _summary(self) -> list[tuple[str, Any]]:
         T, wrong = self.dynamics.topology, [status for status in self.status if status != OK]

@@ -4,6 +4,7 @@
 
 o is the point of the frame a, and both vectors are given in the axes of that frame, as a sensor there would read them.
 The reaction on body a is the opposite, about the same point. Where rows are redundant their share is that of least norm.
+While a phase locks a joint, its reaction contains what the lock transmits.
 Checked in tests/results/test_reaction.py: free bodies in equilibrium.
 """
 
@@ -19,6 +20,7 @@ from torchmbd.math.pair import value
 from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
 from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.results.body_motion import BodyMotion, point_of
@@ -61,13 +63,16 @@ def joint_named(system: System, name: str) -> Joint:
 
 def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
-    T, rank = motion.dynamics.topology, motion.dynamics.rank
-    if joint.name in rank.undetermined:
+    T = motion.dynamics.topology
+    # With phases the rows of the whole system, released ones and all locks, do not act together.
+    rank = None if motion.actions else motion.dynamics.rank
+    if rank is not None and joint.name in rank.undetermined:
         warn(
             f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, as {few(rank.redundant)} "
             "follow from other rows: it has the share of least norm; allowed: joints with fewer rows, such as mbd.Spherical"
         )
-    rows = torch.tensor([name == joint.name for name in T.row_joints])
+    acting = {joint.name, *(x.name for x in motion.system.joints if isinstance(x, Lock) and x.of == joint.name)}
+    rows = torch.tensor([name in acting for name in T.row_joints])
     at, gradient = _constraint_forces(motion, rows)
     force = torque = torch.zeros_like(motion.v[..., :3])
     for i, attached in enumerate(T.attached):

@@ -15,7 +15,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimization import Front
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.journal import Journal, child
-from torchmbd.study.progress import SearchCounter, print_table, table_of
+from torchmbd.study.progress import SearchCounter, print_table, shown_rows, table_of
 from torchmbd.study.report import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
@@ -58,10 +58,13 @@ def _show(study: StudySettings, front: Front, journal: Journal, console: Console
     units = getattr(study.problem, "units", [None] * len(front.names))
     headings = [f"{name} [{unit}]" if unit else name for name, unit in zip(front.names, units, strict=True)]
     table = table_of(f"{study.name}: {len(front.points)} points", ["point", *headings, *study.columns.headings])
-    for k, point in enumerate(front.points):
+    rows = shown_rows(len(front.points))
+    for k, point in ((k, front.points[k]) for k in rows):
         values = [f"{value:z.2f}" for value in study.columns.by_name(point.x).values()]
         table.add_row(str(k), *(f"{value:.6g}" for value in point.criteria), *values)
     print_table(table, console)
+    if len(rows) < len(front.points):
+        console.print(f"{len(rows)} of {len(front.points)} points; all are in front.csv, among the files of the run")
     with missing_picture_reported(console):
         file = journal.folder / "front.csv"
         with file.open("w", newline="", encoding="utf-8") as out:

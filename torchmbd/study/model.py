@@ -26,6 +26,7 @@ from torchmbd.design import History, Measure
 from torchmbd.errors import InputError, nearest
 from torchmbd.integrate import Phase
 from torchmbd.multibody.system import System
+from torchmbd.process import file_of
 from torchmbd.study.file_errors import Fault, shown
 
 Builder = Callable[..., System]
@@ -95,8 +96,8 @@ def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str,
 
 def _inside(name: str, folder: Path) -> Path:
     """Return the path of a file below the folder; InputError for one that lies outside."""
-    file = (folder / name).resolve()
-    if Path(name).is_absolute() or not file.is_relative_to(folder.resolve()):
+    file = (folder / file_of(name)).resolve()
+    if file_of(name).is_absolute() or not file.is_relative_to(folder.resolve()):
         raise InputError(
             f"= {shown(name)}: lies outside the folder of the experiment file; "
             f"allowed: a Python file in {folder} or below, or an importable module"

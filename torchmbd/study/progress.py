@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from torchmbd.study.columns import Columns
 
 _HEADING = 12  # characters of a line of a heading
+ROWS = 40  # of a table on the terminal, about; a screen has no more
 _ROUNDING = 1e-12  # of constraints divided by their limits
 
 
@@ -156,6 +157,14 @@ def wrapped_heading(heading: str) -> str:
 def drop_order(first: int, count: int, then: Sequence[int] = ()) -> list[int]:
     """Return indices of columns in the order in which they are left out: `count` from `first` on, last first, `then` others."""
     return [*range(first + count - 1, first - 1, -1), *then]
+
+
+def shown_rows(count: int, best: int | None = None) -> list[int]:
+    """Return which of `count` rows a table shows: all of a few, else evenly spaced ones, first, last and best among them."""
+    if count <= ROWS:
+        return list(range(count))
+    spaced = {round(k * (count - 1) / (ROWS - 1)) for k in range(ROWS)}
+    return sorted(spaced | ({best} if best is not None else set()))
 
 
 def fit_to_width(table: Table, console: Console, optional: Sequence[int] = ()) -> Table:

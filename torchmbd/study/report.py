@@ -17,7 +17,7 @@ from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
-from torchmbd.study.progress import drop_order, gain_heading, outcome_cells, print_table, table_of
+from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
 from torchmbd.viz import (
     animate,
@@ -52,7 +52,8 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
     best = found.best
     moved = [result for result in found.results if result.start == 0 and result.history]
     first = moved[0].history[0].objective if moved else float("nan")
-    for result in sorted(found.results, key=lambda r: (not r.violation <= study.feasibility, r.value)):
+    ranked = sorted(found.results, key=lambda r: (not r.violation <= study.feasibility, r.value))
+    for result in ranked[:ROWS]:
         angles = [f"{value:z.2f}" for value in study.columns.by_name(result.x).values()]
         cells = [str(result.start), *outcome_cells(first, result.value, result.violation, study.sign), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
@@ -60,6 +61,8 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
     angles = drop_order(4, len(study.columns.names), [-2, 3, -3, 2])
     if not print_table(table, console, angles) and best is not None:
         console.print(f"best design: {study.columns.named(best.x)}", soft_wrap=True, highlight=False)
+    if len(ranked) > ROWS:
+        console.print(f"the best {ROWS} of {len(ranked)} starts; torchmbd best --count {len(ranked)} prints all")
     if failures:
         last = f"the last: {escape(failures[-1])}"
         console.print(

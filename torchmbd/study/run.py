@@ -263,7 +263,7 @@ def close_tracker(
         again = "" if record else ". When both take them, the same command makes them again and sends the study"
         console.print(f"The last evaluations are not on disk: {escape(trouble)}{again}", style="red", soft_wrap=True)
     elif record is None and tracker.trouble:
-        text = "When the store is back, `torchmbd sync` sends the study: what it has computed is on disk"
+        text = "When the store takes them, `torchmbd sync` sends the study: what it has computed is on disk"
         console.print(text, style="red", soft_wrap=True)
     if record is None:
         return None

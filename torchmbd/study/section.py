@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Annotated
+from typing import Annotated, Any
 
 from annotated_types import Len
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
 from pydantic_core import PydanticCustomError
 
 from torchmbd.errors import nearest
@@ -32,3 +32,11 @@ class Section(BaseModel):
     """Part of a file: nothing unknown, nothing converted, nothing changed later."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_empty_value(cls, given: Any) -> Any:
+        """A key without a value was most likely forgotten: its default is that of no key."""
+        if given is None:
+            raise PydanticCustomError("value", "no value; allowed: a value, or the file without this key")
+        return given

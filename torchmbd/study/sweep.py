@@ -18,7 +18,7 @@ from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
 from torchmbd.study.journal import Journal, child, percent
 from torchmbd.study.metric_names import gain_metric
-from torchmbd.study.progress import drop_order, print_table, table_of
+from torchmbd.study.progress import drop_order, print_table, shown_rows, table_of
 from torchmbd.study.report import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
@@ -106,10 +106,13 @@ def _show(
 ) -> None:
     heading = study.columns.heading(index)
     table = table_of(f"{study.name}: criteria divided by those of the start design", [heading, *criteria])
-    for k, value in enumerate(values):
+    rows = shown_rows(len(values), best)
+    for k, value in ((k, values[k]) for k in rows):
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
         table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
     print_table(table, console, drop_order(2, len(criteria) - 1))
+    if len(rows) < len(values):
+        console.print(f"{len(rows)} of {len(values)} points; all are in sweep.csv, among the files of the run")
     with missing_picture_reported(console):
         file = journal.folder / "sweep.csv"
         with file.open("w", newline="", encoding="utf-8") as out:

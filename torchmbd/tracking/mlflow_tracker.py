@@ -32,6 +32,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from torchmbd.process import utf8
 from torchmbd.tracking.store import first_line, store_uri
 from torchmbd.tracking.study_store import PendingRun, Point, StudyStore
 from torchmbd.tracking.tracker import Record, Status, TrackingError
@@ -79,8 +80,8 @@ class MlflowTracker:
         if parent is not None:
             self._require(parent)
         with self._lock:
-            texts = {key: str(value)[:_MAX_VALUE] for key, value in (params or {}).items()}
-            self._pending[run] = PendingRun(name, _now(), parent, texts, dict(tags or {}))
+            texts = {key: value[:_MAX_VALUE] for key, value in _texts(params or {}).items()}
+            self._pending[run] = PendingRun(utf8(name), _now(), parent, texts, _texts(tags or {}))
         self._open[run] = True
         if self._thread.ident is None:
             self._thread.start()
@@ -93,7 +94,7 @@ class MlflowTracker:
 
     def tags(self, run: str, values: Mapping[str, str]) -> None:
         with self._lock:
-            self._draft(run).tags.update({key: str(value) for key, value in values.items()})
+            self._draft(run).tags.update(_texts(values))
 
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
         """Log a file, which must exist until `close` has returned."""
@@ -121,7 +122,7 @@ class MlflowTracker:
         with self._lock:
             draft = self._draft(run)
             draft.ended = status, _now()
-            if names := "\n".join(sorted(self._files.get(run, ()))):
+            if names := utf8("\n".join(sorted(self._files.get(run, ())))):
                 draft.tags[FILES] = names if len(names) < _MAX_VALUE else names[:_MAX_VALUE].rpartition("\n")[0]
         self._open[run] = False
 
@@ -190,6 +191,11 @@ class MlflowTracker:
                 time.sleep(_LAST_RETRY)
             else:
                 self._closing.wait(pause)
+
+
+def _texts(values: Mapping[str, object]) -> dict[str, str]:
+    """Return texts that every database takes, the names of files in them as UTF-8."""
+    return {key: utf8(str(value)) for key, value in values.items()}
 
 
 def _now() -> int:

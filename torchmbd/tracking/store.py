@@ -16,6 +16,7 @@ import fcntl
 import logging
 import os
 import sqlite3
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchmbd.errors import InputError
-from torchmbd.process import require_cache_folder
+from torchmbd.process import require_cache_folder, utf8
 from torchmbd.tracking.tracker import TrackingError
 from torchmbd.tracking.uri import MASK, StoreURI
 
@@ -52,7 +53,15 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
         raise InputError(
             f"{given} = {chosen!r}: {MASK} stands for what is not written down; allowed: the whole URI, as MLFLOW_TRACKING_URI"
         )
-    return StoreURI(f"sqlite:///{chosen.file}") if chosen.file else chosen
+    if chosen.file is None:
+        return chosen
+    paths = [text for text in (str(chosen.file), str(Path.cwd())) if utf8(text) != text]
+    if paths and not chosen.file.exists():  # MLflow writes both into a new store
+        raise InputError(
+            f"{given} = {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} is not of this locale, whose names are in "
+            f"{sys.getfilesystemencoding()}; allowed: PYTHONUTF8=1, or a locale of UTF-8"
+        )
+    return StoreURI(f"sqlite:///{chosen.file}")
 
 
 def checked_uri(uri: str | StoreURI, given: str = "uri") -> StoreURI:

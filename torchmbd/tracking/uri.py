@@ -15,6 +15,8 @@ import re
 from pathlib import Path
 from urllib.parse import unquote
 
+from torchmbd.process import file_of
+
 MASK = "***"
 _USER = re.compile(
     r"(?<![\w+.-])(?!(?:sqlite|file):)([A-Za-z][\w+.-]*://)\S*@"
@@ -66,7 +68,9 @@ class StoreURI:
     @property
     def file(self) -> Path | None:
         """The file of a SQLite store (absolute), None for any other store."""
-        return Path(self.whole.removeprefix("sqlite:///")).absolute() if self.whole.startswith("sqlite:///") else None
+        return (
+            file_of(self.whole.removeprefix("sqlite:///")).absolute() if self.whole.startswith("sqlite:///") else None
+        )
 
     def hide(self, text: str) -> str:
         """Return a text, such as a message of a database, without user and password of this URI."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from torchmbd.design.curve import samples_over_time
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
@@ -58,10 +59,11 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     t = motion.t.numpy()
     for axes, panel in zip(rows, panels, strict=True):
         factor, name = display_unit(unit(panel.history))
-        values = factor * np.asarray(panel.history(motion).detach())
-        for y, label, color in zip(values, labels, _colors(len(labels)), strict=True):
-            over_time(axes, t, y, label, color)
-        _limits(axes, values, [(factor * x, kind) for x, kind in panel.limits], name)
+        curves = [samples_over_time(panel.history, motion, lane) for lane in range(motion.lanes)]
+        drawn = [(x.numpy(), factor * np.asarray(y.detach())) for x, y in curves]
+        for (x, y), label, color in zip(drawn, labels, _colors(len(labels)), strict=True):
+            over_time(axes, x, y, label, color)
+        _limits(axes, np.concatenate([y for _, y in drawn]), [(factor * x, kind) for x, kind in panel.limits], name)
         for window in panel.windows:
             axes.axvspan(*window, color="#f0f0f0", zorder=0)
         axes.set_title("; ".join(panel.asked), loc="left", fontsize=8)

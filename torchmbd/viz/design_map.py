@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CONTOURS = 12  # evaluations from which on contours are drawn
+_MINIMA = 8  # in the legend, the best first
 _NAMED = 3  # variables in the heading of a direction
 _WIDE = 10.0  # ratio of objectives from which on their colors and contours are logarithmic
 
@@ -67,9 +68,11 @@ def design_map(
     for name, path in paths.items():
         end = None if ends is None else ends.get(name)
         color = OTHER if end is None else CYCLE[1:][end % (len(CYCLE) - 1)]
-        label = "did not converge" if end is None else f"ends in minimum {end + 1}"
-        label = None if ends is None or end in named else label
-        named.add(end)
+        label = (
+            "did not converge" if end is None else f"ends in minimum {end + 1}" if end < _MINIMA else "ends in another"
+        )
+        label = None if ends is None or label in named else label
+        named.add(label)
         across = np.asarray(path)[:, 0]
         up = np.asarray(objectives[name]) if len(headings) == 1 else np.asarray(path)[:, 1]
         axes.plot(across, up, color=color, lw=0.9, marker="o", ms=2, label=label)

@@ -140,3 +140,9 @@ def test_materials_that_depend_on_temperature(tmp_path):
     for command in ("TEMP(LOAD) = 7", "TEMPERATURE(LOAD)=7", "SPC = 1"):
         with pytest.warns(UserWarning, match=r"left out: MATT1 \(1\)"):
             read(tmp_path, "MATT1,1,5", command)
+
+
+def test_drilling_stiffness_of_nastran_is_told(tmp_path):
+    """K6ROT is a number that Nastran gives to rotations about the normal; here they have stiffness of their own."""
+    with pytest.warns(UserWarning, match="PARAM K6ROT, as drilling freedoms have the stiffness of the membrane"):
+        read(tmp_path, "PARAM,K6ROT,1.")

@@ -31,6 +31,7 @@ from torchmbd.results.motion_data import OK
 from torchmbd.results.state import State
 from torchmbd.results.time_rows import Rows, Signals, TensorSignals
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.results.turns import Turns
 
 DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
 
@@ -219,6 +220,7 @@ class Views:
             status=[OK] * len(lanes),
             designs={name: y[list(lanes)] for name, y in self.whole.designs.items()},
             shapes=SomeLanes(self.whole.shapes, lanes),
+            turns=self._turns_of(lanes),
         )
         return self._motion(some, dynamics, t, x)
 
@@ -232,8 +234,17 @@ class Views:
             status=[OK] * len(lanes),
             designs={name: design(name, y[list(lanes)]) for name, y in self.whole.designs.items()},
             shapes=GivenShapes(lambda name: shape(name, kept.values(name).detach())),
+            turns=self._turns_of(lanes),
         )
         return Views(whole)
+
+    def continuing(self, times: Tensor, q: Tensor, v: Tensor) -> Views:
+        """The same for a motion whose states are recorded in q, v [times, n, pair, lanes]: angles continue what is recorded."""
+        return replace(self, whole=replace(self.whole, turns=Turns(self.whole, times, q, v)))
+
+    def _turns_of(self, lanes: Sequence[int]) -> Turns | None:
+        turns = self.whole.turns
+        return None if turns is None else turns.of_lanes(list(lanes))
 
     def evaluate(
         self, f: Callable[[Trajectory], Tensor], lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State
@@ -290,7 +301,8 @@ class Views:
     def _motion(base: Trajectory, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
         """t [1 + n, lanes], or [1 + n, 1] of all lanes."""
         now = value(t)[0] if t.shape[-1] == 1 else torch.empty(0, dtype=torch.float64).as_subclass(_TimesOfLanes)
-        return replace(base, t=now, signals=Instant(dynamics, t, x), dynamics=dynamics, known=None)
+        turns = None if base.turns is None else base.turns.at(value(t)[0])
+        return replace(base, t=now, signals=Instant(dynamics, t, x), dynamics=dynamics, known=None, turns=turns)
 
 
 def gap_gradient(

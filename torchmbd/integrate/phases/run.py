@@ -113,6 +113,7 @@ class MultiphaseRun:
             return torch.full((self.steps + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+        self.views = self.views.continuing(self.times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
 
     @property

@@ -231,6 +231,8 @@ class BulkData:
             self.weight_to_mass = card.real(2, name)
             if not self.weight_to_mass > 0.0:
                 raise InputError(f"{card}: WTMASS is {card.text(2)!r}; allowed: above 0")
+        elif name == "K6ROT":
+            self.ignored["PARAM K6ROT, as drilling freedoms have the stiffness of the membrane"] += 1
         elif name in FACTORS and card.real(2, name) != 1.0:
             raise InputError(f"{card}: {name} is {card.text(2)}, it multiplies {FACTORS[name]}; allowed: 1.0")
 

@@ -3,6 +3,7 @@
 Numbers are given along the span, linear between; positions s along a contour run from the trailing edge over the suction side
 and the leading edge to the trailing edge, as parts of its length. Contours are linear in the relative thickness between the
 airfoils beside, and this is monotone cubic along the span.
+Over 300 lines: one reader of one file, and the checks of its entries.
 Source: windIO 1.x (IEA Wind Task 37). Checked in tests/io/test_windio.py, experiments/iea_blade.py.
 """
 
@@ -30,6 +31,7 @@ ENTRIES = 5_000_000  # of the data, those behind aliases counted each time
 NESTED = 50  # levels of the data
 BEYOND = 1e-3  # share of the contour that layers may reach beyond it without a warning
 BRACKETS = 1000  # open at once, those in comments and texts counted too
+ALONG = {"grid": [0.0, 1.0], "values": [0.0, 0.0]}  # the schema's default of fiber_orientation [rad]
 THIN = 2e-5  # m: layers below are left out
 _POINTS = 200  # of a contour
 Array = NDArray[np.float64]
@@ -68,7 +70,7 @@ class WindIOBlade:
             self._materials = _named("material", data["materials"])
             self._airfoils(shape["airfoil_position"], _named("airfoil", data["airfoils"]))
             self._webs = _named("web", self._inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
-            self._layers = _named("layer", self._inner["layers"], "material", "thickness", "fiber_orientation")
+            self._layers = _named("layer", self._inner["layers"], "material", "thickness")
             for name, own in self._layers.items():
                 if "web" in own and own["web"] not in self._webs:
                     raise unknown(f"web of layer {name!r}:", own["web"], self._webs)
@@ -143,7 +145,7 @@ class WindIOBlade:
                 webs[own["web"]].append((number, thickness))
             else:
                 start, end = (self._layer_end(name, side, position, length) for side in ("start", "end"))
-                layers.append(Layer(number, thickness, *_clipped(name, position, start, end)))
+                layers += [Layer(number, thickness, *part) for part in _parts(name, position, start, end)]
         made = []
         for name, stack in webs.items():
             if stack:
@@ -154,7 +156,7 @@ class WindIOBlade:
                 made.append(Web(tuple(stack), *places_of))
         plies = [self._solid(own["material"]) for own in self._layers.values()]
         angles = [
-            _span_values(f"fiber_orientation of {name}", own["fiber_orientation"])(position)
+            _span_values(f"fiber_orientation of {name}", own.get("fiber_orientation", ALONG))(position)
             for name, own in self._layers.items()
         ]
         mesh = profile_section(Profile(places), layers, made, cells, order)
@@ -198,12 +200,22 @@ def _error_text(error: Exception) -> str:
     return " ".join(str(error).split()) if isinstance(error, yaml.YAMLError) else repr(error)
 
 
+class _Redefining(yaml.SafeLoader):
+    """The loader in Python, in which an anchor may be defined again, as YAML 1.2 allows: aliases name the last one."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if not self.check_event(yaml.AliasEvent):
+            self.anchors.pop(self.peek_event().anchor, None)
+        return super().compose_node(parent, index)
+
+
 def _loaded(text: str) -> Any:
     """Return the data of a text; their size is checked first, because aliases multiply them and the parser recurses."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     letters = np.frombuffer(text.encode(), dtype=np.uint8)
     flow = np.cumsum(np.isin(letters, list(b"[{")).astype(int) - np.isin(letters, list(b"]}")))
     sizes: dict[str, int] = {}
+    anchors: list[str] = []
     opened: list[tuple[str | None, int]] = [(None, 0)]  # (anchor, entries) of the collections around
     if flow.max(initial=0) > BRACKETS:  # the parser's time grows with their square
         raise InputError(f"its data have more than {BRACKETS} brackets that are open at once")
@@ -217,12 +229,21 @@ def _loaded(text: str) -> Any:
                 sizes[anchor] = size
         elif isinstance(event, yaml.NodeEvent):
             size = sizes.get(event.anchor or "", 1) if isinstance(event, yaml.AliasEvent) else 1
+        if isinstance(event, yaml.NodeEvent) and not isinstance(event, yaml.AliasEvent) and event.anchor:
+            anchors.append(event.anchor)
         opened[-1] = opened[-1][0], opened[-1][1] + size
         if len(opened) > NESTED or opened[-1][1] > ENTRIES:
             break
     else:
-        return yaml.load(text, loader)
+        return yaml.load(text, loader if len(set(anchors)) == len(anchors) else _Redefining)
     raise InputError(f"its data have more than {NESTED} levels or {ENTRIES} entries")
+
+
+def _parts(name: str, position: float, start: float, end: float) -> list[tuple[float, float]]:
+    """Return the parts of the contour that a layer covers: two of one round the trailing edge, whose start is above its end."""
+    if 0.0 <= end < start <= 1.0:
+        return [part for part in ((0.0, end), (start, 1.0)) if part[0] < part[1]]
+    return [_clipped(name, position, start, end)]
 
 
 def _clipped(name: str, position: float, start: float, end: float) -> tuple[float, float]:

@@ -3,7 +3,8 @@
 Columns of the wall lie between stations s along the contour; through the wall there are as many elements in every column as
 the largest stack has layers, where there are fewer the thickest layer counts for several. At a station the layers' faces lie
 at the mean of the depths beside, so that stacks change within one narrow element. A wall is at most SHARE as thick as the
-profile there is wide inside. A web is straight from wall to wall, its faces at stations of both. Where the contour is open at
+profile there is wide inside, and as far thinner as its columns need to stay apart, round a nose or beside an edge (a warning
+says where). A web is straight from wall to wall, its faces at stations of both. Where the contour is open at
 the trailing edge, a short wall of the layers that reach it closes it.
 Checked in tests/io/test_windio.py.
 """
@@ -15,12 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.patches import Patch, patch_mesh
 
 SHARE = 0.45  # of the inner width
 _STEP = 2e-3  # of the contour: columns in which a stack changes
+_EDGE = 2.5 * _STEP  # ends of layers as near to the trailing edge lie at the edge: no room for columns beside them
+_THINNER, _THINNEST = 0.9, 0.05  # a wall whose columns cross becomes thinner by this factor, down to this share
+_TOLD = 0.5  # share of its thickness below which a wall is told
 _BESIDE = 1e-3  # of the contour: neighbors that give the tangent
 _CORNER = 0.3  # of a side of a sharp corner: how deep its inner edge may lie
 Array = NDArray[np.float64]
@@ -139,7 +143,7 @@ def _stations(profile: Profile, layers: list[Layer], feet: list[Array], cells: i
 
     for layer in layers:
         for x in (layer.start, layer.end):
-            if _STEP < x < 1.0 - _STEP and free(x):
+            if _EDGE < x < 1.0 - _EDGE and free(x):
                 fixed |= {y for y in (x - _STEP, x, x + _STEP) if free(y)}
     fixed |= set(webs)
     nose = float(profile.arc[int(np.argmin(profile.points[:, 1]))])
@@ -163,8 +167,8 @@ def _stations(profile: Profile, layers: list[Layer], feet: list[Array], cells: i
 def _stack(layers: list[Layer], s: float, closed: float) -> list[tuple[int, float]]:
     """(number, thickness) of the layers at a position; beyond 1, at the trailing edge, those that reach it."""
     if s > 1.0:
-        reaching = [layer for layer in layers if layer.start <= 1e-6 or layer.end >= 1.0 - 1e-6]
-        return [(layer.number, layer.thickness) for layer in (reaching or layers[:1])]
+        reaching = {layer.number: layer for layer in layers if layer.start <= 1e-6 or layer.end >= 1.0 - 1e-6}
+        return [(layer.number, layer.thickness) for layer in (list(reaching.values()) or layers[:1])]
     return [(layer.number, layer.thickness) for layer in layers if layer.start <= s <= layer.end]
 
 
@@ -192,13 +196,50 @@ def _faces(profile: Profile, s: Array, depth: Array, order: int) -> list[Array]:
     normal[-1] = normal[0]
     p = profile.at(s)
     p[-1] = p[0]
-    ends = p[:, None] + at_station[..., None] * normal[:, None]
+    ends = _untangled(s, p, at_station, normal)
     found = []
     for k in range(closed):
         low, high = ends[k], ends[k + 1]
         middle = 0.5 * (low + high)
         found.append(np.stack([low, high] if order == 1 else [low, middle, high]))
     return found
+
+
+def _untangled(s: Array, p: Array, depth: Array, normal: Array) -> Array:
+    """Points [stations, faces, 2] at depths below the contour; walls whose columns cross are made thinner, and told."""
+    share = np.ones(len(p))
+    while True:
+        ends = p[:, None] + (share[:, None] * depth)[..., None] * normal[:, None]
+        crossed = _crossed(ends)
+        if not crossed.any():
+            break
+        if share.min() < _THINNEST:
+            at = float(s[int(share.argmin())])
+            raise InputError(
+                f"the wall at {at:.4f} of the contour crosses itself; allowed: thinner layers, fewer cells"
+            )
+        wrong = np.zeros(len(p), dtype=bool)
+        wrong[:-1] |= crossed
+        wrong[1:] |= crossed
+        wrong[[0, -1]] = wrong[0] | wrong[-1]  # the same station
+        share[wrong] *= _THINNER
+    if share.min() < _TOLD:
+        k = int(share.argmin())
+        warn(f"the wall at {s[k]:.4f} of the contour has {share[k]:.2f} of its thickness: there is no room for more")
+    return ends
+
+
+def _crossed(ends: Array) -> Array:
+    """Whether a column has a corner that is not convex, or turned as the others are not, in any of its layers."""
+    a, b = ends[:-1, :-1], ends[1:, :-1]
+    d, c = ends[:-1, 1:], ends[1:, 1:]
+    corners = [a, b, c, d]
+    turns = []
+    for k in range(4):
+        before, after = corners[k] - corners[k - 1], corners[(k + 1) % 4] - corners[k]
+        turns.append(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0])
+    turn = np.stack(turns)
+    return (turn * np.sign(np.median(turn)) <= 0.0).any((0, 2))
 
 
 def _corners(profile: Profile, s: Array) -> Array:

@@ -41,12 +41,14 @@ class Marks:
 
 
 class Lock(Joint):
-    """`Lock(joint, name)`: fixes a joint in its pose at a switch."""
+    """`Lock(joint, name)`: fixes a joint in its pose at a switch; its reaction is part of that of the joint, `of`."""
 
     marks: Marks
+    of: str
 
     def __init__(self, joint: Joint, name: str):
         super().__init__(joint.a, joint.b, name)
+        self.of = joint.name
         self.freedoms = freedoms(joint)
         if not self.freedoms:
             raise InputError(f"{joint.name!r} cannot be locked: it leaves no freedom; allowed: a joint that moves")

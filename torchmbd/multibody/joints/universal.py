@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
-from torchmbd.errors import InputError
+import torch
+
+from torchmbd.errors import InputError, warn
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
+
+_SKEW = 1e-3  # [rad] of axes that are typed with three digits
 
 
 class Universal(Joint):
     """`Universal(a, b, axes="yz")`: two letters, both axes of frame a at the start. Four equations.
 
-    The first arm of the cross stays with body a, the second with body b.
+    The first arm of the cross stays with body a, the second with body b. Where shafts are at an angle at the start choose the
+    letters, or axes of frame a, so that the second arm is across both: else the cross is skewed, and turns as no Hooke's joint
+    does. A second frame with axes of its own says where its shaft is: a warning tells the angle by which the cross is skewed.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 
@@ -32,6 +39,19 @@ class Universal(Joint):
         for axis in axes:
             axis_index(axis)
         self.axes = axes
+        skew = self._skew()
+        if skew > _SKEW:
+            warn(
+                f"the cross of {self.name!r} is skewed at the start: its second arm, {axes[1]!r} of {a!r}, is {skew:.2g} rad "
+                f"from {axes[1]!r} of {b!r}; allowed: axes of both frames with this arm in common, across both shafts"
+            )
+
+    def _skew(self) -> float:
+        """Angle between the second arm and that axis of a second frame with axes of its own, whatever their senses [rad]."""
+        if torch.equal(self.b.axes, torch.eye(3, dtype=torch.float64)):
+            return 0.0
+        one, other = (frame.body.axes.detach() @ frame.axis(self.axes[1]) for frame in (self.a, self.b))
+        return math.asin(min(float(torch.linalg.cross(one, other).norm()), 1.0))
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         first, second = self.axes

@@ -43,12 +43,15 @@ from torchmbd.math.pair import Pair, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.beams import stored_energy
 from torchmbd.multibody.system.closing import Closing, warn_far
 from torchmbd.multibody.system.condensation import Condensation, condense
 from torchmbd.multibody.system.rank import Rank
+from torchmbd.multibody.system.rigid_groups import RigidGroups
 from torchmbd.multibody.system.topology import Topology
 
 _CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
+_STRAINING = 1e-8  # [m] or [-]: largest violation of joints after rigid motions that strains beams without a warning
 _STEPS = 50
 _RANK = 1e-10  # share of the largest singular value of J that counts as zero
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
@@ -173,12 +176,17 @@ class InitialConditions:
         if not T.rows:
             return q, v
         given = value(q).detach()
+        if T.beams is not None:
+            q = RigidGroups.by_beams(T).closed(dynamics, q, t, _CLOSED)
+        unstrained = value(q).detach()
         for step in range(_STEPS):
             joints = _Joints.of(dynamics, q, t)
             phi = joints.violation()
             if float(untransformed(value(phi)).abs().max()) < _CLOSED:
-                if step:
+                if step or T.beams is not None:
                     dynamics.outside_transforms(self._warn_moved, given, value(q).detach())
+                if step and T.beams is not None:
+                    dynamics.outside_transforms(self._warn_strained, unstrained, value(q).detach())
                 break
             s = -joints.correction(value(phi).detach())
             residual = phi + joints.rates(s) - joints.rates(0.0 * s)
@@ -196,11 +204,25 @@ class InitialConditions:
 
     def _warn_moved(self, dynamics: Any, given: Tensor, q: Tensor) -> None:
         """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
+        if not float((q - given).abs().max()) > _CLOSED:
+            return
         same = (value(dynamics.data["x"])[:, :, 0].detach() == self.built).all(0).all(0)
         if bool(same.any()):
             lane = int(same.nonzero()[0, 0])
             given, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (given, q))
             warn_far(Closing.of(dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics, given, q))
+
+    def _warn_strained(self, dynamics: Any, unstrained: Tensor, q: Tensor) -> None:
+        """Warn of joints that no rigid motion of exact beams closes."""
+        T, data, t = self.topology, dynamics.values().data, torch.zeros((), dtype=torch.float64)
+        before, after = (equations.placement(T, data, x, T.prescribed(t, data)) for x in (unstrained, q))
+        gap = float(equations.constraints(T, before).abs().max())
+        if gap > _STRAINING:
+            energy = float((stored_energy(T, data, after) - stored_energy(T, data, before)).max())
+            warn(  # few different texts: Python shows each once in an optimization
+                f"closing the joints strains exact beams: {gap:.1g} m or rad are left where they move as rigid bodies, and the "
+                f"start has {energy:.1g} J of strain energy more; allowed: beams that fit between their joints"
+            )
 
     def compatible(self, dynamics: Any, q: Any, v: Any):
         """Rates [n_v, 1, lanes] that the joints allow at closed positions q [n_q, 1, lanes], nearest to v [n_v, 1, lanes]."""

@@ -1,0 +1,190 @@
+"""Histories with two values at one time, at a switch between phases: responses of a motion are those of its pieces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from torchmbd.design import COMBINATORS, RESPONSES, History, Measure
+from torchmbd.design.curve import samples_over_time
+from torchmbd.integrate import Trajectory
+
+DURATION, SWITCH, STEPS = 0.04, 0.016, 40  # the switch is at a time of the grid: pieces have the same steps
+NAME = "arm.laminate.angles"
+ANGLES = torch.deg2rad(torch.tensor([[40.0, -35.0], [70.0, 20.0]], dtype=torch.float64))
+HISTORIES: dict[str, History] = {
+    "strain_energy": mbd.StrainEnergy("arm"),
+    "position": mbd.Position("arm", "y", node="right"),
+    "displacement": mbd.Displacement("arm", "y", node="right"),
+    "velocity": mbd.Velocity("arm", "y", node="right"),
+    "acceleration": mbd.Acceleration("tool", "y"),
+    "relative_displacement": mbd.RelativeDisplacement("arm", "right", "left", "z"),
+    "reaction": mbd.Reaction("hinge", "y"),
+    "angle": mbd.Angle("arm", "z"),
+    "buckling_index": mbd.BucklingIndex("arm"),
+    "ply_failure": mbd.PlyFailure("arm"),
+    "ply_stress": mbd.PlyStress("arm", "11", layer=1),
+}
+MEASURES: dict[str, type[Measure]] = {
+    name: kind for name, kind in COMBINATORS.items() if name not in ("at_time", "at_peaks")
+}
+
+
+def arm_with_motor() -> mbd.System:
+    arm = mbd.examples.arm()
+    motor = mbd.RotationalSpringDamper(mbd.Ground().at(), arm.body("tool").at(), axis="z", law=first_law, name="motor")
+    return mbd.System(arm.bodies, arm.joints, [motor], gravity=(0, -9.81, 0))
+
+
+def first_law(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+    return 3.0 - 0.5 * rate - 2.0 * s
+
+
+def second_law(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+    return -9.0 - 0.5 * rate - 2.0 * s
+
+
+@pytest.fixture(scope="module")
+def whole_and_pieces(native) -> dict[str, tuple[Trajectory, Trajectory, Trajectory | None]]:
+    """By mode of gradients: a motion whose torque jumps, its first piece, and in reverse mode its second one."""
+    system, second = arm_with_motor(), mbd.Phase(laws={"motor": second_law})
+    common = {"designs": {NAME: ANGLES}, "variables": [NAME], "iterations": (6, 6)}
+    result = {}
+    for mode in ("reverse", "forward"):
+        common["gradients"] = mode
+        whole = mbd.simulate(system, DURATION, steps=STEPS, phases=[mbd.Phase(lasting=SWITCH), second], **common)
+        before = mbd.simulate(system, SWITCH, steps=16, phases=[mbd.Phase()], **common)
+        result[mode] = whole.require_ok(), before.require_ok()
+    return result
+
+
+def test_every_registered_history_is_here():
+    assert {name: type(history) for name, history in HISTORIES.items()} == RESPONSES
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
+@pytest.mark.parametrize("history", HISTORIES.values(), ids=HISTORIES)
+def test_a_window_that_ends_at_a_switch_is_the_motion_before(history, mode, whole_and_pieces):
+    """Values and gradients of every measure of every history."""
+    whole, before = whole_and_pieces[mode]
+    for kind in MEASURES.values():
+        alone, part = kind(history), kind(history, window=(0.0, SWITCH))
+        if isinstance(alone, mbd.AtTimes):
+            alone, part = replace(alone, count=7), replace(part, count=7)
+        if isinstance(alone, mbd.SmoothMax):
+            scale = float(history(before).abs().max())
+            alone, part = replace(alone, scale=scale), replace(part, scale=scale)
+        wanted, found = alone.of(before), part.of(whole)
+        assert_close(found.value, wanted.value, rtol=1e-7, atol=1e-9 * float(wanted.value.abs().max()))
+        assert_close(found.gradient, wanted.gradient, rtol=0, atol=1e-6 * float(wanted.gradient.abs().max()) + 1e-15)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("history", HISTORIES.values(), ids=HISTORIES)
+def test_measures_of_the_whole_are_those_of_both_sides(history, whole_and_pieces):
+    whole, _ = whole_and_pieces["reverse"]
+    sides = (0.0, SWITCH), (SWITCH, DURATION)
+    for kind, join in ((mbd.Integral, torch.add), (mbd.Max, torch.maximum), (mbd.Min, torch.minimum)):
+        wanted = join(*(kind(history, window=side)(whole) for side in sides))
+        assert_close(kind(history)(whole), wanted, rtol=1e-9, atol=1e-12 * float(wanted.abs().max()))
+    start = mbd.AtTimes(history, window=sides[1], count=2)(whole)[:, 0]
+    assert_close(mbd.AtTime(history, SWITCH)(whole), start, rtol=1e-9, atol=0.0)
+    end = mbd.Final(history, window=sides[0])(whole)
+    times, values = samples_over_time(history, whole, 0)
+    first = int((times < SWITCH - 1e-9).sum())
+    assert_close(values[first], end[0], rtol=1e-9, atol=0.0)
+    assert_close(values[first + 1], start[0], rtol=1e-9, atol=0.0)
+
+
+G, HEIGHT, E = 9.81, 0.5, 0.7
+SPEED = math.sqrt(2.0 * G * HEIGHT)
+
+
+def ball() -> mbd.System:
+    start = torch.nn.Parameter(torch.tensor([0.0, 0.0, HEIGHT], dtype=torch.float64))
+    body = mbd.RigidBody("ball", 1.0, (0.01,) * 3, position=start)
+    return mbd.System([body], gravity=(0, 0, -G), free=["ball"])
+
+
+def bounce(system: mbd.System, steps: int = 100, **options) -> Trajectory:
+    hit = mbd.Event(mbd.Position("ball", "z"), "falling")
+    return mbd.simulate(system, 0.5, steps=steps, phases=[mbd.Phase(until=hit, impact=E), mbd.Phase()], **options)
+
+
+CURVE = mbd.SNCurve([(1e2, 4.0), (1e6, 0.5)])
+VZ, Z = mbd.Velocity("ball", "z"), mbd.Position("ball", "z")
+T = SPEED / G  # of the impact
+END = E * SPEED - G * (0.5 - T)
+# Values, and derivatives by the height h with v = sqrt(2 g h): dv/dh = g / v, dT/dh = 1 / v.
+EXPECTED = [
+    (mbd.Max(VZ), E * SPEED, E * G / SPEED),
+    (mbd.Min(VZ), -SPEED, -G / SPEED),
+    (mbd.Min(Z), 0.0, 0.0),
+    (mbd.AtTime(VZ, T + 1e-4), E * SPEED - G * 1e-4, (1.0 + E) * G / SPEED),
+    (mbd.AtTime(VZ, T - 1e-4), -SPEED + G * 1e-4, 0.0),
+    (mbd.Final(VZ), END, (1.0 + E) * G / SPEED),
+    (mbd.Integral(VZ), -HEIGHT + E * SPEED * (0.5 - T) - 0.5 * G * (0.5 - T) ** 2, None),
+    (mbd.Max(VZ, window=(0.2, 0.45)), E * SPEED, E * G / SPEED),
+    (mbd.AtPeaks(VZ, count=2), (E * SPEED, 0.0), (E * G / SPEED, 0.0)),
+    # Half cycles from 0 to -v, to e v, to the end: ranges v, (1 + e) v, e v - end.
+    (
+        mbd.EquivalentLoad(VZ, exponent=3.0, cycles=1.0),
+        (0.5 * (SPEED**3 + ((1.0 + E) * SPEED) ** 3 + (E * SPEED - END) ** 3)) ** (1.0 / 3.0),
+        None,
+    ),
+]
+
+
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
+@pytest.mark.parametrize("steps", [100, 317])
+def test_a_ball_that_bounces(steps, mode):
+    """At any number of steps: the spline through the jump was 22 % off, its gradient 2.7 times too large."""
+    system = ball()
+    motion = bounce(system, steps, gradients=mode, variables=["ball.position"])
+    for measure, value, slope in EXPECTED:
+        found, gradient = measure.value_and_gradient(motion)
+        wanted = torch.tensor(value, dtype=torch.float64).reshape(found[0].shape)
+        assert_close(found[0], wanted, rtol=1e-9, atol=1e-9, msg=str(measure))
+        if slope is not None:
+            wanted = torch.tensor(slope, dtype=torch.float64).reshape(found[0].shape)
+            assert_close(gradient[0, ..., 2], wanted, rtol=1e-8, atol=1e-8, msg=str(measure))
+
+
+def test_lanes_switch_at_times_of_their_own():
+    """A batch is as each design alone, and as torch.func.vmap."""
+    system, measures = ball(), [measure for measure, _, _ in EXPECTED]
+    heights = torch.tensor([[0.0, 0.0, 0.5], [0.0, 0.0, 0.61], [0.0, 0.0, 0.3]], dtype=torch.float64)
+
+    def values(position: Tensor) -> Tensor:
+        motion = bounce(system, designs={"ball.position": position})
+        return torch.cat([measure(motion).reshape(len(position), -1) for measure in measures], 1)
+
+    together = values(heights)
+    for lane in range(3):
+        assert_close(values(heights[lane : lane + 1])[0], together[lane], rtol=0, atol=1e-12)
+    assert_close(torch.func.vmap(lambda x: values(x[None])[0])(heights), together, rtol=0, atol=1e-12)
+
+
+def test_damage_counts_the_cycles_of_both_sides():
+    motion = bounce(ball(), gradients="none")
+    ranges = torch.tensor([SPEED, (1.0 + E) * SPEED, E * SPEED - END], dtype=torch.float64)
+    means = torch.tensor([-0.5 * SPEED, 0.5 * (E - 1.0) * SPEED, 0.5 * (E * SPEED + END)], dtype=torch.float64)
+    wanted = (0.5 / CURVE.cycles(0.5 * ranges, means)).sum()
+    assert_close(mbd.Damage(VZ, curve=CURVE)(motion)[0], wanted, rtol=1e-9, atol=0.0)
+
+
+def test_a_displacement_since_the_start_has_both_sides():
+    """At a switch it is that of the whole motion, not of the switch alone: its integral saw zeros there."""
+    system = ball()
+    motion = bounce(system, 400, gradients="none")
+    fall = mbd.Displacement("ball", "z")
+    wanted = mbd.Integral(Z)(motion) - HEIGHT * 0.5
+    assert_close(mbd.Integral(fall)(motion), wanted, rtol=1e-12, atol=0.0)
+    assert_close(mbd.Min(fall)(motion)[0], torch.tensor(-HEIGHT, dtype=torch.float64), rtol=1e-12, atol=0.0)
