@@ -110,5 +110,7 @@ def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
     tensors   [..., lanes]; a batch of torch.func.vmap becomes further lanes
     """
     results: list[R] = []
-    _Outside.apply(lambda *x: results.append(f(*x)), torch.zeros(()), *(x.detach() for x in tensors))
+    _Outside.apply(
+        lambda *x: results.append(f(*x)), torch.zeros((), dtype=torch.float64), *(x.detach() for x in tensors)
+    )
     return results[0]

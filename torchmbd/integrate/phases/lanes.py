@@ -20,7 +20,7 @@ from torchmbd.results.state import State
 
 def pick_lanes(x: Any, lanes: Sequence[int]) -> Any:
     """Some lanes of a number [..., lanes]."""
-    index = torch.tensor(list(lanes))
+    index = torch.tensor(list(lanes), dtype=torch.long)
     return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
 
 
@@ -31,7 +31,7 @@ def pick_states(x: State, lanes: Sequence[int]) -> State:
 
 def put_lanes(x: Any, lanes: Sequence[int], y: Any) -> Any:
     """The number x [..., lanes] with other numbers y in some lanes."""
-    index = torch.tensor(list(lanes))
+    index = torch.tensor(list(lanes), dtype=torch.long)
     return Pair(x.full.index_copy(-1, index, y.full)) if isinstance(x, Pair) else x.index_copy(-1, index, y)
 
 

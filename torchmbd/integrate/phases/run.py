@@ -101,6 +101,7 @@ class MultiphaseRun:
         T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.status = [OK] * lanes
+        self.doubts: dict[int, str] = {}  # of lanes whose numbers stay
         self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
         self.begin_depends = [False]
@@ -287,6 +288,14 @@ class MultiphaseRun:
         """Note the first reason why a lane failed."""
         if self.status[lane] == OK:
             self.status[lane] = f"failed: {reason}"
+
+    def doubt(self, lane: int, phase_model: Segment, t: float) -> None:
+        """Note the first time after which the steps of a lane are too long to know whether its phase ends."""
+        self.doubts.setdefault(
+            lane,
+            f"the steps are too long to know whether the event of phase {phase_model.name!r} occurs in the step from "
+            f"t = {t:.6g} s on; more steps help",
+        )
 
     def never_ends(self, phase_model: Segment, lane: int) -> None:
         """Note that a lane stays in a phase until the simulation ends."""

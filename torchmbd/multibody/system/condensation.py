@@ -361,7 +361,10 @@ def _rates(T: Topology, bodies: list[int], guided: dict[int, Tensor]) -> tuple[T
     dependent: list[int] = []
     for body, free in guided.items():
         columns = torch.tensor([k * n + bodies.index(body) for k in range(6)])
-        unit = [int(torch.nonzero((free == torch.eye(free.shape[1])[j]).all(1))[0]) for j in range(free.shape[1])]
+        unit = [
+            int(torch.nonzero((free == torch.eye(free.shape[1], dtype=free.dtype)[j]).all(1))[0])
+            for j in range(free.shape[1])
+        ]
         if unit:  # a body that is held has none
             N[columns[:, None], columns[unit]] = free
         dependent += columns[[k for k in range(6) if k not in unit]].tolist()
