@@ -118,6 +118,7 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
+    given = checked_designs(system, designs)
     system.join_again()
     phases = switching(phases)
     integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(simulate))
@@ -125,7 +126,6 @@ def simulate(
     system = system if start == "assembled" else system.starting(initial)
     integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
-    given = checked_designs(system, designs)
     seconds = seconds_of(duration)
     check_gradients(gradients, integrator)
     check_backend(backend)
