@@ -125,7 +125,7 @@ def stages(kind: str, lanes: int) -> tuple[Callable[[], object], Callable[[], ob
     body = mbd.FlexibleBody.plate("rod", mbd.mesh.rectangle(0.304, 0.04, (24, 4), kind), laminate, modes=8)
     system = mbd.System([body])
     start = laminate.angles.detach()
-    angles = start + 0.3 * torch.randn(lanes, 3, generator=torch.Generator().manual_seed(0)).double()
+    angles = start + 0.3 * torch.randn(lanes, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
     def stage(x: Tensor) -> dict[str, Tensor]:
         return functional_call(system, {"rod.laminate.angles": x}, ("rod",))

@@ -62,7 +62,7 @@ def _line(motion: mbd.Trajectory, name: str, length: float) -> Tensor:
     body = motion.body(name)
     if body.mesh is not None:
         return body.nodes
-    along = torch.linspace(0.0, length, _SAMPLES, dtype=torch.float64)[:, None] * torch.tensor([1.0, 0.0, 0.0])
+    along = torch.linspace(0.0, length, _SAMPLES, dtype=torch.float64)[:, None] * torch.eye(3, dtype=torch.float64)[0]
     return body.r[:, :, None] + torch.einsum("ltij,nj->ltni", body.A, along)
 
 

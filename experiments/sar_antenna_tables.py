@@ -156,7 +156,7 @@ def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 
     motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **given).require_ok()
     value, exact = OBJECTIVE.value_and_gradient(motion)
     assert exact is not None
-    offsets = step * torch.cat([torch.eye(2), -torch.eye(2)]).to(exact)
+    offsets = step * torch.cat([torch.eye(2, dtype=exact.dtype), -torch.eye(2, dtype=exact.dtype)])
     designs = {ANGLES: mbd.deg(list(angles)) + offsets}
     f = OBJECTIVE.value(mbd.simulate(system, DURATION, designs=designs, gradients="none", **given).require_ok())
     differences = (f[:2] - f[2:]) / (2 * step)

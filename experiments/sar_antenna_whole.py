@@ -59,7 +59,10 @@ def whole(angles: Sequence[float] | None = None, **options: Any) -> mbd.System:
         for panel in (panel2, panel3):
             panel.body.damped(RATIO)
     S, flat = {joint.name: joint for joint in first.joints}, folded(OPENED)
-    hub, base = torch.tensor([-HALF, 0.0, 0.0], dtype=torch.float64), torch.tensor([DRIVER_AT, 0, 0]).double()
+    hub, base = (
+        torch.tensor([-HALF, 0.0, 0.0], dtype=torch.float64),
+        torch.tensor([DRIVER_AT, 0, 0], dtype=torch.float64),
+    )
     tip, elbow, grip = hub + CRANK * flat[:, 0], hub + DRIVER * flat[:, 0], base + DRIVER * flat[:, 0]
     rocker, rocker_hub, rocker_tip = truss.between("rocker", hub, tip)
     driver, driver_hub, _ = truss.between("driver", base, grip)

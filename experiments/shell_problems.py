@@ -38,7 +38,7 @@ class Model:
     def __init__(self, place: Place, cells: tuple[int, int], kind: str, law: Law, direction=(1.0, 0, 0)) -> None:
         flat = mbd.mesh.rectangle(1.0, 1.0, cells, kind)
         nodes = [list(place(x + 0.5, y + 0.5)) for x, y, _ in flat.nodes.tolist()]
-        self.mesh = mbd.Mesh(torch.tensor(nodes).double(), flat.triangles, flat.node_sets, quads=flat.quads)
+        self.mesh = mbd.Mesh(torch.tensor(nodes, dtype=torch.float64), flat.triangles, flat.node_sets, quads=flat.quads)
         laminate = (
             law if isinstance(law, mbd.Laminate) else mbd.Laminate(mbd.Ply.isotropic(*law[:2], 1.0), [0.0], law[2])
         )

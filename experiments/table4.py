@@ -57,7 +57,7 @@ def peak_between_samples(motion: mbd.Trajectory, points: int = 20) -> float:
     s2, s3, s4, s5 = s**2, s**3, s**4, s**5
     early = (1 - 10 * s3 + 15 * s4 - 6 * s5, s - 6 * s3 + 8 * s4 - 3 * s5, (s2 - 3 * s3 + 3 * s4 - s5) / 2)
     late = (10 * s3 - 15 * s4 + 6 * s5, -4 * s3 + 7 * s4 - 3 * s5, (s3 - 2 * s4 + s5) / 2)
-    w = torch.zeros(())
+    w = torch.zeros((), dtype=torch.float64)
     for x, a, b in zip((rod.w, h * rod.wd, h * h * rod.wdd), early, late, strict=True):
         w = w + _outer(x[:, :-1], a) + _outer(x[:, 1:], b)
     return float(0.5 * torch.einsum("ltsi,lij,ltsj->lts", w, rod.stiffness[0], w).max())

@@ -112,7 +112,9 @@ def _measured(case: Case, settings: Settings) -> Result:
     def measured(run: Callable[[float, int], Any]) -> Callable[[int], Tensor]:
         def responses(steps: int) -> Tensor:
             found = run(case.duration, steps)
-            return measures(torch.tensor(found.t), torch.tensor(found.U)[None])
+            return measures(
+                torch.tensor(found.t, dtype=torch.float64), torch.tensor(found.U, dtype=torch.float64)[None]
+            )
 
         return responses
 

@@ -171,7 +171,7 @@ def motion_backwards(
     found, leaves = differentiable_motion(dynamics, duration, steps, names, observed)
     rows = found.sum(-1)
     slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, list(leaves.values()), weights, retain_graph=True))(
-        torch.eye(2).double()
+        torch.eye(2, dtype=torch.float64)
     )
     if names:
         return found.detach(), torch.cat([by.flatten(1, -3)[:, :, 0] for by in slopes], 1)

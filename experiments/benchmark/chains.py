@@ -86,7 +86,9 @@ def _beside(case: Case, settings: Settings) -> tuple[dict[str, float | None], li
 
         def measured(steps: int) -> torch.Tensor:
             found = run(case.duration, steps)
-            return measures(torch.tensor(found.t), torch.tensor(found.U)[None])
+            return measures(
+                torch.tensor(found.t, dtype=torch.float64), torch.tensor(found.U, dtype=torch.float64)[None]
+            )
 
         peer = accuracy(measured, LADDER, CONVERGED)
         functions["peer"], steps = lambda: run(case.duration, peer.steps).seconds, [ours.steps, peer.steps]

@@ -77,7 +77,9 @@ def both_accuracies(case: Case, settings: Settings) -> tuple[Accuracy, Accuracy 
 
     def peer(steps: int) -> Tensor:
         found = [run(case.duration, steps) for run in runs]
-        return torch.stack([measures(torch.tensor(x.t), torch.tensor(x.U)) for x in found], 1)
+        return torch.stack(
+            [measures(torch.tensor(x.t, dtype=torch.float64), torch.tensor(x.U, dtype=torch.float64)) for x in found], 1
+        )
 
     return ours, accuracy(peer)
 

@@ -55,8 +55,12 @@ def _peer_measures(X: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
     """Peak and integral of U [designs, 2], and the seconds that the peer integrated."""
     from experiments.exudyn_peer import slider_crank
 
-    found = [run(DURATION, steps) for run in slider_crank(_worker["system"], {ANGLES: torch.tensor(X)})]
-    values = torch.stack([measures(torch.tensor(x.t), torch.tensor(x.U)) for x in found])
+    found = [
+        run(DURATION, steps) for run in slider_crank(_worker["system"], {ANGLES: torch.tensor(X, dtype=torch.float64)})
+    ]
+    values = torch.stack(
+        [measures(torch.tensor(x.t, dtype=torch.float64), torch.tensor(x.U, dtype=torch.float64)) for x in found]
+    )
     return values.numpy(), sum(x.seconds for x in found)
 
 

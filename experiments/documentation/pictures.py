@@ -32,9 +32,11 @@ def slider_crank(folder: Path) -> Path:
         bounds=mbd.deg([-90, 90]),
     )
     result = mbd.optimize(problem)
-    designs = {"rod.laminate.angles": torch.stack([mbd.deg([45, -45, 45]), torch.as_tensor(result.x)])}
+    designs = {
+        "rod.laminate.angles": torch.stack([mbd.deg([45, -45, 45]), torch.as_tensor(result.x, dtype=torch.float64)])
+    }
     motion = mbd.simulate(system, 0.0504, steps=504, designs=designs, gradients="none").require_ok()
-    angles = "/".join(f"{x:.0f}" for x in torch.rad2deg(torch.as_tensor(result.x)).round().abs())
+    angles = "/".join(f"{x:.0f}" for x in torch.rad2deg(torch.as_tensor(result.x, dtype=torch.float64)).round().abs())
     stored = [float(x) for x in mbd.Integral(energy)(motion)]
     texts = (
         f"plies at 45/-45/45 degrees: {1e3 * stored[0]:.2f} mJ s",

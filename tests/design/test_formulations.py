@@ -66,7 +66,7 @@ def test_min_max_by_an_extra_variable_has_the_paper_s_form():
     """(19), (20): the objective is the bound, rows are U(t_k)/U_0 - beta, the other constraints follow."""
     p = problem(AtPeaks(ENERGY, count=4), [mbd.Integral(ENERGY) <= "initial"], bound=(0.8, 1.5))
     assert p.names[-1] == "bound"
-    assert (p.start[-1], p.lower[-1], p.upper[-1], p.period[-1]) == (0.8, 0.0, 1.5, 0.0)
+    assert (p.start[-1], p.lower[-1], p.upper[-1], p.period[-1]) == (0.8, -np.inf, 1.5, 0.0)
     peak = float(mbd.Max(ENERGY).value(p.motion(p.start))[0])
     (first,) = p.evaluate(p.start[None], gradients=False)
     assert first.objective == pytest.approx(0.8 * peak)

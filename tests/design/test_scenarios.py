@@ -68,7 +68,9 @@ def test_they_are_the_motions_one_by_one():
     worst = problem(some)
     assert worst.names[-1] == "bound"
     [found] = worst.evaluate(np.append(X, 0.7)[None], False)
-    assert found.objective + worst.reference.unit * found.constraints[:3].max() == pytest.approx(alone.max(), rel=1e-9)
+    assert found.objective + worst.reference.extra.unit * found.constraints[:3].max() == pytest.approx(
+        alone.max(), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("constraints", ["each", "worst", "mean"])

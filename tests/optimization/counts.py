@@ -17,7 +17,7 @@ from tests.optimization.analytic import Analytic
 from tests.optimization.hock_schittkowski import hock_schittkowski
 from tests.optimization.structures import cantilever, three_bar_truss
 from torchmbd.optimization import optimize
-from torchmbd.optimization.search import variable_scale
+from torchmbd.optimization.units import variable_scale
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from torchmbd.optimization import Evaluation, multistart, optimize
-from torchmbd.optimization.extra_variable import with_least_extra_variable
+from torchmbd.optimization.extra_variable import ExtraVariable
 
 UNIT = 4.0
+EXTRA = ExtraVariable(3, UNIT, UNIT, 1.0)  # y_0 is its own unit: the objective is beta UNIT
 
 
 def rows(x: np.ndarray) -> np.ndarray:
@@ -26,6 +27,7 @@ class Largest:
     """Minimize beta UNIT, where every row / UNIT is at most beta, and a is at most 0.6."""
 
     names = ("a", "b", "beta")
+    has_extra_variable = True
     start, lower, upper = np.array([0.5, 0.8, 1.0]), np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 1.0])
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
@@ -38,28 +40,28 @@ class Largest:
         return Evaluation(float(UNIT * x[2]), values, np.array([0.0, 0.0, UNIT]), dc)
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
-        return with_least_extra_variable(x, evaluation, 3, UNIT, 0.0, 1.0)
+        return EXTRA.tightened(x, evaluation)
 
 
 @pytest.mark.parametrize("beta", [0.0, 1e-9, 0.3, 1.0])
 def test_it_is_the_largest_row_from_above_and_below(beta):
     problem = Largest()
     x = np.array([0.3, 0.1, beta])
-    closed, found = with_least_extra_variable(x, problem.one(x), 3, UNIT, 0.0, 1.0)
+    closed, found = EXTRA.tightened(x, problem.one(x))
     assert found.objective == pytest.approx(rows(x[:2]).max(), rel=1e-14)
     again = problem.one(closed)
     assert again.objective == pytest.approx(found.objective, rel=1e-14)
     np.testing.assert_allclose(again.constraints, found.constraints, atol=1e-14)
-    assert with_least_extra_variable(closed, found, 3, UNIT, 0.0, 1.0)[0] is closed
+    assert EXTRA.tightened(closed, found)[0] is closed
 
 
 def test_it_stays_in_its_bounds_and_a_failure_is_left_alone():
     problem, x = Largest(), np.array([-1.9, 1.9, 0.5])
-    closed, found = with_least_extra_variable(x, problem.one(x), 3, UNIT, 0.0, 1.0)
+    closed, found = EXTRA.tightened(x, problem.one(x))
     assert closed[-1] == 1.0
     assert found.constraints[:3].max() == pytest.approx(rows(x[:2]).max() / UNIT - 1.0)
     failed = Evaluation.failure("failed: no", 4)
-    assert with_least_extra_variable(x, failed, 3, UNIT, 0.0, 1.0)[1] is failed
+    assert EXTRA.tightened(x, failed)[1] is failed
 
 
 @pytest.mark.parametrize("method", ["mmfd", "slsqp", "mma", "trust-constr"])

@@ -3,7 +3,8 @@
 import numpy as np
 
 from tests.optimization.analytic import Analytic
-from torchmbd.optimization.search import Search, variable_scale
+from torchmbd.optimization.search import Search
+from torchmbd.optimization.units import variable_scale
 
 
 def search_on(problem: Analytic, **options) -> Search:

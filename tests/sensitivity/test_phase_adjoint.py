@@ -16,7 +16,7 @@ from tests.mechanisms import finished, pendulum, tensor
 from tests.sensitivity.test_events import DRIVEN, DURATION, NAME, PHASES, Falling, bounces, bouncing, driven, tip
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrate import Trajectory
-from torchmbd.integrate.phases.phase import plan
+from torchmbd.integrate.segment import segments_of
 from torchmbd.multibody.system import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -167,7 +167,7 @@ def test_a_lane_that_never_gets_there_adds_nothing():
 def test_forces_of_a_phase_act_where_those_of_the_whole_do():
     """Locks attach vectors of their own, and move the places of those of the forces among all."""
     system = driven()
-    whole, phase_models = plan(system, DRIVEN, 0.075)
+    whole, phase_models = segments_of(system, DRIVEN, 0.075)
     assert len(whole.topology.attached) > len(system.topology.attached)
     for phase_model in phase_models:
         for kind, own in zip(phase_model.topology.actions, whole.topology.actions, strict=True):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 import torch
 
 import torchmbd as mbd
@@ -37,23 +38,48 @@ def test_the_body_is_named_where_two_share_a_word():
 def test_criteria_of_two_bodies_are_named_by_them():
     """In a sweep: constraints on another body than the objective's are criteria of their own."""
     measures = [mbd.Integral(mbd.StrainEnergy(body)) for body in ("inner", "outer")]
-    reference = SimpleNamespace(scale=np.ones(1))
-    constraint = SimpleNamespace(measure=measures[1])
+    reference = SimpleNamespace(scale=np.ones(1), limits=np.array([2.0]))
     problem = SimpleNamespace(
-        stated_objective=measures[0], constraints=[constraint], reference=reference, limits=np.array([2.0])
+        stated_objective=measures[0],
+        sign=1.0,
+        peaks=0,
+        constraints=[measures[1] <= 2.0],
+        constraint_rows=[slice(0, 1)],
+        reference=reference,
     )
     first, other = Evaluation(4.0, np.array([0.0])), Evaluation(2.0, np.array([1.0]))
     found = _criteria(cast(Any, problem), first, [other])
     assert found == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
-    problem.constraints = []
+    problem.constraints, problem.constraint_rows = [], []
     assert list(_criteria(cast(Any, problem), first, [other])) == ["integral of strain energy"]
+
+
+def test_of_several_rows_a_sweep_shows_the_one_that_breaks_the_limit():
+    """Values at three times: the least of >=, the largest of <=, the one that deviates most of an equality."""
+    height = mbd.AtTimes(mbd.Position("tip", "z"), count=3)
+    constraints = [height >= 0.5, height <= 1.0, height.equals(0.6)]
+    values = np.array([[0.5, 0.7, 1.0], [0.13, 0.663, 0.5]])  # of the start design, and of another
+    rows = [slice(3 * k, 3 * k + 3) for k in range(3)]
+    limits, scale = np.repeat([0.5, 1.0, 0.6], 3), np.repeat([-0.5, 1.0, 0.6], 3)
+    problem = SimpleNamespace(
+        stated_objective=mbd.Mass(),
+        sign=1.0,
+        peaks=0,
+        constraints=constraints,
+        constraint_rows=rows,
+        reference=SimpleNamespace(limits=limits, scale=scale),
+    )
+    first, other = (Evaluation(-2.0, (np.tile(v, 3) - limits) / scale) for v in values)
+    mass, *shown = _criteria(cast(Any, problem), first, [other]).values()
+    assert mass == [-1.0]  # divided by the size of that of the start
+    assert np.ravel(shown) == pytest.approx([0.13 / 0.5, 0.663 / 1.0, 0.13 / 1.0])
 
 
 def test_a_design_is_told_with_names_and_units():
     found = Columns.of(
-        ["rod.laminate.angles[0]", "rod.line.length", "bound"], {"rod.laminate.angles": "deg", "rod.line.length": "cm"}
+        ["rod.laminate.angles[0]", "rod.line.length"], {"rod.laminate.angles": "deg", "rod.line.length": "cm"}
     )
-    x = found.si(np.array([-0.001, 71.65951, 0.5]))
+    x = np.append(found.si(np.array([-0.001, 71.65951])), 0.5)  # with the extra variable of a min-max problem
     assert found.named(x) == "angle 1 0 deg, length 71.6595 cm"
 
 

@@ -155,8 +155,28 @@ def test_a_sweep_is_one_batch_with_a_run_for_each_point(sweep):
     ratios = [child.data.metrics["ratio"] for child in sweep.children]
     assert ratios[1] == pytest.approx(1.0)  # the start design is [45, -45]
     assert ratios[0] == pytest.approx(ratios[4], rel=1e-6)  # -90 and 90 degrees are one lay-up
-    assert sweep.parent.data.metrics["best_objective"] == min(c.data.metrics["objective"] for c in sweep.children)
+    feasible = [
+        m["objective"]
+        for m in (child.data.metrics for child in sweep.children)
+        if m["constraint/max of strain energy of rod"] <= 1e-6
+    ]
+    assert sweep.parent.data.metrics["best_objective"] == min(feasible)
     assert {"sweep.csv", "figures/sweep.png", "figures/sweep.pdf"} <= files(sweep)
+
+
+@pytest.mark.thorough
+def test_the_best_point_of_a_sweep_satisfies_the_constraints(run):
+    """The integral of energy is least where it may not be below that of the start, [45, -45]: at the start, point 1."""
+    along = {"rod.laminate.angles[1]": {"from": -90, "to": 90, "count": 5}}
+    energy = {"integral": {"strain_energy": "rod"}}
+    short = {"optimizer": None, "starts": None, "sweep": along, "simulate": {"duration": 0.002, "steps": 8}}
+    limited = run("limited", **short, subject_to=[energy | {"at_least": "initial"}])
+    objectives = [child.data.metrics["objective"] for child in limited.children]
+    assert limited.parent.data.tags["best_point"] == "1"
+    assert limited.parent.data.metrics["best_objective"] == objectives[1] > min(objectives)
+    none = run("none", **short, subject_to=[energy | {"at_most": 1e-12}])
+    assert "No design to report: no point satisfies all constraints; the nearest" in none.output
+    assert "best_objective" not in none.parent.data.metrics
 
 
 def test_the_peak_of_a_sweep_is_normalized_as_well(sweep):

@@ -297,7 +297,7 @@ def unit_vector(axis: Direction) -> Tensor:
     try:
         vector = torch.tensor([] if isinstance(axis, str) else [float(x) for x in axis], dtype=torch.float64)
     except (TypeError, ValueError):
-        vector = torch.zeros(0)
+        vector = torch.zeros(0, dtype=torch.float64)
     if vector.shape != (3,) or not 0.0 < float(vector.norm()) < float("inf"):
         raise InputError(f"axis is {axis!r}; allowed: 'x', 'y', 'z', or a direction of three numbers")
     return vector / vector.norm()

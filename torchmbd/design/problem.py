@@ -5,9 +5,9 @@
 Constraints are passed on as (g - c)/scale, feasible where not positive. An objective of several rows y_k (AtPeaks,
 AtTimes) is the min-max problem (18), solved by an extra variable, the last of the design vector:
 
-    minimize beta y_0   subject to   y_k(b)/y_0 - beta <= 0,   0 <= beta <= 1               eqs. (19), (20)
+    minimize beta y_0   subject to   y_k(b)/y_0 - beta <= 0,   beta <= 1                    eqs. (19), (20)
 
-with y_0 the largest row of the initial design. Max(...) as objective is the same problem directly.
+with y_0 the largest row of the initial design; of any sign in extra_variable.py. Max(...) as objective is the same directly.
 
 Designs and evaluations are NumPy arrays, as torchmbd/optimization/optimizer.py requires of a problem: optimizers know no
 mechanics. A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,10 +31,9 @@ from torchmbd.design.problem_parts import (
     Reference,
     constraints_of,
     evaluation_of,
-    largest_row,
-    scale_of,
+    limits_of,
+    reference_of,
     stated_objective,
-    with_extra_variable,
 )
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
@@ -43,13 +42,13 @@ from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
 from torchmbd.integrate.memory import lanes_at_once, require_memory
-from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
+from torchmbd.integrate.segment import segments_of, switching
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.extra_variable import with_least_extra_variable
+from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.optimization.optimizer import as_numbers
 from torchmbd.results.motion_data import OK
 from torchmbd.summary import Summary, few
@@ -72,7 +71,7 @@ class Problem(Summary):
     start       initial design [n]; default: the values of the system. A string such as "equilibrium" is `motion_start`
     motion_start   where every motion starts: `start` of `simulate`, such as "equilibrium"
     links       entries that depend on others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
-    bound       (start, upper) of the extra variable, where `minimize` has several rows
+    bound       (start, upper) of the extra variable, where `minimize` has several rows; 1 at the initial design
     gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where the method has an adjoint and objective and
                 constraints have no more numbers than there are design variables. `problem.gradients` is the choice
     method, steps, phases, backend, options   as in `simulate`
@@ -118,11 +117,12 @@ class Problem(Summary):
         if isinstance(start, str):
             start, motion_start = None, start
         start_of(system, motion_start)
+        phases = switching(phases)
         integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(Problem))
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
         if phases is not None:
-            plan(system, phases, duration)
+            segments_of(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
             if measure.until > duration * (1.0 + 1e-9):
@@ -196,7 +196,7 @@ class Problem(Summary):
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds [n], -inf where there are none."""
-        return self._with_bound(self.space.lower, 0.0)
+        return self._with_bound(self.space.lower, -np.inf)
 
     @property
     def upper(self) -> np.ndarray:
@@ -207,6 +207,11 @@ class Problem(Summary):
     def period(self) -> np.ndarray:
         """Period of each variable [n]: pi for ply angles, 0 (none) for others."""
         return self._with_bound(self.space.period, 0.0)
+
+    @property
+    def has_extra_variable(self) -> bool:
+        """Whether the last variable is that of a min-max problem."""
+        return bool(self.peaks)
 
     def _with_bound(self, x: np.ndarray, bound: float) -> np.ndarray:
         return np.append(x, bound) if self.peaks else x
@@ -265,32 +270,34 @@ class Problem(Summary):
         Raises SimulationFailure if the initial design is needed and cannot be simulated.
         """
         measures = [self.objective, *(c.measure for c in self.constraints)]
-        limits: list[Any] = [c.limit for c in self.constraints]
-        unit = 1.0
+        initial = [np.zeros(c.measure.rows) for c in self.constraints]
         if self._refers_to_start:
             motion = self.motion(self.start).require_ok()
             measures = [measure.at_start(motion) for measure in measures]
-            limits = [
-                largest_row(measure, motion) if c.limit == "initial" else c.limit
-                for c, measure in zip(self.constraints, measures[1:], strict=True)
-            ]
-            unit = self._positive_unit(largest_row(measures[0], motion)) if self.peaks else 1.0
-        scale = [scale_of(c, limit) for c, limit in zip(self.constraints, limits, strict=True)]
-        rows = [c.measure.rows for c in self.constraints]
-        return Reference(measures, unit, np.repeat(np.array(limits, dtype=float), rows), np.repeat(scale, rows))
+            initial = [measure.value(motion)[0].reshape(-1).numpy() for measure in measures[1:]]
+        limits = [limits_of(c, values) for c, values in zip(self.constraints, initial, strict=True)]
+        return reference_of(self.constraints, measures, self._extra_variable(measures), limits)
+
+    def _extra_variable(self, measures: Sequence[Measure]) -> ExtraVariable:
+        """The extra variable of a min-max objective, by its rows at the initial design."""
+        if not self.peaks:
+            return ExtraVariable(0)
+
+        def rows(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            motions = [motion.require_ok() for motion in self._motions(x[None], True)]
+            values, slopes = self._unscaled(motions, measures)
+            assert slopes is not None
+            return values[0, : self.peaks], slopes[0, : self.peaks]
+
+        space = self.space
+        return ExtraVariable.at(rows, space.start, space.lower, space.upper, float(self._bound[1]))
 
     @property
     def _refers_to_start(self) -> bool:
-        """Whether the problem has numbers of the initial design: limits, scales of a weighted sum, the unit of min-max."""
+        """Whether the problem has numbers of the initial design: limits, scales of a weighted sum."""
         measures = [self.objective, *(c.measure for c in self.constraints)]
         initial = any(c.limit == "initial" for c in self.constraints)
-        return bool(self.peaks) or initial or any(measure.refers_to_start for measure in measures)
-
-    def _positive_unit(self, unit: float) -> float:
-        """The largest row of a min-max objective at the initial design; InputError unless it is positive."""
-        if not unit > 0.0:
-            raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
-        return unit
+        return initial or any(measure.refers_to_start for measure in measures)
 
     @property
     def limits(self) -> np.ndarray:
@@ -358,14 +365,14 @@ class Problem(Summary):
         """The status of each of `count` designs."""
         return motions[0].status
 
-    def _measured(self, motion: Trajectory) -> list[Tensor]:
-        """Rows [lanes, rows] of all measures, in order.
+    def _measured(self, measures: Sequence[Measure], motion: Trajectory) -> list[Tensor]:
+        """Rows [lanes, rows] of measures, in order.
 
         A measure with many rows is a tensor of its own, and others that follow each other are one: `differentiate` pulls back
         each tensor by itself.
         """
         groups: list[list[Tensor]] = [[]]
-        for measure in self.reference.measures:
+        for measure in measures:
             many = measure.rows > ROWS
             groups += [[]] if many else []
             groups[-1].append(measure.value(motion).reshape(motion.lanes, -1))
@@ -374,26 +381,21 @@ class Problem(Summary):
 
     def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
-        measured = differentiate(self._measured, motions[0])
-        slopes = None if measured.gradient is None else measured.gradient.numpy() @ self.space.map
-        return self._normalized(measured.value.numpy(), slopes, X)
-
-    def _normalized(
-        self, values: np.ndarray, slopes: np.ndarray | None, X: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Rows and gradients with constraints as (g - c) / scale, and with the extra variable of a min-max objective."""
         reference, first = self.reference, self.peaks or 1
+        values, slopes = self._unscaled(motions, reference.measures)
         values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
         if slopes is not None:
             slopes[:, first:] /= reference.scale[:, None]
-        if not self.peaks:
-            return values, slopes
-        return with_extra_variable(values, slopes, self.peaks, X[:, -1], reference.unit)
+        return reference.extra.stated(values, slopes, X[:, -1]) if self.peaks else (values, slopes)
+
+    def _unscaled(
+        self, motions: Sequence[Trajectory], measures: Sequence[Measure]
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Rows of measures [lanes, rows], in their units, with gradients [lanes, rows, n] of motions that have them."""
+        measured = differentiate(partial(self._measured, measures), motions[0])
+        slopes = None if measured.gradient is None else measured.gradient.numpy() @ self.space.map
+        return measured.value.numpy(), slopes
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
-        """The design [n] and its evaluation with the least extra variable that its rows allow.
-
-        The objective is then the largest row.
-        """
-        unit = self.reference.unit if self.peaks else 1.0
-        return with_least_extra_variable(x, evaluation, self.peaks, unit, 0.0, self._bound[1])
+        """The design [n] and its evaluation with the least extra variable that its rows allow: the largest row."""
+        return self.reference.extra.tightened(x, evaluation) if self.peaks else (x, evaluation)

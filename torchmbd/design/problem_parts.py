@@ -5,15 +5,16 @@ Checked in tests/design/test_problem.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.errors import InputError
-from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import list_of
 from torchmbd.optimization import Evaluation
+from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.results.motion_data import OK
 
 
@@ -21,13 +22,13 @@ class Reference(NamedTuple):
     """Measures, limits and scales of a problem, with numbers for all that refers to the initial design.
 
     measures  objective, then one for each constraint
-    unit      the extra variable of a min-max problem is multiplied by it
+    extra     the extra variable of a min-max problem
     limits    c of every row of the constraints [m]
     scale     divisor of g - c of each row: positive, or negative for lower limits [m]
     """
 
     measures: list[Measure]
-    unit: float
+    extra: ExtraVariable
     limits: np.ndarray
     scale: np.ndarray
 
@@ -52,15 +53,57 @@ def stated_objective(minimize: Any, maximize: Any) -> tuple[Measure, float]:
     return measure, 1.0 if maximize is None else -1.0
 
 
-def largest_row(measure: Measure, motion: Trajectory) -> float:
-    """The largest row of a measure in the first lane of a motion."""
-    return float(measure.value(motion)[0].max())
+def limits_of(constraint: Constraint, initial: np.ndarray) -> np.ndarray:
+    """The limit of every row of a constraint [..., rows], of their values at the initial design [..., rows].
+
+    A limit "initial" is the largest row of <=, the least of >=; every row of an equality keeps its value.
+    """
+    if constraint.limit != "initial":
+        return np.full(initial.shape, float(constraint.limit))
+    if constraint.kind == "equal":
+        return initial
+    extreme = initial.min if constraint.kind == "at_least" else initial.max
+    return np.broadcast_to(extreme(axis=-1, keepdims=True), initial.shape)
 
 
-def scale_of(constraint: Constraint, limit: float) -> float:
-    """The divisor of g - limit: positive, or negative for a lower limit."""
-    size = constraint.scale or abs(limit) or 1.0
+def reference_of(
+    constraints: Sequence[Constraint], measures: list[Measure], extra: ExtraVariable, limits: Sequence[np.ndarray]
+) -> Reference:
+    """The reference of a problem, of the limits of every row of its constraints."""
+    scales = [_scales(constraint, rows) for constraint, rows in zip(constraints, limits, strict=True)]
+    none = np.zeros(0)
+    return Reference(measures, extra, np.concatenate([none, *limits]), np.concatenate([none, *scales]))
+
+
+def _scales(constraint: Constraint, limits: np.ndarray) -> np.ndarray:
+    """The divisor of g - limit of every row [rows]: positive, or negative for a lower limit."""
+    size = np.abs(limits) if constraint.scale is None else np.full(limits.shape, float(constraint.scale))
+    size = np.where(size > 0.0, size, 1.0)
     return -size if constraint.kind == "at_least" else size
+
+
+def governing_row(constraint: Constraint, scaled: np.ndarray) -> Any:
+    """The row of a constraint that is nearest to its limit or farthest beyond, of rows [..., rows] as optimizers see them.
+
+    The row of the largest value of <=, of the least of >=, and of the largest deviation of an equality.
+    """
+    return np.argmax(np.abs(scaled) if constraint.kind == "equal" else scaled, axis=-1)
+
+
+def responses_of(
+    constraints: Sequence[Constraint], rows: Sequence[slice], reference: Reference, scaled: np.ndarray
+) -> list[np.ndarray]:
+    """The constrained responses of designs [lanes], of each constraint its governing row, in the unit of the measure.
+
+    rows    of each constraint
+    scaled  rows of all constraints as optimizers see them, without those of a min-max objective [lanes, m]
+    """
+    responses = []
+    for constraint, part in zip(constraints, rows, strict=True):
+        values = scaled[:, part] * reference.scale[part] + reference.limits[part]
+        chosen = governing_row(constraint, scaled[:, part])
+        responses.append(np.take_along_axis(values, chosen[:, None], 1)[:, 0])
+    return responses
 
 
 def evaluation_of(status: str, values: np.ndarray, gradients: np.ndarray | None, rows: int) -> Evaluation:
@@ -74,24 +117,3 @@ def evaluation_of(status: str, values: np.ndarray, gradients: np.ndarray | None,
     if gradients is None:
         return Evaluation(float(values[0]), values[1:])
     return Evaluation(float(values[0]), values[1:], gradients[0], gradients[1:])
-
-
-def with_extra_variable(
-    values: np.ndarray, slopes: np.ndarray | None, peaks: int, beta: np.ndarray, unit: float
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Rows and gradients of the problem with the objective beta y_0; eqs. (19), (20).
-
-    values [lanes, peaks + m] and slopes [lanes, peaks + m, n]   of the rows of the objective, then of the constraints
-    beta   the extra variable [lanes];   unit   y_0
-    """
-    values[:, :peaks] = values[:, :peaks] / unit - beta[:, None]
-    values = np.concatenate([beta[:, None] * unit, values], 1)
-    if slopes is None:
-        return values, None
-    lanes, m, n = slopes.shape
-    full = np.zeros((lanes, m + 1, n + 1))
-    full[:, 1:, :n] = slopes
-    full[:, 1 : 1 + peaks, :n] /= unit
-    full[:, 1 : 1 + peaks, n] = -1.0
-    full[:, 0, n] = unit
-    return values, full

@@ -333,7 +333,8 @@ class Constraint(_Constant):
     """A limit on a measure, eq. (37); written Max(...) <= 0.5, Min(...) >= "initial" or Final(...).equals(0.0).
 
     measure  g, one number or several rows
-    limit    c, in the unit of the measure; "initial": the value at the initial design, the largest of several rows
+    limit    c, in the unit of the measure; "initial": the value at the initial design; of several rows the largest of <=, the
+             least of >=, and of an equality every row has its own
     kind     "at_most", "at_least" or "equal"
     scale    divisor of the violation, in the unit of the measure; None: |c|, or 1 for c = 0
 

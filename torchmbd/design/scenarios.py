@@ -18,7 +18,7 @@ Checked in tests/design/test_scenarios.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,14 +27,14 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.problem import Problem
-from torchmbd.design.problem_parts import Reference, scale_of
+from torchmbd.design.problem_parts import Reference, limits_of, reference_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.scenario_settings import combined, normalized_weights, parameter_value, scenarios_by_name
 from torchmbd.errors import InputError, SimulationFailure, nearest, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.arguments import start_of
-from torchmbd.integrate.phases.phase import plan
+from torchmbd.integrate.segment import segments_of
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 
@@ -110,7 +110,7 @@ class Scenarios(Problem):
             )
         if objective == "worst" and self.sign < 0.0:
             raise InputError(
-                "maximize is given with objective 'worst'; allowed: objective='mean', or minimize a positive measure"
+                "maximize is given with objective 'worst'; allowed: objective='mean', or minimize the negative of the measure"
             )
         self.groups = self._grouped(scenarios)
         self.scenarios = {name: settings for group in self.groups for name, settings in group.settings.items()}
@@ -152,7 +152,7 @@ class Scenarios(Problem):
                 )
         start_of(system, self.simulation.get("start", "assembled"))
         if self.simulation["phases"] is not None:
-            plan(system, self.simulation["phases"], self.duration)
+            segments_of(system, self.simulation["phases"], self.duration)
         for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
             measure.check(system)
 
@@ -270,20 +270,14 @@ class Scenarios(Problem):
 
     @cached_property
     def reference(self) -> Reference:
-        measures = [self.objective, *(c.measure for c in self.constraints)]
-        motions, unit = [], 1.0
+        measures, motions = [self.objective, *(c.measure for c in self.constraints)], []
         if self._refers_to_start:
             motions = self._initial_motions()
             first = next(motion for group, motion in zip(self.groups, motions, strict=True) if 0 in group.indices)
             measures = [measure.at_start(first) for measure in measures]
-            if self.peaks:
-                unit = self._positive_unit(max(float(measures[0].value(motion).max()) for motion in motions))
-        limits, scales = [np.zeros(0)], [np.zeros(0)]
-        for constraint, measure in zip(self.constraints, measures[1:], strict=True):
-            rows = self._limits(constraint, measure, motions).repeat(measure.rows)
-            limits.append(rows)
-            scales.append(np.array([scale_of(constraint, float(limit)) for limit in rows]))
-        return Reference(measures, unit, np.concatenate(limits), np.concatenate(scales))
+        pairs = zip(self.constraints, measures[1:], strict=True)
+        limits = [self._limits(constraint, measure, motions) for constraint, measure in pairs]
+        return reference_of(self.constraints, measures, self._extra_variable(measures), limits)
 
     def _initial_motions(self) -> list[Trajectory]:
         """Motions of the initial design in all scenarios; SimulationFailure names one that fails."""
@@ -295,17 +289,17 @@ class Scenarios(Problem):
         return motions
 
     def _limits(self, constraint: Constraint, measure: Measure, motions: Sequence[Trajectory]) -> np.ndarray:
-        """The limit in every scenario [scenarios], or of all scenarios together [1] where constraints are "worst" or "mean"."""
-        if constraint.limit == "initial":
-            values = [measure.value(motion).detach().reshape(1, motion.lanes, -1).amax(2).numpy() for motion in motions]
-            limits = self._in_scenario_order(values)[0]
-        else:
-            limits = np.full(len(self.scenarios), float(constraint.limit))
+        """Limits of the rows in every scenario [scenarios * rows], or of all scenarios together [rows] by the rule."""
+        initial = np.zeros((len(self.scenarios), measure.rows))
+        if motions:
+            values = [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
+            initial = self._in_scenario_order(values)[0]
+        limits = limits_of(constraint, initial)
         if self._constraint_rule == "each":
-            return limits
+            return limits.reshape(-1)
         if self._constraint_rule == "mean":
-            return np.array([self.weights @ limits])
-        return np.array([limits.min() if constraint.kind == "at_least" else limits.max()])
+            return self.weights @ limits
+        return limits.min(0) if constraint.kind == "at_least" else limits.max(0)
 
     def _refusal(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
         for group in self.groups:
@@ -327,20 +321,23 @@ class Scenarios(Problem):
                 return f"failed: scenario {name!r}: {status.removeprefix('failed: ')}"
         return OK
 
-    def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        measured = [differentiate(self._measured, motion) for motion in motions]
+    def _unscaled(
+        self, motions: Sequence[Trajectory], measures: Sequence[Measure]
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        measured = [differentiate(partial(self._measured, measures), motion) for motion in motions]
+        lanes = sum(motion.lanes for motion in motions) // len(self.scenarios)
         by_group = [x.value.numpy() for x in measured]
-        values = self._in_scenario_order([x.reshape(len(X), -1, x.shape[1]) for x in by_group])
+        values = self._in_scenario_order([x.reshape(lanes, -1, x.shape[1]) for x in by_group])
         by_group = [x.gradient.numpy() @ self.space.map for x in measured if x.gradient is not None]
         slopes = None
         if by_group:
-            slopes = self._in_scenario_order([x.reshape(len(X), -1, *x.shape[1:]) for x in by_group])
+            slopes = self._in_scenario_order([x.reshape(lanes, -1, *x.shape[1:]) for x in by_group])
         rules = [("each" if self._objective_rule == "worst" else "mean", False)]
         rules += [(self._constraint_rule, c.kind == "at_least") for c in self.constraints]
         parts, first = [], 0
-        for measure, (rule, lower_limit) in zip(self.reference.measures, rules, strict=True):
+        for measure, (rule, lower_limit) in zip(measures, rules, strict=True):
             rows = slice(first, first := first + measure.rows)
             own_slopes = None if slopes is None else slopes[:, :, rows]
             parts.append(combined(rule, values[:, :, rows], own_slopes, self.weights, lower_limit))
         gradients = None if slopes is None else np.concatenate([s for _, s in parts if s is not None], 1)
-        return self._normalized(np.concatenate([v for v, _ in parts], 1), gradients, X)
+        return np.concatenate([v for v, _ in parts], 1), gradients

@@ -1,8 +1,10 @@
 """Several criteria as one measure: the weighted sum of eq. (38), with a choice of normalization.
 
-sum_i w_i f_i / f_i(initial design)      normalize="initial": no units, sum of the weights at the start (default)
+sum_i w_i f_i / |f_i(initial design)|    normalize="initial": no units; of positive f_i the sum of the weights (default)
 sum_i w_i f_i                            normalize=None: weights carry the units
-sum_i w_i f_i / s_i                      normalize=(s_1, s_2, ...)
+sum_i w_i f_i / s_i                      normalize=(s_1, s_2, ...), positive
+
+Divisors are positive, so that a term of positive weight is minimized whatever the sign of its measure.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ class WeightedSum(Total):
     """Weighted sum of measures [lanes]; eq. (38).
 
     terms      (weight, measure) pairs, at least one
-    normalize  what each measure is divided by: "initial", its value at the initial design (the sum has no unit then);
-               one number for each, in the unit of its measure; None: nothing, weights carry the units
+    normalize  what each measure is divided by: "initial", the size of its value at the initial design (the sum has no unit
+               then); one positive number for each, in the unit of its measure; None: nothing, weights carry the units
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> both = mbd.WeightedSum([(0.5, mbd.Mass("arm")), (0.5, mbd.Mass("tool"))], normalize=None)
@@ -44,8 +46,8 @@ class WeightedSum(Total):
         scales = self.normalize
         if scales is None or scales == "initial":
             return
-        if isinstance(scales, str) or len(scales) != len(self.terms) or not all(float(s) != 0.0 for s in scales):
-            raise InputError(f"normalize is {scales!r}; allowed: 'initial', None, or a number but 0 for each term")
+        if isinstance(scales, str) or len(scales) != len(self.terms) or not all(float(s) > 0.0 for s in scales):
+            raise InputError(f"normalize is {scales!r}; allowed: 'initial', None, or a positive number for each term")
 
     @property
     def refers_to_start(self) -> bool:
@@ -58,7 +60,7 @@ class WeightedSum(Total):
         measures = [measure.at_start(motion) for _, measure in self.terms]
         scales = self.normalize
         if scales == "initial":
-            scales = [float(measure.value(motion)[0]) for measure in measures]
+            scales = [abs(float(measure.value(motion)[0])) for measure in measures]
             for measure, scale in zip(measures, scales, strict=True):
                 if scale == 0.0:
                     raise InputError(f"{measure!r} is zero at the initial design; allowed: normalize by numbers")

@@ -1,7 +1,7 @@
 """Integrators: torchdiffeq and generalized-alpha by one contract, with sensitivities."""
 
+from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.phase import Phase
 from torchmbd.integrate.registry import METHODS
 from torchmbd.integrate.simulate import simulate
 from torchmbd.integrate.statics import Equilibrium, equilibrium

@@ -24,11 +24,12 @@ from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native.library import with_backend
+from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.multiphase import integrate, steps_of_phases, switch_numbers, switches_with
-from torchmbd.integrate.phases.phase import Phase, plan
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.retries import integrate_by_chosen_steps, integrate_lanes
+from torchmbd.integrate.segment import segments_of
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import Dynamics, System
@@ -107,7 +108,7 @@ class ForwardIntegration:
         self.dynamics.evaluate_rank()
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
-        self.system, phase_models = plan(self.system, phases, self.duration)
+        self.system, phase_models = segments_of(self.system, phases, self.duration)
         dynamics = with_backend(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
         check_memory = memory_check(self.system, dynamics.lanes, len(self.labels), self.integrator)
         self.steps = steps = self.steps or steps_of_phases(

@@ -138,6 +138,13 @@ def mark_unresolved_contacts(status: list[str], contacts: Mapping[int, Unresolve
             status[lane] = f"{'failed: ' if contact.fails else _UNRESOLVED}{contact.message}"
 
 
+def mark_doubts(status: list[str], doubts: Mapping[int, str]) -> None:
+    """Set the status of lanes whose events the steps may have missed; others keep theirs."""
+    for lane, doubt in doubts.items():
+        if status[lane] == OK:
+            status[lane] = f"{_UNRESOLVED}{doubt}"
+
+
 def warn_unresolved(status: Sequence[str]) -> None:
     """Warn of lanes that are unresolved, once for each reason."""
     for reason in dict.fromkeys(status):

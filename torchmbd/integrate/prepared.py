@@ -59,8 +59,7 @@ def _prepared(dynamics: Dynamics) -> Prepared:
 
 def _detached(dynamics: Dynamics) -> Dynamics:
     plain = replace(dynamics, data={name: linear(Tensor.detach, x) for name, x in dynamics.data.items()})
-    if "rank" in vars(dynamics):
-        vars(plain)["rank"] = dynamics.rank
+    plain.known_rank = dynamics.known_rank
     return plain
 
 

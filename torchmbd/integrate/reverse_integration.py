@@ -96,7 +96,7 @@ class ReverseIntegration:
         h = self.history = results.history
         self.stats, self.status = results.statistics, results.status
         self.validity = validity(h, self.status, self.stats)
-        vars(self.dynamics)["rank"] = dynamics.rank
+        self.dynamics.share_rank(dynamics)
         self.dynamics.evaluate_rank()
         return *h.states, self.validity, *h.at_steps()
 

@@ -35,10 +35,11 @@ from torchmbd.integrate.forward_integration import ForwardIntegration
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.phases.phase import Phase, plan
+from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
+from torchmbd.integrate.segment import segments_of, switching
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
@@ -117,13 +118,14 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
+    given = checked_designs(system, designs)
     system.join_again()
+    phases = switching(phases)
     integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(simulate))
     initial = start_of(system, start)
     system = system if start == "assembled" else system.starting(initial)
     integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
-    given = checked_designs(system, designs)
     seconds = seconds_of(duration)
     check_gradients(gradients, integrator)
     check_backend(backend)
@@ -269,7 +271,7 @@ def _reverse_phases(
     phases: Sequence[Phase],
 ) -> Trajectory:
     """As `_reverse`, through phases."""
-    whole, phase_models = outside_transforms(lambda: plan(system, phases, duration))
+    whole, phase_models = outside_transforms(lambda: segments_of(system, phases, duration))
     dynamics = whole.reduced(batch)
     data, model = dynamics.data, replace(dynamics, data={})
     integration = ReversePhaseIntegration(

@@ -2,7 +2,7 @@
 
 Size h and end t1 of a step are numbers [1 + n, lanes] with tangents: each lane has its own, and its numbers depend on no
 other lane. Iterated to rounding, values and tangents; a lane whose iteration does not converge is nan.
-Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py,
+Checked in tests/integrate/phases/test_variable_step.py, tests/sensitivity/test_events.py,
 tests/sensitivity/test_phase_adjoint.py.
 """
 

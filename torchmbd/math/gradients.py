@@ -61,7 +61,7 @@ def in_transform(x: Tensor) -> bool:
 
 def wraps(*tensors: Tensor) -> bool:
     """Whether transforms of torch.func wrap what is computed now of these tensors."""
-    return any(map(in_transform, (*tensors, torch.zeros(()))))
+    return any(map(in_transform, (*tensors, torch.zeros((), dtype=torch.float64))))
 
 
 def is_differentiated(x: Tensor) -> bool:

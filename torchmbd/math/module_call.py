@@ -18,11 +18,13 @@ import functools
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
 
+from torchmbd.math.gradients import in_transform
 from torchmbd.math.vmap import as_lanes
 from torchmbd.process import one_thread
 
@@ -90,8 +92,8 @@ class _Outside(torch.autograd.Function):
     """An operation whose forward pass runs a function; torch.func calls it after removing all of its transforms."""
 
     @staticmethod
-    def forward(run: Callable[..., None], x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        with torch.autograd.graph.saved_tensors_hooks(_itself, _itself):
+    def forward(run: Callable[..., None], hooks: bool, x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        with torch.autograd.graph.saved_tensors_hooks(_itself, _itself) if hooks else nullcontext():
             run(*tensors)
         return x.clone()
 
@@ -100,8 +102,10 @@ class _Outside(torch.autograd.Function):
         return None
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, run: Callable[..., None], x: Tensor, *tensors: Tensor) -> tuple[Any, None]:
-        return _Outside.apply(run, x, *as_lanes(tensors, in_dims[2:], info.batch_size)), None
+    def vmap(
+        info: Any, in_dims: tuple, run: Callable[..., None], hooks: bool, x: Tensor, *tensors: Tensor
+    ) -> tuple[Any, None]:
+        return _Outside.apply(run, hooks, x, *as_lanes(tensors, in_dims[3:], info.batch_size)), None
 
 
 def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
@@ -110,5 +114,7 @@ def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
     tensors   [..., lanes]; a batch of torch.func.vmap becomes further lanes
     """
     results: list[R] = []
-    _Outside.apply(lambda *x: results.append(f(*x)), torch.zeros(()), *(x.detach() for x in tensors))
+    nothing = torch.zeros((), dtype=torch.float64)
+    hooks = not in_transform(nothing)  # torch.func.grad has none, and allows none
+    _Outside.apply(lambda *x: results.append(f(*x)), hooks, nothing, *(x.detach() for x in tensors))
     return results[0]

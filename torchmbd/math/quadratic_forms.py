@@ -37,7 +37,7 @@ def factors(L: Float[Tensor, "*any r r"]) -> Float[Tensor, "*any pairs"]:
     """Return the factors of d_i' d_j, i <= j, row by row: the upper triangle, doubled off the diagonal."""
     r = L.shape[-1]
     i, j = torch.triu_indices(r, r)
-    return L.flatten(-2).index_select(-1, i * r + j) * torch.where(i == j, 1.0, 2.0).to(L.dtype)
+    return L.flatten(-2).index_select(-1, i * r + j) * (2 - (i == j).to(L.dtype))
 
 
 def matrices(law: Float[Tensor, "*any pairs"], r: int) -> Float[Tensor, "*any r r"]:
@@ -45,7 +45,7 @@ def matrices(law: Float[Tensor, "*any pairs"], r: int) -> Float[Tensor, "*any r 
     i, j = torch.triu_indices(r, r)
     pair = torch.zeros(r, r, dtype=torch.long)
     pair[i, j] = pair[j, i] = torch.arange(len(i))
-    half = torch.where(i == j, 1.0, 0.5).to(law.dtype)
+    half = 0.5 * (1 + (i == j).to(law.dtype))
     return (law * half).index_select(-1, pair.flatten()).unflatten(-1, (r, r))
 
 

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names, true_or_false
-from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
+from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (
     Box,
@@ -28,11 +29,13 @@ from torchmbd.optimization.optimizer import (
     require_problem,
     require_range,
 )
-from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search, variable_scale
+from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search
+from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import both, shown
 
 MAX_ITERATIONS = 100
 FEASIBILITY = 1e-6
+KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option of this name
 
 
 def optimize(
@@ -55,7 +58,7 @@ def optimize(
     method           "mmfd", "slsqp", "lbfgs", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
     start            initial design [n]; None: problem.start
     max_iterations   accepted designs at most
-    scaling          divide variables by |start|, and the objective by |objective(start)|
+    scaling          measure variables by |start|, and the objective by its value and change there (units.py)
     callback         called with every accepted Iterate
     feasibility      violation of a constraint that still counts as none [-]
     eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
@@ -130,7 +133,7 @@ def run_start(
         ending = function(search, max_iterations, **options)
         if ending.status == "infeasible":
             ending = restore_feasibility(search, ending, function, max_iterations, options)
-        return build_result(search, ending, method, problem)
+        return build_result(search, ending, method, problem, kkt=tolerance_of(function, options))
     except (Interrupted, KeyboardInterrupt):
         status, message = "interrupted", "stopped by the user"
     except OutOfAnalyses:
@@ -139,6 +142,12 @@ def run_start(
         search.begin()  # the start was evaluated, in one batch with neighbors that were not
     best = search.start if search.best is None else search.best
     return build_result(search, Ending(best, status, message), method, problem, evaluate=False)
+
+
+def tolerance_of(function: Method, options: dict[str, Any]) -> float:
+    """Return the Kuhn-Tucker residual up to which a design counts as an optimum: the option `kkt` of the method."""
+    known = inspect.signature(function).parameters.get("kkt")
+    return float(options.get("kkt", KKT if known is None else known.default))
 
 
 def restore_feasibility(
@@ -157,11 +166,15 @@ def restore_feasibility(
 
 
 def build_result(
-    search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True
+    search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True, kkt: float = KKT
 ) -> OptimizationResult:
-    """Return the result in physical units, with multipliers; a design that is not feasible has not "converged"."""
+    """Return the result in physical units, with multipliers.
+
+    Whatever a method says, a design that is not feasible, or beyond the Kuhn-Tucker residual `kkt`, has not "converged".
+    """
     y, status, message = reported_design(search, ending)
     evaluation = known = search.evaluate_known(y)
+    value = search.physical_objective(y)
     if evaluate:
         with contextlib.suppress(OutOfAnalyses):  # values are known, multipliers are not
             evaluation = search.evaluate(y, gradients=True)
@@ -178,12 +191,17 @@ def build_result(
         message += f"; the start violated a constraint by {search.history[0].violation:.3g}"
         message += f", designs are feasible since iteration {feasible}"
     m, n = evaluation.constraints.size, search.size
-    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
+    quality = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
     if evaluation.ok and evaluation.objective_gradient is not None:
-        kkt = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
+        quality = search.kuhn_tucker(evaluation, y)
+    if status == "converged" and not quality.residual <= kkt:
+        status, message = (
+            "stalled",
+            f"{message}, but the Kuhn-Tucker residual {quality.residual:.2g} is beyond kkt = {kkt:g}",
+        )
     return OptimizationResult(
         x=search.physical(y),
-        value=evaluation.objective * search.objective_scale,
+        value=value,
         constraints=evaluation.constraints,
         violation=violation,
         status=status,
@@ -194,9 +212,9 @@ def build_result(
         gradient_evaluations=search.gradient_evaluations,
         failures=search.failures,
         history=search.history,
-        multipliers=kkt.multipliers * search.objective_scale,
-        bound_multipliers=kkt.bound_multipliers * search.objective_scale / search.scale,
-        kkt_residual=kkt.residual,
+        multipliers=quality.multipliers * search.objective_scale,
+        bound_multipliers=quality.bound_multipliers * search.objective_scale / search.scale,
+        kkt_residual=quality.residual,
         names=list(problem.names),
         start=search.index,
         problem=problem,

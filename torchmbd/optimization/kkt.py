@@ -5,7 +5,7 @@
 
 So the residual is the share of the objective that a change of a variable by its own size would gain, to first order.
 The sums run over the constraints and bounds that are active, that is met but for a narrow band; the sign of an
-equality's multiplier is free. |y_i| counts as 1 at least, |f| as a thousandth of the start's. Multipliers by
+equality's multiplier is free. |y_i| counts as 1 at least, |f| as a thousandth of its unit (units.py). Multipliers by
 non-negative least squares, so they are estimates where the design is not optimal.
 Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design, section on the Kuhn-Tucker conditions.
 """
@@ -23,7 +23,7 @@ from torchmbd.optimization.optimizer import Evaluation
 # counts as residual, so a wide band can only be better where a narrow one misses a constraint: the better of the two
 # is taken.
 BANDS = (1e-6, 1e-3)
-SMALLEST_OBJECTIVE = 1e-3  # of the start's
+SMALLEST_OBJECTIVE = 1e-3  # of its unit
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,24 @@ def kuhn_tucker(
     lower: np.ndarray,
     upper: np.ndarray,
     equality: np.ndarray,
+    feasibility: float = 0.0,
 ) -> KuhnTucker:
-    """Estimate the multipliers at `y`, whose evaluation carries gradients."""
-    estimates = (_estimate(evaluation, y, lower, upper, equality, band) for band in BANDS)
+    """Estimate the multipliers at `y`, whose evaluation carries gradients.
+
+    feasibility  violation of a constraint that counts as none
+    """
+    estimates = (_estimate(evaluation, y, lower, upper, equality, feasibility, band) for band in BANDS)
     return min(estimates, key=lambda estimate: estimate.residual)
 
 
 def _estimate(
-    evaluation: Evaluation, y: np.ndarray, lower: np.ndarray, upper: np.ndarray, equality: np.ndarray, band: float
+    evaluation: Evaluation,
+    y: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    equality: np.ndarray,
+    feasibility: float,
+    band: float,
 ) -> KuhnTucker:
     df, dc, c = evaluation.objective_gradient, evaluation.constraint_gradients, evaluation.constraints
     assert df is not None
@@ -72,5 +82,6 @@ def _estimate(
         remainder = df + columns @ weights
     gaps = np.where(bounds > 0.0, upper - y, np.where(bounds < 0.0, y - lower, 0.0))
     size = max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
-    gains = np.concatenate([remainder * np.maximum(np.abs(y), 1.0), multipliers * c, bounds * gaps])
+    unmet = np.where((c <= feasibility) & ((c > 0.0) | equality & (c >= -feasibility)), 0.0, c)
+    gains = np.concatenate([remainder * np.maximum(np.abs(y), 1.0), multipliers * unmet, bounds * gaps])
     return KuhnTucker(multipliers, bounds, float(np.abs(gains).max(initial=0.0)) / size)

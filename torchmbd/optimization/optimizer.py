@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # How an optimization can end. Only "converged" claims an optimum.
 STATUSES = {
-    "converged": "the method's own criteria hold, the constraints are satisfied",
+    "converged": "the constraints and the Kuhn-Tucker conditions are satisfied, to the residual `kkt` of the method",
     "max_iterations": "stopped by the limit of iterations or of analyses",
     "max_boxes": "stopped by the limit of boxes of a discrete search, with boxes left that may hold a better design",
     "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",
@@ -176,7 +176,8 @@ class OptimizationResult(Summary):
     history               accepted designs, the start first
     multipliers           of the constraints [m]
     bound_multipliers     [n], positive at an upper, negative at a lower bound
-    kkt_residual          of the scaled problem (kkt.py); nan where no gradient is known
+    kkt_residual          of the scaled problem (kkt.py), at most the method's option `kkt` where it converged; nan where no
+                          gradient is known
     names                 of the design variables [n]
     start                 which start of a multistart it was
     problem               what was minimized
@@ -215,6 +216,7 @@ class OptimizationResult(Summary):
             ("status", f"{self.status}: {self.message}"),
             ("value", f"{self.value:.8g}"),
             ("violation", f"{self.violation:.3g}"),
+            ("KKT residual", f"{self.kkt_residual:.2g}"),
             ("x", few([f"{name} = {x:.6g}" for name, x in zip(names, self.x, strict=True)])),
             ("method", f"{self.method}, {self.iterations} iterations, {self.analyses} simulations"),
         ]
@@ -225,7 +227,7 @@ class OptimizationResult(Summary):
 
     @property
     def converged(self) -> bool:
-        """Whether the method's criteria hold and the constraints are satisfied."""
+        """Whether the constraints and the Kuhn-Tucker conditions are satisfied."""
         return self.status == "converged"
 
     @cached_property

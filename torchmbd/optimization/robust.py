@@ -4,13 +4,13 @@
 
     expected   E f = sum_i sum_k w_k f(x + s_k d_i e_i) - (n - 1) f(x)          2n + 1 designs
                s = -sqrt(3/5), 0, sqrt(3/5),   w = 5/18, 8/18, 5/18             Gauss, exact to degree 5 in each variable
-    worst      min beta   subject to   f(x + d corner) / f_0 - beta <= 0        2^n designs, the corners of the box
+    worst      min beta   subject to   f(x + d corner) - beta <= 0              2^n designs, the corners of the box
 
 The worst case of a function that is convex within the tolerances lies at a corner. Several corners tie at its optimum: the
-extra variable beta, the last, keeps their gradients apart, and the multipliers tell which of them matter. Constraints hold
-at all designs looked at; with "expected" each of them also at the corner that it rises to most steeply, located anew around
-every design by the designs on the axes: c(x) + sum_i d_i |dc/dx_i|, with the curvature along that way. Designs looked at are
-batches with their exact gradients, so the gradients of criteria and constraints are exact too.
+extra variable beta, the last (extra_variable.py), keeps their gradients apart, and the multipliers tell which of them matter.
+Constraints hold at all designs looked at; with "expected" each of them also at the corner that it rises to most steeply,
+located anew around every design by the designs on the axes: c(x) + sum_i d_i |dc/dx_i|, with the curvature along that way.
+Designs looked at are batches with their exact gradients, so the gradients of criteria and constraints are exact too.
 
 Not accounted for in E: products of the even powers of two variables, of order d^4. Bounds are narrowed by d, but for variables
 that repeat themselves (ply angles), whose neighbors beyond a bound are simulated.
@@ -27,7 +27,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.optimization.api import checked_box
-from torchmbd.optimization.extra_variable import with_least_extra_variable
+from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers
 
 KINDS = ("expected", "worst")
@@ -41,7 +41,7 @@ class RobustProblem:
 
     problem     as `optimize` takes it; without equalities
     tolerance   half the width of the box around a design [n], or one number for all variables, in their unit
-    kind        "expected" or "worst"; "worst" adds the variable beta, the worst case divided by the size of that of the start
+    kind        "expected" or "worst"; "worst" adds the variable beta, 1 at the start, which rises with the worst case
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
@@ -56,6 +56,8 @@ class RobustProblem:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):
             raise InputError("problem has equalities, which no design within tolerances keeps; allowed: inequalities")
+        if kind == "expected" and getattr(problem, "has_extra_variable", False):
+            raise InputError("problem minimizes the largest of several rows, and kind is 'expected'; allowed: 'worst'")
         start, lower, upper = checked_box(problem)
         self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)
         d = as_numbers("tolerance", tolerance)
@@ -63,7 +65,9 @@ class RobustProblem:
             raise InputError(
                 f"tolerance is {tolerance!r}; allowed: a number or {start.size} of them, not negative, not all zero"
             )
-        d = np.broadcast_to(d, start.shape)
+        d = np.array(np.broadcast_to(d, start.shape))
+        if getattr(problem, "has_extra_variable", False):
+            d[-1] = 0.0  # it is no design variable
         inside = np.where(self.period > 0.0, 0.0, d)
         self.names, self.lower, self.upper = list(problem.names), lower + inside, upper - inside
         for name, low, x, high in zip(self.names, self.lower, start, self.upper, strict=True):
@@ -74,22 +78,23 @@ class RobustProblem:
         self.problem, self.kind, self.start = problem, kind, start
         self.tolerance = d
         self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)
-        self.unit = 1.0
+        self.has_extra_variable = kind == "worst"
+        self.extra = ExtraVariable(0)
         if kind == "worst":
-            self.unit = self._worst_of_start()
+            self.extra = ExtraVariable.at(self._at_corners, start, self.lower, self.upper)
             self.names = [*self.names, BETA]
-            self.start, self.period = np.append(start, np.sign(self.unit)), np.append(self.period, 0.0)
-            least = 0.0 if self.unit > 0.0 else -np.inf
-            self.lower, self.upper = np.append(self.lower, least), np.append(self.upper, np.inf)
-            self.unit = abs(self.unit)
+            self.start, self.period = np.append(start, 1.0), np.append(self.period, 0.0)
+            self.lower, self.upper = np.append(self.lower, -np.inf), np.append(self.upper, np.inf)
 
-    def _worst_of_start(self) -> float:
-        found = self.problem.evaluate(self.start + self.shifts, False)
-        failed = next((e.status for e in found if not e.ok), None)
-        worst = max(e.objective for e in found)
-        if failed is not None or not worst:
-            raise InputError(f"start: its worst case is {failed or worst}; allowed: a number but 0")
-        return worst
+    def _at_corners(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return objectives [k] and their gradients [k, n] at the corners around a design."""
+        around = self.problem.evaluate(x + self.shifts, True)
+        failed = next((e.status for e in around if not e.ok), None)
+        if failed is not None:
+            raise InputError(
+                f"start: its worst case is {failed}; allowed: designs that can be evaluated within tolerances"
+            )
+        return np.array([e.objective for e in around]), np.array([e.objective_gradient for e in around])
 
     @property
     def simulations(self) -> int:
@@ -117,8 +122,7 @@ class RobustProblem:
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
         """The same point [n] with the least beta that its rows allow: its objective is its worst case."""
-        rows = len(self.shifts) if self.kind == "worst" else 0
-        return with_least_extra_variable(x, evaluation, rows, self.unit, float(self.lower[-1]), float(self.upper[-1]))
+        return self.extra.tightened(x, evaluation)
 
     def _steepest(self, x: np.ndarray, found: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners [k, n] that constraints rise to most steeply, and for each constraint which of them [m]."""
@@ -147,14 +151,11 @@ class RobustProblem:
             dc = np.concatenate(parts) if parts else np.zeros((0, df.shape[1]))
         if self.kind == "expected":
             return Evaluation(float(self.weights @ f), c, None if df is None else self.weights @ df, dc)
-        values = np.concatenate([f / self.unit - x[-1], c])
-        if df is None or dc is None:
-            return Evaluation(float(x[-1]) * self.unit, values)
-        n = df.shape[1]
-        slopes = np.zeros((values.size, n + 1))
-        slopes[: f.size] = np.hstack([df / self.unit, -np.ones((f.size, 1))])
-        slopes[f.size :, :n] = dc
-        return Evaluation(float(x[-1]) * self.unit, values, self.unit * np.eye(n + 1)[-1], slopes)
+        all_slopes = None if df is None or dc is None else np.concatenate([df, dc])[None]
+        values, slopes = self.extra.stated(np.concatenate([f, c])[None], all_slopes, x[-1:])
+        if slopes is None:
+            return Evaluation(float(values[0, 0]), values[0, 1:])
+        return Evaluation(float(values[0, 0]), values[0, 1:], slopes[0, 0], slopes[0, 1:])
 
 
 def _expected(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ hands them to the thread that evaluates the designs of all starts together (mult
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import itemgetter
@@ -18,26 +19,17 @@ import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.optimization.cache import MemoryStore
+from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.optimizer import Evaluation, Iterate, largest_violation, rank
+from torchmbd.optimization.units import first_order_change, needs_neighbor, neighbor, unit_of
 
 EvaluateBatch = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
 Report = Callable[[Iterate], None]
 Tighten = Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]]  # Problem.with_least_bound
 
-# Share of the range between bounds: a smaller start, such as an angle of 0.1 degrees, is no measure of its variable.
-TINY_START = 0.05
-
 
 class Interrupted(BaseException):
     """Raised inside a method to end it when the user stops the study. Not an Exception: no method may swallow it."""
-
-
-def variable_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return |start| [n], or the bound range where |start| is tiny beside it (1 where the variable has no range)."""
-    size = np.abs(start)
-    span = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
-    scale = np.where(size > TINY_START * span, size, span)
-    return np.where(scale > 0.0, scale, 1.0)
 
 
 class OutOfAnalyses(BaseException):
@@ -62,17 +54,18 @@ class Search:
         index: int = 0,
         report: Report | None = None,
         tighten: Tighten | None = None,
+        has_extra_variable: bool = False,
     ) -> None:
         self.scale = np.ones(start.size) if scale is None else scale
         self.scaled = scale is not None
-        self.objective_scale = 1.0
+        self.objective_scale, self.objective_offset = 1.0, 0.0  # scaled f: (f - offset) / scale
         self.x_lower, self.x_upper = lower, upper
         self.lower, self.upper = lower / self.scale, upper / self.scale
         self.start = start / self.scale
         self.feasibility = feasibility
         self.eager_gradients = eager_gradients
         self.max_analyses = max_analyses
-        self.index = index
+        self.index, self.has_extra_variable = index, has_extra_variable
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
         self.analyses = self.gradient_evaluations = self.failures = 0
@@ -89,7 +82,8 @@ class Search:
         settings  keyword arguments of the class
         """
         equalities, tighten = getattr(problem, "equalities", None), getattr(problem, "with_least_bound", None)
-        return cls(evaluate_batch, *box, equalities=equalities, tighten=tighten, **settings)
+        extra = bool(getattr(problem, "has_extra_variable", False))
+        return cls(evaluate_batch, *box, equalities=equalities, tighten=tighten, has_extra_variable=extra, **settings)
 
     @property
     def size(self) -> int:
@@ -112,12 +106,40 @@ class Search:
         x = self.physical(self.start)
         first = self._evaluate_physical(x, gradients)
         if first.ok and not self.history:
-            size = abs(first.objective)
-            self.objective_scale = size if self.scaled and size > 0.0 else 1.0
+            self._measure_objective(x, first)
             self._rank_design(self.start, first)
         if not self.history or not np.array_equal(self.history[-1].x, self.physical(self.tightened(self.start))):
             self.record(self.start)
         return self._scaled(first)
+
+    def set_objective_unit(self, change: float) -> None:
+        """Set scale and offset of the objective by what the variables change: its unit and constant part do not matter."""
+        if not self.scaled:
+            return
+        f = self.physical_objective(self.start)
+        self.objective_scale = unit_of(f, change)
+        # A constant part is left out, so that tolerances relative to the objective are relative to what changes.
+        self.objective_offset = f - float(np.clip(f, -self.objective_scale, self.objective_scale))
+
+    def _measure_objective(self, x: np.ndarray, first: Evaluation) -> None:
+        """Set the unit of the objective by the start x [n], and by a neighbor where the start does not tell."""
+        f, change = first.objective, self._change(x, first)
+        if self.scaled and first.objective_gradient is not None and needs_neighbor(f, change):
+            with contextlib.suppress(OutOfAnalyses):
+                near = self.physical(self.neighbor)
+                change = max(change, self._change(near, self._evaluate_physical(near, True)))
+        self.set_objective_unit(change)
+
+    def _change(self, x: np.ndarray, evaluation: Evaluation) -> float:
+        """Return the first-order change of the objective at x [n] by a change of a variable by its own size."""
+        if evaluation.objective_gradient is None:
+            return 0.0
+        return first_order_change(evaluation.objective_gradient, np.maximum(np.abs(x), self.scale))
+
+    @property
+    def neighbor(self) -> np.ndarray:
+        """A design [n] (scaled) near the start, without its symmetries."""
+        return neighbor(self.start, self.lower, self.upper, np.maximum(np.abs(self.start), 1.0))
 
     def evaluate(self, y: np.ndarray, gradients: bool = False) -> Evaluation:
         """Return objective and constraints at `y` (scaled), with gradients on request or if eager; cached."""
@@ -154,6 +176,11 @@ class Search:
         if self._report is not None:
             self._report(iterate)
 
+    def physical_objective(self, y: np.ndarray) -> float:
+        """Return the objective at `y` (scaled, evaluated before), in its own unit; nan where it failed."""
+        known = self._cache.lookup(self.physical(y).tobytes(), gradients=False)
+        return float("nan") if known is None else known.objective
+
     def violation(self, evaluation: Evaluation) -> float:
         """Return the largest violation of a constraint, 0 where all are satisfied."""
         return largest_violation(evaluation.constraints, self.equality)
@@ -161,6 +188,10 @@ class Search:
     def rank(self, evaluation: Evaluation) -> tuple[bool, float]:
         """Return the sort key of a design, the best first, as `rank` of optimizer.py."""
         return rank(evaluation.objective, self.violation(evaluation), self.feasibility)
+
+    def kuhn_tucker(self, evaluation: Evaluation, y: np.ndarray) -> KuhnTucker:
+        """Return multipliers and Kuhn-Tucker residual of `y`, whose evaluation carries gradients."""
+        return kuhn_tucker(evaluation, y, self.lower, self.upper, self.equality, self.feasibility)
 
     def violated(self, evaluation: Evaluation) -> list[int]:
         """Return the indices of the constraints that are not satisfied."""
@@ -209,6 +240,10 @@ class Search:
         return self._cache.entries[x.tobytes()][1]
 
     def _fetch(self, designs: list[np.ndarray], gradients: bool) -> None:
+        for x in designs:
+            if not np.isfinite(x).all():  # a method runs away
+                self._cache.entries[x.tobytes()] = x, Evaluation.failure("the design is not finite")
+        designs = [x for x in designs if np.isfinite(x).all()]
         remaining = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
         allowed = designs[:remaining]
         answers = self._evaluate_batch(np.stack(allowed), gradients) if allowed else []
@@ -234,7 +269,7 @@ class Search:
         df, dc = evaluation.objective_gradient, evaluation.constraint_gradients
         return replace(
             evaluation,
-            objective=evaluation.objective / self.objective_scale,
+            objective=(evaluation.objective - self.objective_offset) / self.objective_scale,
             objective_gradient=None if df is None else df * self.scale / self.objective_scale,
             constraint_gradients=None if dc is None else dc * self.scale,
         )

@@ -4,7 +4,7 @@
     switches between phases, each at the lane's own time                       two states at one time: before and after
 
 Peaks, integrals, energies and plots look at these times: between them a motion is smooth.
-Checked in tests/results/test_lane_motion.py.
+Checked in tests/design/test_switches.py, tests/integrate/test_contacts.py.
 """
 
 from __future__ import annotations

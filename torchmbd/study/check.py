@@ -21,7 +21,7 @@ from torchmbd.design.space import CONSTANT
 from torchmbd.errors import InputError, nearest
 from torchmbd.integrate.arguments import is_positive, start_of
 from torchmbd.integrate.memory import require_memory
-from torchmbd.integrate.phases.phase import plan
+from torchmbd.integrate.segment import segments_of
 from torchmbd.math import units
 from torchmbd.math.plausible_units import check_angles, check_parameter, turn_in_radians
 from torchmbd.multibody.system import System
@@ -120,7 +120,7 @@ def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[
     if simulation is None or simulation.phases is None:
         return []
     try:
-        plan(system, find_phases(simulation.phases, folder), simulation.duration)
+        segments_of(system, find_phases(simulation.phases, folder), simulation.duration)
     except InputError as error:
         return [Fault(("simulate", "phases"), str(error))]
     return []

@@ -2,7 +2,8 @@
 
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
 spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be distinguished from
-bound                        ->  bound               an extra variable, as of a min-max problem
+
+The extra variable of a min-max problem or of a worst case, the last of a vector, is no design and has no column.
 
 Checked in tests/study/test_columns.py.
 """
@@ -19,7 +20,7 @@ from torchmbd.study.schema import UNITS
 
 @dataclass(frozen=True)
 class Columns:
-    """One column for each entry of the design vector."""
+    """One column for each design variable; vectors may have the extra variable behind them."""
 
     labels: tuple[str, ...]  # rod.laminate.angles[0]
     names: tuple[str, ...]  # angle_1_deg
@@ -50,7 +51,11 @@ class Columns:
 
     def by_name(self, x: np.ndarray) -> dict[str, float]:
         """Return a design vector [SI] by name, in the units of the study."""
-        return dict(zip(self.names, (np.asarray(x, dtype=float) / self.factors).tolist(), strict=True))
+        return dict(zip(self.names, self.in_units(x).tolist(), strict=True))
+
+    def in_units(self, X: np.ndarray) -> np.ndarray:
+        """Return design vectors [..., n] in the units of the study, from SI."""
+        return np.asarray(X, dtype=float)[..., : len(self.names)] / self.factors
 
     def si(self, values: np.ndarray) -> np.ndarray:
         """Return a design vector in SI from one in the units of the study."""
@@ -59,10 +64,10 @@ class Columns:
     def sentence(self, x: np.ndarray) -> str:
         """Return a design vector [SI] in one line: `45, -45, 45 deg`, of several units `height 17.7 cm, angle 1 45 deg`.
 
-        Angles to a hundredth, other numbers to four digits. Extra variables are left out.
+        Angles to a hundredth, other numbers to four digits.
         """
-        own = [k for k in range(len(x)) if self.labels[k] not in EXTRA]
-        values = (np.asarray(x, dtype=float) / self.factors[: len(x)]).tolist()
+        own = range(min(len(x), len(self.names)))
+        values = (np.asarray(x, dtype=float)[: len(own)] / self.factors[: len(own)]).tolist()
         shown = [round(values[k], 2) if self.units[k] == "deg" else values[k] for k in own]
         numbers = [f"{float(f'{value:.4g}') + 0.0:g}" for value in shown]
         if len({self.units[k] for k in own}) > 1:
@@ -73,9 +78,7 @@ class Columns:
 
     def named(self, x: np.ndarray) -> str:
         """Return a design vector [SI] in one line with names and units: `angle 1 45 deg, thickness 0.6 mm`."""
-        return ", ".join(
-            self._named(k, value) for k, value in enumerate(self.by_name(x).values()) if self.labels[k] not in EXTRA
-        )
+        return ", ".join(self._named(k, value) for k, value in enumerate(self.by_name(x).values()))
 
     def _named(self, k: int, value: float) -> str:
         word, _, unit = self.heading(k).partition(" [")
@@ -91,9 +94,6 @@ class Columns:
         unit = self.units[index]
         word = self.names[index].removesuffix(f"_{unit}").replace("_", " ")
         return word if unit == "none" else f"{word} [{unit}]"
-
-
-EXTRA = ("bound", "beta")  # variables that are no parameters: of a min-max problem, of a worst case
 
 
 def _singular(word: str) -> str:

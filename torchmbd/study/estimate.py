@@ -41,7 +41,6 @@ from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.optimization.pareto import group_sizes
-from torchmbd.study.columns import EXTRA
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
@@ -223,7 +222,7 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     asked = ", ".join(study.problem.criteria) if study.front else words(problem.stated_objective)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
-        f"{valid}: {asked}, {_counted(sum(x not in EXTRA for x in study.columns.labels), 'design variable')}, "
+        f"{valid}: {asked}, {_counted(len(study.columns.names), 'design variable')}, "
         f"{_counted(len(problem.constraints) - others, 'constraint')}"
         + _TOLERANCE_WORDS.get(getattr(study.problem, "kind", ""), "")
         + _over_scenarios(problem),

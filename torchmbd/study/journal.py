@@ -178,7 +178,7 @@ class Journal:
             designs = space.designs(np.asarray(x)[None, : len(space.names)])
             values = {name: found.reshape(-1).tolist() for name, found in designs.items()}
         else:
-            for label, value in zip(self.study.columns.labels, x.tolist(), strict=True):
+            for label, value in zip(self.study.columns.labels, x.tolist(), strict=False):
                 values.setdefault(label.rpartition("[")[0] or label, []).append(value)
         self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
 

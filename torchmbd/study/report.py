@@ -147,16 +147,15 @@ def _map_arguments(
     study: StudySettings, found: MultistartResult, evaluated: Evaluated, objective: str
 ) -> dict[str, Any]:
     """Return the arguments of `design_map`: the paths of the starts, and the minimum in which each ended."""
-    factors = study.columns.factors
+    columns = study.columns
     moved = [result for result in found.results if result.history]
     ends = {f"start {start}": k for k, minimum in enumerate(found.minima) for start in minimum.starts}
-    seen = (
-        (evaluated[0] / factors, study.sign * evaluated[1]) if evaluated[0].shape[1:] == factors.shape else None
-    )  # extra variables
+    # Not with an extra variable: the objectives on disk are not the largest rows, nor the worst case.
+    seen = None if study.has_extra_variable else (columns.in_units(evaluated[0]), study.sign * evaluated[1])
     return {
-        "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
+        "paths": {f"start {r.start}": columns.in_units(np.array([i.x for i in r.history])) for r in moved},
         "objectives": {f"start {r.start}": [study.sign * i.objective for i in r.history] for r in moved},
-        "headings": study.columns.headings,
+        "headings": columns.headings,
         "ends": ends,
         "visited": seen,
         "objective": objective,
@@ -166,14 +165,14 @@ def _map_arguments(
 def _coordinate_arguments(study: StudySettings, found: MultistartResult, objective: str) -> dict[str, Any]:
     """Return the arguments of `parallel_coordinates`: the final designs of the starts."""
     ended = [result for result in found.results if np.isfinite(result.value)]
-    factors = study.columns.factors
+    columns = study.columns
     return {
-        "designs": np.array([result.x for result in ended]).reshape(-1, len(factors)) / factors,
+        "designs": columns.in_units(np.array([result.x for result in ended]).reshape(-1, len(study.problem.start))),
         "objectives": [study.sign * result.value for result in ended],
         "largest": study.sign < 0.0,
-        "headings": study.columns.headings,
+        "headings": columns.headings,
         "feasible": [result.violation <= study.feasibility for result in ended],
-        "bounds": (np.asarray(study.problem.lower) / factors, np.asarray(study.problem.upper) / factors),
+        "bounds": (columns.in_units(study.problem.lower), columns.in_units(study.problem.upper)),
         "objective": objective,
     }
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,8 @@ from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.sampling import given, recipe
 from torchmbd.optimization.optimizer import find_method, require_count, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
-from torchmbd.optimization.robust import BETA
 from torchmbd.study.check import swept_index
-from torchmbd.study.columns import EXTRA, Columns
+from torchmbd.study.columns import Columns
 from torchmbd.study.method_options import search_options
 from torchmbd.study.schema import NAME, UNITS, StudyFile
 from torchmbd.summary import Summary
@@ -93,7 +91,7 @@ class StudySettings(Summary):
         self.columns = self._columns(units)
         self._start = checked_box(problem)[0]
         if starts is not None and not isinstance(starts, Starts):  # extra variables begin as those of the start
-            own = sum(label not in EXTRA for label in self.columns.labels)
+            own = len(self.columns.names)
             full = [np.asarray(point, dtype=float).reshape(-1) for point in starts]
             full = [np.append(x, self._start[own:]) if x.size == own else x for x in full]
             starts = given([checked_box(problem, point)[0] for point in full])
@@ -104,6 +102,7 @@ class StudySettings(Summary):
 
     def _columns(self, units: Mapping[str, str] | None) -> Columns:
         names = list(self.problem.names)
+        names = names[:-1] if self.has_extra_variable else names
         period = np.asarray(getattr(self.problem, "period", np.zeros(len(names))), dtype=float)
         own = {name.rpartition("[")[0]: "deg" for name, turn in zip(names, period, strict=False) if turn > 0.0}
         parameters = [name.rpartition("[")[0] or name for name in names]
@@ -129,7 +128,7 @@ class StudySettings(Summary):
                 raise InputError(f"increments of {parameter} is {step!r}; allowed: a positive number [SI]")
         known = given or {}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
-        if any(steps) and (self.front or names[-1] in EXTRA):
+        if any(steps) and (self.front or self.has_extra_variable):
             raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
         if any(steps):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
@@ -170,6 +169,11 @@ class StudySettings(Summary):
         return self.problem.over(evaluator) if isinstance(self.problem, Tradeoff) else evaluator
 
     @property
+    def has_extra_variable(self) -> bool:
+        """Whether the last variable is that of a min-max problem or of a worst case, which is no design variable."""
+        return bool(getattr(self.problem, "has_extra_variable", False))
+
+    @property
     def sign(self) -> float:
         """The factor from the objective of optimizers to that of the question: -1 where it is maximized, else 1."""
         return float(getattr(self.simulated, "sign", 1.0))
@@ -191,12 +195,7 @@ class StudySettings(Summary):
     @cached_property
     def points(self) -> np.ndarray:
         """The start designs [count, n], SI."""
-        if list(self.problem.names)[-1] != BETA:
-            return self.starts.points(self.problem)
-        rest = {key: np.asarray(getattr(self.problem, key))[:-1] for key in ("start", "lower", "upper")}
-        box: Any = SimpleNamespace(names=list(self.problem.names)[:-1], **rest)
-        X = self.starts.points(box)
-        return X if X.shape[1] == self._start.size else np.hstack([X, np.full((len(X), 1), self._start[-1])])
+        return self.starts.points(self.problem)
 
     def resolved(self) -> dict[str, Any]:
         """Return the study as plain data, with every default filled in, for the tracking store."""

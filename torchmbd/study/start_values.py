@@ -14,10 +14,10 @@ import math
 import textwrap
 from typing import Any, NamedTuple
 
-import numpy as np
 from rich.console import Console
 
 from torchmbd.design import Problem
+from torchmbd.design.problem_parts import governing_row
 from torchmbd.design.words import unit, words
 from torchmbd.optimization.api import FEASIBILITY
 
@@ -52,7 +52,7 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
     own = evaluation.constraints[problem.peaks :]
     for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
         c, limits, scales = own[rows], problem.limits[rows], problem.reference.scale[rows]
-        worst = int(np.argmax(np.abs(c) if constraint.kind == "equal" else c))
+        worst = int(governing_row(constraint, c))
         limit, value = float(limits[worst]), float(limits[worst] + c[worst] * scales[worst])
         violation = abs(c[worst]) if constraint.kind == "equal" else c[worst]
         note = "violated" if violation > FEASIBILITY else ""

@@ -1,6 +1,7 @@
 """A sweep: objective and constraints along one design variable, evaluated together (Fig. 8).
 
-Other variables keep their start values. All values are divided by those of the start design, which is evaluated too.
+Other variables keep their start values. All values are divided by the size of those of the start design, which is
+evaluated too; where this is zero, values remain as they are. The best point is the lowest that satisfies all constraints.
 """
 
 from __future__ import annotations
@@ -8,14 +9,17 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
+from torchmbd.design.problem_parts import responses_of
 from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
+from torchmbd.optimization.optimizer import largest_violation, rank
 from torchmbd.study.journal import Journal, child, percent
 from torchmbd.study.metric_names import gain_metric
 from torchmbd.study.progress import drop_order, print_table, shown_rows, table_of
@@ -23,6 +27,7 @@ from torchmbd.study.report import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
+from torchmbd.viz.panels import SIGNS
 
 _PART = 512  # designs at most in a part of the sweep, which is on disk before the next begins
 
@@ -44,18 +49,31 @@ def run_sweep(
     with console.status(f"{escape(study.name)}: {len(swept)} designs"):
         designs = np.vstack([problem.start, X])
         parts = np.array_split(designs, math.ceil(len(designs) / _PART))
-        first, *evaluations = [evaluation for part in parts for evaluation in evaluate(part, False)]
+        evaluations = [evaluation for part in parts for evaluation in evaluate(part, False)]
+        first, *evaluations = [_largest_row(problem, x, e) for x, e in zip(designs, evaluations, strict=True)]
     if first.status != "ok":
         console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red", soft_wrap=True)
         return "FAILED"
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
     criteria = _criteria(problem, first, evaluations)
-    best = int(np.nanargmin([e.objective for e in evaluations])) if any(e.status == "ok" for e in evaluations) else None
+    violations = [largest_violation(e.constraints, _equality(problem, e)) for e in evaluations]
+    evaluated = [k for k, e in enumerate(evaluations) if e.status == "ok"]
+    nearest = min(
+        evaluated, default=None, key=lambda k: rank(evaluations[k].objective, violations[k], study.feasibility)
+    )
+    best = nearest if nearest is not None and violations[nearest] <= study.feasibility else None
     start = float(problem.start[index] / study.columns.factors[index])
     _show(study, journal, console, index, start, values, criteria, best)
-    if best is None:
+    if nearest is None:
         return "FAILED"
+    if best is None:
+        reason = (
+            f"no point satisfies all constraints; the nearest, {nearest}, is beyond one by {violations[nearest]:.3g}"
+        )
+        journal.summary({"violation": violations[nearest]}, {"message": reason})
+        console.print(f"No design to report: {reason}", soft_wrap=True, highlight=False, markup=False)
+        return "FINISHED"
     value = study.sign * evaluations[best].objective
     numbers = {"objective": value, "best_objective": value}
     numbers[gain_metric(study.sign)] = percent(first.objective, evaluations[best].objective)
@@ -70,7 +88,7 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
     if evaluation.status == "ok":
         numbers |= {
             "objective": journal.study.sign * evaluation.objective,
-            "ratio": evaluation.objective / first.objective,
+            "ratio": journal.study.sign * evaluation.objective / (abs(first.objective) or 1.0),
         }
         numbers |= journal.constraints(evaluation.constraints)
     else:
@@ -80,18 +98,43 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
 
 
 def _criteria(problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
-    """Return objective and constrained responses by name, divided by their values at the start design; nan: failed."""
+    """Return objective and constrained responses by name, divided by their size at the start design; nan: failed.
+
+    Of a constraint of several rows it is the row nearest to its limit or farthest beyond.
+    """
     measures = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
     bodies = len({words(m).removeprefix(words(m, bodies=False)) for m in measures}) > 1  # name the bodies if several
     name = words(problem.stated_objective, bodies)
-    result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
-    row = 0
-    for constraint in problem.constraints:
-        rows = slice(row, row := row + constraint.measure.rows)
-        scale, limit = problem.reference.scale[rows], problem.limits[rows]  # a constraint is (response - limit) / scale
-        responses = [float((e.constraints[rows] * scale + limit).max()) for e in (first, *evaluations)]
-        result.setdefault(words(constraint.measure, bodies), [response / responses[0] for response in responses[1:]])
+    result = {name: _ratios([problem.sign * e.objective for e in (first, *evaluations)])}
+    missing = np.full(first.constraints.size, np.nan)
+    scaled = np.array([e.constraints if e.status == "ok" else missing for e in (first, *evaluations)])[
+        :, problem.peaks :
+    ]
+    responses = responses_of(problem.constraints, problem.constraint_rows, problem.reference, scaled)
+    for constraint, values in zip(problem.constraints, responses, strict=True):
+        name, ratios = words(constraint.measure, bodies), _ratios(values.tolist())
+        if name in result and not np.array_equal(result[name], ratios, equal_nan=True):  # another row of it
+            name = f"{name} {SIGNS[constraint.kind]}"
+        result.setdefault(name, ratios)
     return result
+
+
+def _ratios(values: list[float]) -> list[float]:
+    """Return values but the first, divided by the size of the first; as they are where it is zero."""
+    size = abs(values[0]) or 1.0
+    return [value / size for value in values[1:]]
+
+
+def _largest_row(problem: Problem, x: np.ndarray, evaluation: Evaluation) -> Evaluation:
+    """Return the evaluation of a design; of a min-max problem with the largest row as objective, also beyond the start's."""
+    if not problem.has_extra_variable:
+        return evaluation
+    return replace(problem.reference.extra, upper=np.inf).tightened(x, evaluation)[1]
+
+
+def _equality(problem: Problem, evaluation: Evaluation) -> np.ndarray:
+    """Return which rows of the constraints are equalities [m]."""
+    return np.isin(np.arange(evaluation.constraints.size), problem.equalities)
 
 
 def _show(
@@ -105,7 +148,7 @@ def _show(
     best: int | None,
 ) -> None:
     heading = study.columns.heading(index)
-    table = table_of(f"{study.name}: criteria divided by those of the start design", [heading, *criteria])
+    table = table_of(f"{study.name}: criteria divided by the size of those of the start design", [heading, *criteria])
     rows = shown_rows(len(values), best)
     for k, value in ((k, values[k]) for k in rows):
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]

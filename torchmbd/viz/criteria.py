@@ -12,6 +12,7 @@ import numpy as np
 
 from torchmbd.design.curve import samples_over_time
 from torchmbd.design.problem import Problem
+from torchmbd.design.problem_parts import responses_of
 from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
@@ -162,7 +163,7 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
         )
     axes.set_yticks(places, [_label(name, "") for name in names], fontsize=8)
     axes.invert_yaxis()
-    divided = "weight x criterion / criterion at start" if problem.objective.refers_to_start else "weight x criterion"
+    divided = "weight x criterion / its size at start" if problem.objective.refers_to_start else "weight x criterion"
     axes.set_xlabel(divided)
     _legend(figure, [axes])
     return titled(figure, title)
@@ -177,13 +178,10 @@ def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     """Return objective and constrained responses over the iterates; of several rows the one nearest to its limit."""
     factor, _ = display_unit(unit(problem.stated_objective))
     curves = [problem.sign * factor * np.array([iterate.objective for iterate in history])]
-    scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
-    for constraint, own in zip(problem.constraints, problem.constraint_rows, strict=True):
-        part = scaled[:, problem.peaks + own.start : problem.peaks + own.stop]
-        nearest = np.argmax(np.abs(part) if constraint.kind == "equal" else part, axis=1)
-        values = part * problem.reference.scale[own] + problem.limits[own]
-        factor, _ = display_unit(unit(constraint.measure))
-        curves.append(factor * np.take_along_axis(values, nearest[:, None], 1)[:, 0])
+    scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])[:, problem.peaks :]
+    responses = responses_of(problem.constraints, problem.constraint_rows, problem.reference, scaled)
+    for constraint, values in zip(problem.constraints, responses, strict=True):
+        curves.append(display_unit(unit(constraint.measure))[0] * values)
     return curves
 
 

@@ -132,7 +132,7 @@ def criterion(
         axes.axvline(mark, color=OTHER, lw=0.8, ls="--", label="start design")
     degrees(axes, x=xlabel)
     axes.set_xlabel(xlabel)
-    axes.set_ylabel("criterion / criterion at start")
+    axes.set_ylabel("criterion / its size at start")
     axes.legend(frameon=False)
     return figure
 

@@ -248,7 +248,7 @@ class TestDoor:
         system = rotors()
         for joint in system.joints:
             joint.name = "hinge"
-        self.refused("joints have the names hinge more than once", [mbd.Phase()], system)
+        self.refused("joints have the names hinge more than once", [mbd.Phase(until=0.05), mbd.Phase()], system)
 
     @pytest.mark.parametrize(
         "given",
@@ -283,7 +283,7 @@ class TestDoor:
 
     def test_options(self):
         with pytest.raises(mbd.InputError, match="halvings"):
-            mbd.simulate(rotors(), 0.1, steps=10, phases=[mbd.Phase()], halvings=1)
+            mbd.simulate(rotors(), 0.1, steps=10, phases=[mbd.Phase(until=0.05), mbd.Phase()], halvings=1)
 
     def test_a_joint_that_begins_to_act_must_be_closed(self):
         phases = [mbd.Phase(until=0.05, release=["hinge"]), mbd.Phase()]

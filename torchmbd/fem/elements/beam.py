@@ -169,7 +169,7 @@ class BeamMatrices:
         _, tangent = self.curves.at(self.stations)
         back = self._frames(tangent).mT
         (F, M), (gamma, kappa) = ((back @ x[..., :3, :], back @ x[..., 3:, :]) for x in (local, strains))
-        start = torch.cat([torch.zeros(3, 3), torch.eye(3), torch.zeros(3, 6)], 1).to(kappa.dtype)
+        start = torch.nn.functional.pad(torch.eye(3, dtype=kappa.dtype), (3, 6))
         run = self.length[..., None, None] * self._running  # integrals from the start to the stations
         turned = start + (run @ kappa.flatten(-2)).unflatten(-1, kappa.shape[-2:])
         slope = torch.linalg.cross(turned, tangent[..., None].expand_as(turned), dim=-2) + gamma

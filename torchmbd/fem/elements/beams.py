@@ -60,7 +60,9 @@ class Beams:
         self.matrices = BeamMatrices(mesh, orientation, elements, TURNING if turning else 2)
         self.pattern = self.matrices.pattern
         self._to_line = line_transform(at, _along(turn, self.matrices.stations))
-        places = line_transform(at, _along(turn, torch.tensor([0.0, 1.0, 0.5])))  # start, end, middle
+        places = line_transform(
+            at, _along(turn, torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64))
+        )  # start, end, middle
         self._to_ends = places[:, :2]
         self._massive, self._consistent = places if mass == "consistent" else places[:, :2], mass == "consistent"
         with torch.no_grad():

@@ -5,6 +5,7 @@ Checked in tests/fem/exact_beam/test_section_table.py.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -131,7 +132,7 @@ def element_properties(
     first, second = axes.unbind(-3)
     i, j = matrices.elements.unbind(1)
     relative = first.mT @ second
-    good = untransformed(relative).diagonal(dim1=-2, dim2=-1).sum(-1) > 1.0 + 2.0 * torch.cos(torch.tensor(LARGEST))
+    good = untransformed(relative).diagonal(dim1=-2, dim2=-1).sum(-1) > 1.0 + 2.0 * math.cos(LARGEST)
     if not all_true(good):
         k = int(good.reshape(-1, len(i)).all(0).logical_not().nonzero()[0, 0])
         raise InputError(f"element {k} of {sections.name!r} turns by more than {LARGEST} rad; allowed: more elements")

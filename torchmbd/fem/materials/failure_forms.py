@@ -41,7 +41,7 @@ class FailureForms:
         f, F = tsai_wu_forms(strength)
         quadratic = basis.mT @ F @ basis
         self._pairs = torch.triu_indices(k, k)
-        twice = torch.where(self._pairs[0] == self._pairs[1], 1.0, 2.0).to(basis)
+        twice = 2.0 - (self._pairs[0] == self._pairs[1]).to(basis)
         self.forms = [(f[:, None] @ basis)[:, 0], quadratic[:, self._pairs[0], self._pairs[1]] * twice]
 
     def __call__(self, w: Float[Tensor, "n k"]) -> Float[Tensor, "n points"]:

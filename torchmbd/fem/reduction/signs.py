@@ -24,4 +24,4 @@ def signs(vectors: Tensor) -> Tensor:
     size = vectors.shape[-2]
     share = torch.arange(size, dtype=vectors.dtype, device=vectors.device) / size
     along = torch.exp(-DECAY * share) @ vectors
-    return torch.where(along < 0, -1.0, 1.0).to(vectors.dtype).unsqueeze(-2)
+    return torch.where(along < 0, -torch.ones_like(along), 1.0).unsqueeze(-2)

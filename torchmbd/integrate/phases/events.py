@@ -34,6 +34,7 @@ from torchmbd.results.trajectory import Trajectory
 from torchmbd.results.turns import Turns
 
 DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
+ROUNDING = 1e-9  # of the function after a step: what it is where a phase begins at its zero
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Event:
         sign = DIRECTIONS[self.direction]
         falls, rises = (before > 0) & (after <= 0), (before < 0) & (after >= 0)
         passed = (falls & (sign <= 0)) | (rises & (sign >= 0))
-        return passed & (before.abs() > 1e-9 * after.abs())
+        return passed & (before.abs() > ROUNDING * after.abs())
 
 
 class _TimeRead(Exception):
@@ -284,6 +285,14 @@ class Views:
         """The function of some lanes [lanes] and its derivatives [n, lanes] in the directions of the pairs."""
         g = self.evaluate(lambda motion: event.of(motion)[:, 0][None], lanes, dynamics, t, x)
         return g.value[0, 0], g.tangent[0]
+
+    def rates(
+        self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Tensor, x: State, slopes: State
+    ) -> tuple[Tensor, Tensor]:
+        """The function of some lanes [lanes] at times t [1, lanes], and its rate along a motion with these slopes."""
+        moving = State(*(Pair.of(y, dy) for y, dy in zip(x, slopes, strict=True)))
+        g, rate = self.slopes(event, lanes, dynamics, Pair.of(t, torch.ones_like(t)), moving)
+        return g, rate[0]
 
     def _design_tangents(self, name: str, lanes: Sequence[int]) -> Tensor | None:
         """Tangents of a design [k, lanes, ...] of some lanes."""

@@ -20,7 +20,7 @@ from torchmbd.results.state import State
 
 def pick_lanes(x: Any, lanes: Sequence[int]) -> Any:
     """Some lanes of a number [..., lanes]."""
-    index = torch.tensor(list(lanes))
+    index = torch.tensor(list(lanes), dtype=torch.long)
     return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
 
 
@@ -31,7 +31,7 @@ def pick_states(x: State, lanes: Sequence[int]) -> State:
 
 def put_lanes(x: Any, lanes: Sequence[int], y: Any) -> Any:
     """The number x [..., lanes] with other numbers y in some lanes."""
-    index = torch.tensor(list(lanes))
+    index = torch.tensor(list(lanes), dtype=torch.long)
     return Pair(x.full.index_copy(-1, index, y.full)) if isinstance(x, Pair) else x.index_copy(-1, index, y)
 
 
@@ -64,8 +64,8 @@ def lanes_of(dynamics: Dynamics, lanes: Sequence[int]) -> Dynamics:
     some = dynamics.select_lanes(lanes)
     if some is not dynamics:
         some = replace(some, statistics=dynamics.statistics)
-        if "rank" in vars(dynamics):
-            vars(some)["rank"] = dynamics.rank
+        if dynamics.known_rank is not None:
+            some.known_rank = dynamics.known_rank
     return some
 
 

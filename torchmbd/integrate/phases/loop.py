@@ -25,8 +25,10 @@ from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
+from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
 from torchmbd.math.pair import value
+from torchmbd.multibody.system import equations
 from torchmbd.results.state import State
 
 _SAME = 1e-9  # of a regular step: times that are equal
@@ -63,7 +65,9 @@ class _PhaseLoop:
         self.record = PhaseRecord(number, self.dynamics, entry, x, self.first, on_grid)
         self.g = self._start_values()
         self.base_time = entry.t  # of lanes that leave, where their last step begins
-        self.most, self.share, self.g_before = (torch.zeros(self.lanes, dtype=torch.float64) for _ in range(3))
+        # Sizes of their last step: two that enclose it, an estimate, and the event's function at the lower one.
+        self.low, self.most, self.size, self.g_low = (torch.zeros(self.lanes, dtype=torch.float64) for _ in range(4))
+        self.change = torch.full_like(self.g, torch.inf)  # of the event's function in the step before
         multiphase.records.append(self.record)
 
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
@@ -85,9 +89,12 @@ class _PhaseLoop:
                 stepper.restart()
                 inside[arriving] = True
             passed, g = self._passed(i, x, inside)
+            short = self._short_events(i, recent, x, inside & ~passed, g)
+            passed = passed if short is None else passed | short.found
             self.multiphase.record(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
             for lane in lane_numbers(passed):
-                self._note_base(lane, i, (recent, older), g)
+                self._note_base(lane, i, (recent, older), g, short)
+            self.change = torch.where(inside & (self.first < i), (g - self.g).abs(), self.change)
             self.g = torch.where(inside, g, self.g)
             inside, alive = inside & ~passed, alive & ~passed
             if not bool(alive.any()):
@@ -169,18 +176,56 @@ class _PhaseLoop:
             return torch.ones_like(self.alive)
         return self.times[i] > value(self.ends)[0] - _SAME * self.h
 
-    def _note_base(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> None:
+    def _short_events(self, i: int, recent: State, x: State, lanes: Tensor, g: Tensor) -> ShortEvents | None:
+        """Events in the step of some lanes (a mask) to the point i of the grid that the function at its ends does not show."""
+        if self.event is None:
+            return None
+        near = torch.minimum(g.abs(), self.g.abs()) <= FAR * (g - self.g).abs().maximum(self.change)
+        own = lane_numbers(lanes & near & ~(self.record.on_grid & (self.first == i)))
+        if not own:
+            return None
+        event, views = self.event, self.multiphase.views
+        dynamics = lanes_of(self.dynamics, own).values()
+        start = put_states(
+            recent, lane_numbers(self.first == i), pick_states(self.entry.x, lane_numbers(self.first == i))
+        )
+        before, after = (pick_states(y, own).values() for y in (start, x))
+        t = torch.where(self.first == i, value(self.entry.t), self.times[i - 1])[:, own]
+        h = self.times[i] - t
+
+        def slopes(y: State) -> State:
+            accelerate, press = ((b - a) / h for a, b in ((before.vd, after.vd), (before.lam, after.lam)))
+            return State(equations.coordinate_rates(dynamics.topology, y.q, y.v), y.vd, accelerate, accelerate, press)
+
+        def look(size: Tensor) -> tuple[Tensor, Tensor]:
+            y = self.integrator.step_of_size(dynamics, before, size[None], t + size)
+            return views.rates(event, own, dynamics, t + size, y, slopes(y))
+
+        ends = [views.rates(event, own, dynamics, s, y, slopes(y))[1] for s, y in ((t, before), (t + h, after))]
+        found = short_events(event, h[0], (self.g[own], g[own]), (ends[0], ends[1]), look)
+        for k in lane_numbers(found.unclear):
+            self.multiphase.doubt(own[k], self.phase_model, float(t[0, k]))
+        return found.in_lanes(own, self.lanes)
+
+    def _note_base(self, lane: int, i: int, states: tuple[State, State], g: Tensor, short: ShortEvents | None) -> None:
         """Note where the last step begins of a lane that leaves between the point i of the grid and the one before, or its
-        entry."""
+        entry; and, where an event ends the phase, what encloses its size."""
         record, points = self.record, [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
-        share = float(self.g[lane] / (self.g[lane] - g[lane]))
-        skipped = self.event is not None and share < self.integrator.shortest_step and bool(points)
+        begin = float(self.times[points[0]] if points else value(self.entry.t)[0, lane])
+        high = float(self.times[i]) - begin
+        low, size, g_low = 0.0, high * float(self.g[lane] / (self.g[lane] - g[lane])), self.g[lane]
+        if short is not None and bool(short.found[lane]):
+            low, high, size, g_low = short.low[lane], short.high[lane], float(short.size[lane]), short.g_low[lane]
+        # Steps that are too short for the integrator begin one point earlier.
+        skipped = self.event is not None and size < self.integrator.shortest_step * self.h and bool(points)
         k = [*points, -1][int(skipped)]
         t, x = self.entry if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
         t, x = pick_lanes(t, [lane]), pick_states(x, [lane])
         record.left[lane], record.base_point[lane] = True, k
         record.base, self.base_time = put_states(record.base, [lane], x), put_lanes(self.base_time, [lane], t)
-        self.most[lane], self.share[lane], self.g_before[lane] = self.times[i] - value(t)[0, 0], share, self.g[lane]
+        earlier = begin - float(value(t)[0, 0])
+        self.low[lane], self.most[lane], self.size[lane] = low + earlier, high + earlier, size + earlier
+        self.g_low[lane] = g_low
 
     def _leave(self, lanes: list[int]) -> None:
         """Make the last steps of the lanes that left the phase."""
@@ -208,9 +253,8 @@ class _PhaseLoop:
         x, t = base.x.map(widened), widened(base.t)
         one = widened(torch.zeros(1, len(lanes), dtype=torch.float64), t.shape[0] - 1)
         one.full[-1] = 1.0
-        most, sign = self.most[lanes], self.g_before[lanes].sign()
-        low, high = torch.zeros_like(most), most
-        h = most - (1.0 - self.share[lanes]) * most.clamp_max(self.h)
+        low, high, h, sign = self.low[lanes], self.most[lanes], self.size[lanes], self.g_low[lanes].sign()
+        most = high
         active = torch.ones(len(lanes), dtype=torch.bool)
         y = slope = None
         for _ in range(_MOST):

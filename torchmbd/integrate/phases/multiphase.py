@@ -16,11 +16,11 @@ from torch import Tensor
 from torchmbd.integrate.contacts import ContactWatch, UnresolvedContact
 from torchmbd.integrate.estimates import StepErrors
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.lane_status import mark_unresolved_contacts, status_of_lanes, warn_unresolved
+from torchmbd.integrate.lane_status import mark_doubts, mark_unresolved_contacts, status_of_lanes, warn_unresolved
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.segment import Segment
 from torchmbd.integrate.step_count import Trial, choose_steps
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
@@ -32,7 +32,7 @@ NUMBERS = 1 + 2 * len(SIDES)  # of a switch
 
 def integrate(
     dynamics: Dynamics,
-    phase_models: list[PhaseModel],
+    phase_models: list[Segment],
     views: Views,
     duration: float,
     steps: int,
@@ -45,6 +45,7 @@ def integrate(
         statistics = integrator.integrate_phases(multiphase) | _step_errors(multiphase, integrator)
         of_steps = status_of_lanes(multiphase.history, duration, statistics)
         status = [own if own != OK else other for own, other in zip(multiphase.status, of_steps, strict=True)]
+        mark_doubts(status, multiphase.doubts)
         mark_unresolved_contacts(status, _unresolved_contacts(multiphase, by_steps=integrator.adjoint))
         return multiphase, statistics, status
 
@@ -52,7 +53,8 @@ def integrate(
     retry, failed = integrator.retry(), [lane for lane, reason in enumerate(status) if has_failed(reason)]
     if retry is not None and retry.substeps == 1 and failed:
         other, other_statistics, other_status = integrate_by(retry.integrator)
-        if sum(has_failed(reason) for reason in other_status) < len(failed):
+        # Where both fail, the more careful one counts: what it reports is not that its iterations were too few.
+        if {lane for lane, reason in enumerate(other_status) if has_failed(reason)} <= set(failed):
             by_retry = {"renewed": list(range(len(status))), "failed_first": failed}
             multiphase, statistics, status = other, other_statistics | by_retry, other_status
     warn_unresolved(status)
@@ -80,7 +82,7 @@ def _step_errors(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str,
 def steps_of_phases(
     system: Any,
     dynamics: Dynamics,
-    phase_models: list[PhaseModel],
+    phase_models: list[Segment],
     designs: dict[str, Tensor],
     duration: float,
     integrator: Integrator,

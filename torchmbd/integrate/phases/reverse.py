@@ -28,8 +28,8 @@ from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotange
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lane_leaves import Key
 from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, steps_of_phases, switch_numbers, switches_with
-from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.segment import Segment
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
@@ -53,7 +53,7 @@ class ReversePhaseIntegration:
     """
 
     system: System
-    phase_models: list[PhaseModel]
+    phase_models: list[Segment]
     model: Dynamics
     names: tuple[str, ...]
     designs: tuple[str, ...]

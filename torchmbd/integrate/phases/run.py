@@ -18,7 +18,6 @@ from torch import Tensor
 
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
-from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.switch import (
     InitialState,
     accelerations,
@@ -27,12 +26,11 @@ from torchmbd.integrate.phases.switch import (
     jump,
     velocities_after_impact,
 )
+from torchmbd.integrate.segment import Segment
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
-from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.selection import selected
 from torchmbd.multibody.system.start import EquilibriumConditions
 from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.results.history import History
@@ -92,7 +90,7 @@ class MultiphaseRun:
     """
 
     whole: Dynamics
-    phase_models: list[PhaseModel]
+    phase_models: list[Segment]
     views: Views
     duration: float
     steps: int
@@ -103,6 +101,7 @@ class MultiphaseRun:
         T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.status = [OK] * lanes
+        self.doubts: dict[int, str] = {}  # of lanes whose numbers stay
         self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
         self.begin_depends = [False]
@@ -160,9 +159,8 @@ class MultiphaseRun:
     def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
         """Initial q and v, joints closed, as functions of the data of `whole`."""
         phase_model = self.phase_models[0]
-        T = selected(whole.topology, phase_model.start)
-        initial = replace(whole.initial, topology=T)
-        free = replace(whole, topology=T, saddle=Saddle(T), initial=initial)
+        (T, saddle), initial = phase_model.closing, phase_model.initial
+        free = replace(whole, topology=T, saddle=saddle, initial=initial)
         if not isinstance(initial, EquilibriumConditions):
             return initial.solve(free)
         q, v = initial.assembled(free)  # locks hold these positions while bodies sag
@@ -271,7 +269,7 @@ class MultiphaseRun:
         good = torch.tensor([status == OK for status in self.status])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end_times(self, phase_model: PhaseModel, t: Any) -> Any:
+    def end_times(self, phase_model: Segment, t: Any) -> Any:
         """Times [1 + n_b, lanes] at which a phase that begins at t ends; None where an event or the simulation ends it."""
         phase = phase_model.phase
         if phase.lasting is not None:
@@ -291,7 +289,15 @@ class MultiphaseRun:
         if self.status[lane] == OK:
             self.status[lane] = f"failed: {reason}"
 
-    def never_ends(self, phase_model: PhaseModel, lane: int) -> None:
+    def doubt(self, lane: int, phase_model: Segment, t: float) -> None:
+        """Note the first time after which the steps of a lane are too long to know whether its phase ends."""
+        self.doubts.setdefault(
+            lane,
+            f"the steps are too long to know whether the event of phase {phase_model.name!r} occurs in the step from "
+            f"t = {t:.6g} s on; more steps help",
+        )
+
+    def never_ends(self, phase_model: Segment, lane: int) -> None:
         """Note that a lane stays in a phase until the simulation ends."""
         if phase_model.phase.lasting is None:
             reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
@@ -299,7 +305,7 @@ class MultiphaseRun:
             reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
         self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
 
-    def record(self, phase_model: PhaseModel, i: int, lanes: Tensor, x: State) -> None:
+    def record(self, phase_model: Segment, i: int, lanes: Tensor, x: State) -> None:
         """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
         full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
         q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
@@ -310,7 +316,7 @@ class MultiphaseRun:
         self.lam[i, ..., lanes] = rows[..., lanes]
         self.phase_number[i, lanes] = self.phase_models.index(phase_model)
 
-    def never_left(self, phase_model: PhaseModel, staying: Tensor) -> None:
+    def never_left(self, phase_model: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
         for lane in lane_numbers(staying):
             if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:

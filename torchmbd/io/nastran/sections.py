@@ -55,8 +55,8 @@ def _section(own: SectionNumbers, length: float, E: float, G: float, density: fl
     direct, shear, mass = (torch.zeros(6, 6, dtype=torch.float64) for _ in range(3))
     direct[0, 0] = E * A
     direct[4:, 4:] = E * _second(I1, I2, I12)
-    shear.diagonal()[1:4] = torch.tensor([G * A * own.K1, G * A * own.K2, G * own.J * fourth])
-    mass.diagonal()[:4] = density * torch.tensor([A, A, A, I1 + I2])
+    shear.diagonal()[1:4] = torch.tensor([G * A * own.K1, G * A * own.K2, G * own.J * fourth], dtype=torch.float64)
+    mass.diagonal()[:4] = density * torch.tensor([A, A, A, I1 + I2], dtype=torch.float64)
     mass[4:, 4:] = density * _second(I1, I2, I12)
     at = line_transform(length * torch.tensor(own.center, dtype=torch.float64), torch.zeros((), dtype=torch.float64))
     return GivenSection(at @ direct @ at.T + shear, at @ mass @ at.T)

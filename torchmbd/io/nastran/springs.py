@@ -183,7 +183,7 @@ def _oriented_matrices(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid
     wrong = (~(right | mirrored)).nonzero()[:, 0]
     if len(wrong):
         raise InputError(f"{group[int(wrong[0])].card}: it is collapsed or crosses itself; allowed: a volume > 0")
-    sign = torch.where(right, 1.0, -1.0).to(K.dtype)
+    sign = 2.0 * right.to(K.dtype) - 1.0
     return K * sign[:, None, None], share * sign[:, None]
 
 

@@ -209,7 +209,13 @@ def set_modal_start(body: Any, *given: Sequence[float] | Tensor | None) -> None:
     allowed = f"{body.modes} finite numbers, one for each mode, or a torch.nn.Parameter"
     for key, x in zip(MODAL, given, strict=True):
         name = f"{key} of {body.name!r}"
-        plain = x.detach() if isinstance(x, nn.Parameter) else torch.zeros(body.modes) if x is None else x
+        plain = (
+            x.detach()
+            if isinstance(x, nn.Parameter)
+            else torch.zeros(body.modes, dtype=torch.float64)
+            if x is None
+            else x
+        )
         values = read_numbers(name, plain, allowed)
         if values.shape != (body.modes,) or not bool(torch.isfinite(values).all()):
             raise InputError(f"{name} is {x!r}; allowed: {allowed}")

@@ -131,7 +131,7 @@ def derivative(y: Tensor, by: Tensor) -> Tensor:
 
 
 def _at(t: Any) -> str:
-    return f" at t = {float(value(torch.as_tensor(t) if isinstance(t, float) else t).detach().flatten()[0]):.6g} s"
+    return f" at t = {float(value(torch.as_tensor(t, dtype=torch.float64)).detach().flatten()[0]):.6g} s"
 
 
 @dataclass(frozen=True, eq=False)

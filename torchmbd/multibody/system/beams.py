@@ -60,7 +60,10 @@ def beam_data(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
     for name, core in SHAPES.items():
         if not any(name in part for part in parts):
             continue
-        given = [part[name] if name in part else torch.zeros(part["beam_rest"].shape[-2]).double() for part in parts]
+        given = [
+            part[name] if name in part else torch.zeros(part["beam_rest"].shape[-2], dtype=torch.float64)
+            for part in parts
+        ]
         k = 1 + len(core)
         lanes = torch.broadcast_shapes(*(x.shape[:-k] for x in given))
         x = torch.cat([x.expand(*lanes, *x.shape[-k:]) for x in given], -k)

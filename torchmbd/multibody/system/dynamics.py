@@ -83,6 +83,7 @@ class Dynamics:
     prepared: Any = field(default=None, init=False, repr=False)  # cached initial step data (integrate/prepared.py)
     statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
     start_errors: dict[int, str] = field(default_factory=dict, init=False, repr=False)  # lane -> why it has no start
+    known_rank: Rank | None = field(default=None, init=False, repr=False)  # once it was found
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"prepared": None}  # may hold an autograd graph, which cannot be pickled
@@ -108,10 +109,20 @@ class Dynamics:
         """Initial q [n_q, pair, lanes] and v [n_v, pair, lanes]: joints closed, velocities compatible."""
         return self.initial.solve(self)
 
-    @cached_property
+    @property
     def rank(self) -> Rank:
         """Rank of the constraints at the initial position of the first lane whose data are finite; also under torch.func, whose
         tensors have no values to decide by."""
+        if self.known_rank is None:
+            self.known_rank = self._found_rank()
+        return self.known_rank
+
+    def share_rank(self, other: Dynamics) -> Dynamics:
+        """Itself, with the rank of the same equations of other data: transforms of torch.func have no values to find it by."""
+        self.known_rank = other.rank
+        return self
+
+    def _found_rank(self) -> Rank:
         ranks = {} if self.shared_start is None else self.shared_start.ranks
         if self.topology in ranks:
             return ranks[self.topology]
@@ -199,15 +210,13 @@ class Dynamics:
         """The same dynamics without design tangents."""
         data = {name: value(x) for name, x in self.data.items()}
         dynamics = Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
-        if "rank" in vars(self):  # depends on values alone, and cannot be evaluated inside transforms of torch.func
-            vars(dynamics)["rank"] = self.rank
+        dynamics.known_rank = self.known_rank
         return dynamics
 
     def with_data(self, data: Data) -> Dynamics:
         """The same equations with other data of the same designs; the rank, once it is known, stays."""
         dynamics = replace(self, data=data)
-        if "rank" in vars(self):
-            vars(dynamics)["rank"] = self.rank
+        dynamics.known_rank = self.known_rank
         return dynamics
 
     def condensed(self) -> Dynamics:

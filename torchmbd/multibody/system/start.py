@@ -190,6 +190,6 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     if name.endswith(".axes"):
         refuse_derivatives(f"start: {name!r}", found, "a joint or another body that is turned by a parameter")
     numbers = untransformed(found)
-    if len(shape) == 2 and float((numbers.mT @ numbers - torch.eye(3).double()).abs().max()) > _TURNED:
+    if len(shape) == 2 and float((numbers.mT @ numbers - torch.eye(3, dtype=torch.float64)).abs().max()) > _TURNED:
         raise InputError(f"start: {name!r} is no rotation; allowed: orthonormal columns, the axes of the body")
     return found

@@ -173,6 +173,7 @@ class System(nn.Module):
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = self._start.conditions(self.topology, ordered)
+        self.segments_of_phases: list[tuple[tuple, Any]] = []  # kept by integrate/segment.py
         self._joined_with = with_copies(self._constants_of_start())
 
     def _constants_of_start(self) -> list[Tensor]:
@@ -281,6 +282,10 @@ class System(nn.Module):
         data, structures = call_module(self, parameters, "stages")
         shapes = {name: structure["psi"] for name, structure in structures.items()}
         return self._dynamics(_for_all_lanes(data, parameters)), shapes
+
+    def equations(self) -> Dynamics:
+        """The equations of motion without data of a design."""
+        return self._dynamics({})
 
     def _dynamics(self, data: dict[str, Any]) -> Dynamics:
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)

@@ -13,7 +13,8 @@ from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.batched import run_batched
 from torchmbd.optimization.multistart.run import MultistartResult
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult, largest_violation, rank
-from torchmbd.optimization.search import EvaluateBatch, Report, Search, variable_scale
+from torchmbd.optimization.search import EvaluateBatch, Report, Search
+from torchmbd.optimization.units import variable_scale
 
 WORTH = 1e-9  # relative improvement that counts
 STEPS = 2  # increments: of the certificate, and of the way to an admitted design

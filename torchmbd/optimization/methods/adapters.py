@@ -5,7 +5,8 @@ an objective far above the last one, from which line searches, trust regions and
 package that ends at a failed design all the same is run again from the best design, in a box without the failed one.
 Absolute tolerances: where the objective fell far below that of the start, the package is run again with the objective
 divided by the value reached.
-Status: "converged" is a Kuhn-Tucker point, or nearly one if the package's own criteria hold and no evaluation failed.
+Status: "converged" is a Kuhn-Tucker point. A package whose own criteria hold where the Kuhn-Tucker conditions do not is run
+again from there with smaller tolerances.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimization.kkt import kuhn_tucker
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
 from torchmbd.optimization.stationary import perturb_stationary_start
@@ -24,7 +24,6 @@ RUNS = 4
 SMALLEST_UNIT = 1e-9  # of the start's objective
 FAR_BELOW = 0.05  # of the objective at the start of a run
 FAILED_OBJECTIVE = 1e3  # of a failed evaluation, times the last objective
-LOOSE = 2e-2  # Kuhn-Tucker residual beyond which the success that a package reports does not count
 
 
 class EvaluationFailed(Exception):
@@ -57,7 +56,8 @@ class WrappedProblem:
         self, search: Search, y: np.ndarray, unit: float, failed: list[np.ndarray], remaining: int, run: int
     ) -> None:
         self.search, self.y, self.unit, self.failed, self.remaining = search, y, unit, failed, remaining
-        self.shrink = 1e-2**run  # factor of sizes that a package starts with: smaller ones in each further run
+        # Factor of sizes that a package starts with and of its tolerances: smaller ones in each further run.
+        self.shrink = 1e-2**run
         radius = min((0.5 * float(np.abs(design - y).max()) for design in failed), default=np.inf)
         self.lower, self.upper = np.maximum(search.lower, y - radius), np.minimum(search.upper, y + radius)
         self.equal, self.unequal = np.flatnonzero(search.equality), np.flatnonzero(~search.equality)
@@ -112,7 +112,7 @@ class WrappedProblem:
 def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_iterations: int, kkt: float) -> Ending:
     """Run a package, several times where that helps, and return how it ended.
 
-    run  one run of the package;  kkt  Kuhn-Tucker residual at which an early stop is good enough
+    run  one run of the package;  kkt  Kuhn-Tucker residual of an optimum
     """
     first = search.begin()
     if not first.ok:
@@ -125,7 +125,7 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
     failed: list[np.ndarray] = []
     unit, message = 1.0, ""
     for number in range(RUNS):
-        start, failures = y, search.failures
+        start = y
         remaining = max_iterations - (len(search.history) - 1)
         if remaining <= 0:
             break
@@ -134,17 +134,15 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
             break
         message = stop.message
         y, evaluation = _with_gradient(search, _better(search, stop.y), failed)
-        quality = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
+        quality = search.kuhn_tucker(evaluation, y)
         feasible = search.violation(evaluation) <= search.feasibility
         reached = abs(evaluation.objective)
         if feasible and stop.success and 0.0 < reached < FAR_BELOW * unit and quality.residual > kkt:
             unit = max(reached, SMALLEST_UNIT)
             continue
-        # What looks like a minimum beside a failed design, or on the border of a box without it, is none.
-        success = stop.success and not failed and search.failures == failures and quality.residual <= LOOSE
-        if feasible and (success or quality.residual <= kkt):
-            return Ending(y, "converged", message if success else f"{message}: a Kuhn-Tucker point")
-        if (np.array_equal(start, y) or not feasible) and not failed:
+        if feasible and quality.residual <= kkt:
+            return Ending(y, "converged", message if stop.success else f"{message}: a Kuhn-Tucker point")
+        if (np.array_equal(start, y) or not feasible) and not failed and not stop.success:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchmbd.optimization.curvature import reduced_hessian, tangent_basis
-from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
+from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.methods.direction import Direction, find_direction
 from torchmbd.optimization.methods.line_search import LineSearch, Trial
 from torchmbd.optimization.methods.metric import VariableMetric
@@ -17,13 +17,13 @@ from torchmbd.optimization.stationary import perturb_stationary_start
 
 # Longest change of a variable in the next step, as a multiple of that in the last step: if this was shortened, or a full step.
 GROWTH_IF_SHORTENED, GROWTH_IF_FULL = 3.0, 10.0
-PATIENCE = 5  # times ITRMOP: iterations without progress that are allowed while a constraint is violated
+# Times ITRMOP: iterations without progress that are allowed while a constraint or the Kuhn-Tucker conditions are violated.
+PATIENCE = 5
 RESETS = 2  # resets of the metric, at most
 ESCAPE = 0.25  # length of a step away from a saddle point (scaled)
 AT_REST = (
     0.1  # times the option kkt: residual below which an objective that no longer changes is optimal without a reset
 )
-LOOSE = 2e-2  # Kuhn-Tucker residual up to which an objective that no longer changes counts as optimal
 NO_KUHN_TUCKER = "the Kuhn-Tucker conditions do not hold"
 
 
@@ -51,7 +51,6 @@ class FeasibleDirections:
         self.weights = np.zeros(self.evaluation.constraints.size)  # of the exact penalty
         self.resets = 0
         self.resting = 0  # iterations in which the objective has not changed
-        self.resting_objective = np.inf  # the objective where it did not change and was nearly optimal
         self.max_change = np.inf  # of a variable in one step (scaled)
         self.metric.reset(self.first_curvature(self.weights))
 
@@ -105,8 +104,7 @@ class FeasibleDirections:
 
     def multiplier_estimate(self) -> KuhnTucker:
         """Return multipliers and Kuhn-Tucker residual at the current design; they do not depend on the metric."""
-        search = self.search
-        return kuhn_tucker(self.evaluation, self.y, search.lower, search.upper, search.equality)
+        return self.search.kuhn_tucker(self.evaluation, self.y)
 
     def check_optimality(self, direction: Direction) -> Ending | None:
         """Return the ending if the direction gains nothing and the Kuhn-Tucker conditions hold; else None."""
@@ -176,11 +174,11 @@ class FeasibleDirections:
         if line.failures:  # steps this short are no sign of an optimum
             return Ending(self.y, "stalled", f"the way down leads into designs that fail: {line.reason}")
         residual = self.multiplier_estimate().residual
-        if residual <= LOOSE:
-            self.resting_objective = self.evaluation.objective
         if residual > AT_REST * self.settings.kkt and self.reset_metric(direction):
             return None
-        if self.evaluation.objective >= self.resting_objective - 10.0 * self.negligible:  # the reset has gained nothing
+        if residual > self.settings.kkt and self.resting < PATIENCE * self.settings.itrmop:
+            return None
+        if residual <= self.settings.kkt:
             return Ending(self.y, "converged", f"the objective no longer changes ({self.resting} iterations)")
         return Ending(self.y, "stalled", f"the objective no longer changes, though {NO_KUHN_TUCKER}: a kink?")
 

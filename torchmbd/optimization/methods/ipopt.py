@@ -31,7 +31,7 @@ ITERATIONS_EXCEEDED = -1
 
 @register("ipopt")
 def ipopt(search: Search, max_iterations: int, *, tol: float = 1e-6, kkt: float = 1e-3) -> Ending:
-    """Run IPOPT on one start. `tol`: IPOPT's; `kkt`: Kuhn-Tucker residual at which an early stop is good enough."""
+    """Run IPOPT on one start. `tol`: IPOPT's; `kkt`: Kuhn-Tucker residual of an optimum."""
     try:
         cyipopt = import_module("cyipopt")
     except ImportError as error:
@@ -60,7 +60,7 @@ def _run(wrapped: WrappedProblem, cyipopt, tol: float) -> Stop:
         "print_level": 0,
         "sb": "yes",
         "hessian_approximation": "limited-memory",
-        "tol": tol,
+        "tol": tol * wrapped.shrink,
         "constr_viol_tol": 0.5 * wrapped.search.feasibility,
         "max_iter": wrapped.remaining,
         "bound_push": 1e-2 * wrapped.shrink,  # a later run begins nearer to the bounds

@@ -35,11 +35,11 @@ def lbfgs(
     gtol: float = 1e-7,
     ftol: float = 1e-14,
     memory: int = 30,
-    kkt: float = 1e-4,
+    kkt: float = 1e-3,
 ) -> Ending:
     """Run L-BFGS-B on one start. `gtol`, `ftol`: SciPy's; `memory`: last steps that give the curvature.
 
-    `kkt`: Kuhn-Tucker residual at which an early stop is good enough.
+    `kkt`: Kuhn-Tucker residual of an optimum.
     """
     for name, value in {"gtol": gtol, "ftol": ftol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)

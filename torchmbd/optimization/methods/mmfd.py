@@ -4,8 +4,8 @@ Each iteration
 1. finds the active (c >= CT) and violated (c > CTMIN) constraints, measured as distances where they are steep;
 2. finds a usable-feasible direction, along the active constraints, out of the violated ones (direction.py);
 3. searches along it by polynomials, the side constraints by projection, back to curved ones (line_search.py);
-4. stops at a Kuhn-Tucker point, or if the objective changed by less than DELOBJ (relative) or DABOBJ (absolute, in
-   units of the start's objective) in ITRMOP consecutive iterations.
+4. stops if the objective changed by less than DELOBJ (relative) or DABOBJ (absolute, in units of the start's objective)
+   in ITRMOP consecutive iterations, or would not change by more; it has converged if that is a Kuhn-Tucker point.
 
 From a feasible design only designs are accepted that violate no constraint by more than the slack. The slack is CTMIN in
 the first iterations and shrinks with the promised gain down to the problem's feasibility tolerance. An infeasible start
@@ -46,7 +46,8 @@ def mmfd(
 ) -> Ending:
     """Run the method on one start.
 
-    `dobj1`, `dx1`: share of objective and variables that the first step may change. `second_order`: leave saddle points;
+    `dobj1`, `dx1`: share of objective and variables that the first step may change. `kkt`: Kuhn-Tucker residual of an
+    optimum. `second_order`: leave saddle points;
     the check takes one analysis for each direction along the active constraints, in one batch.
     """
     require_range("ct", ct, -1.0, 0.0)

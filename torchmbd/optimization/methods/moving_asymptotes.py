@@ -23,13 +23,13 @@ EVALUATIONS_PER_ITERATION = 20  # a bound on NLopt's inner loop
 
 @register("mma")
 def mma(search: Search, max_iterations: int, *, ftol: float = 1e-7, xtol: float = 1e-7, kkt: float = 1e-3) -> Ending:
-    """Run MMA on one start; `ftol`, `xtol`: NLopt's relative tolerances."""
+    """Run MMA on one start; `ftol`, `xtol`: NLopt's relative tolerances; `kkt`: Kuhn-Tucker residual of an optimum."""
     return _run_nlopt(search, max_iterations, "mma", "LD_MMA", ftol, xtol, kkt)
 
 
 @register("ccsaq")
 def ccsaq(search: Search, max_iterations: int, *, ftol: float = 1e-7, xtol: float = 1e-7, kkt: float = 1e-3) -> Ending:
-    """Run CCSAQ on one start; `ftol`, `xtol`: NLopt's relative tolerances."""
+    """Run CCSAQ on one start; `ftol`, `xtol`: NLopt's relative tolerances; `kkt`: Kuhn-Tucker residual of an optimum."""
     return _run_nlopt(search, max_iterations, "ccsaq", "LD_CCSAQ", ftol, xtol, kkt)
 
 
@@ -59,8 +59,8 @@ def _run(wrapped: WrappedProblem, nlopt, algorithm: str, ftol: float, xtol: floa
     optimizer.set_min_objective(calls.objective)
     if wrapped.unequal.size:
         optimizer.add_inequality_mconstraint(calls.constraints, np.full(wrapped.unequal.size, 0.5 * search.feasibility))
-    optimizer.set_ftol_rel(ftol)
-    optimizer.set_xtol_rel(xtol)
+    optimizer.set_ftol_rel(ftol * wrapped.shrink)
+    optimizer.set_xtol_rel(xtol * wrapped.shrink)
     optimizer.set_maxeval(EVALUATIONS_PER_ITERATION * max(wrapped.remaining, 1))
     gave_up = ""
     try:

@@ -26,7 +26,7 @@ SENTENCES = {
 
 @register("slsqp")
 def slsqp(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float = 1e-3) -> Ending:
-    """Run SLSQP on one start. `ftol`: SciPy's; `kkt`: Kuhn-Tucker residual at which an early stop is good enough."""
+    """Run SLSQP on one start. `ftol`: SciPy's; `kkt`: Kuhn-Tucker residual of an optimum."""
     require_range("ftol", ftol, 1e-16, 1.0)
     require_range("kkt", kkt, 1e-16, 1.0)
     # SLSQP measures constraints by the same tolerance.
@@ -61,6 +61,6 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
             method="SLSQP",
             bounds=list(zip(wrapped.lower, wrapped.upper, strict=True)),
             constraints=constraints,
-            options={"maxiter": wrapped.remaining, "ftol": ftol},
+            options={"maxiter": wrapped.remaining, "ftol": ftol * wrapped.shrink},
         )
     return Stop(result.x, bool(result.success), SENTENCES.get(int(result.status), f"SLSQP: {result.message}"))

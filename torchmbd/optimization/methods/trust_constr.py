@@ -28,9 +28,13 @@ def trust_constr(
     gtol: float = 1e-10,
     xtol: float = 1e-8,
     initial_radius: float = 1.0,
-    kkt: float = 1e-4,
+    kkt: float = 1e-3,
 ) -> Ending:
-    """Run trust-constr on one start. `gtol`, `xtol`: SciPy's; `initial_radius` of the trust region, in scaled variables."""
+    """Run trust-constr on one start.
+
+    `gtol`, `xtol`: SciPy's. `initial_radius` of the trust region, in scaled variables. `kkt`: Kuhn-Tucker residual of an
+    optimum.
+    """
     for name, value in {"gtol": gtol, "xtol": xtol, "initial_radius": initial_radius, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1e3)
     options = {"gtol": gtol, "xtol": xtol, "initial_tr_radius": initial_radius}

@@ -24,7 +24,8 @@ from torchmbd.optimization.optimizer import (
     require_count,
     require_range,
 )
-from torchmbd.optimization.search import EvaluateBatch, Report, Search, variable_scale
+from torchmbd.optimization.search import EvaluateBatch, Report, Search
+from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import both, shown
 from torchmbd.summary import Summary, few
 
@@ -56,12 +57,12 @@ class MultistartResult(Summary):
         ]
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each start: status, value, violation, iterations, analyses, and the design by its names."""
+        """A row for each start: status, value, violation, Kuhn-Tucker residual, iterations, analyses, design by its names."""
         import pandas as pd
 
         rows = [
             {"start": r.start, "status": r.status, "value": r.value, "violation": r.violation}
-            | {"iterations": r.iterations, "analyses": r.analyses}
+            | {"kkt_residual": r.kkt_residual, "iterations": r.iterations, "analyses": r.analyses}
             | dict(zip(r.names or [f"x[{k}]" for k in range(len(r.x))], r.x, strict=True))
             for r in self.results
         ]

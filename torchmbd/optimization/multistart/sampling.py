@@ -106,8 +106,13 @@ def _latin(seed: int, size: int, number: int) -> np.ndarray:
 
 
 def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool, problem: Box) -> np.ndarray:
-    """Points [count, n] of the unit cube [size, number], over the bounds of the problem."""
-    lower, upper = np.asarray(problem.lower, dtype=float), np.asarray(problem.upper, dtype=float)
+    """Points [count, n] of the unit cube [size, number], over the bounds of the problem.
+
+    The extra variable of a min-max problem, which is no design variable, begins as that of the start.
+    """
+    lower, upper = np.array(problem.lower, dtype=float), np.array(problem.upper, dtype=float)
+    if getattr(problem, "has_extra_variable", False):
+        lower[-1] = upper[-1] = problem.start[-1]
     for name, low, high in zip(problem.names, lower, upper, strict=True):
         if not (np.isfinite(low) and np.isfinite(high)):
             raise InputError(f"bounds of {name} are [{low:g}, {high:g}]: starts can be spread over finite bounds only")

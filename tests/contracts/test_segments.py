@@ -1,0 +1,75 @@
+"""A motion without phases and one with a single phase in which nothing is locked, released or replaced are the same motion.
+
+Numbers, gradients, status, statistics and warnings are identical bit for bit, for every integrator, native and eager.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+from torchmbd.integrate import METHODS
+from torchmbd.integrate.registry import INTEGRATORS
+
+NAME = "rod.laminate.angles"
+DESIGNS = mbd.deg([[20.0, -50.0], [10.0, 70.0]])
+NAMED = [mbd.Phase(name="all of it")]
+
+
+def numbers(phases: Any, method: str, gradients: str, **options: Any) -> tuple[list[torch.Tensor], Any, Any, Any]:
+    """Motion and gradient, status, statistics and warnings."""
+    angles = DESIGNS.clone().requires_grad_(gradients == "reverse")
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        motion = mbd.simulate(
+            pendulum(damping=1e-4), 0.02, method, designs={NAME: angles}, phases=phases, gradients=gradients, **options
+        )
+        found = [motion.q, motion.v, motion.a, motion.lam]
+        if gradients == "reverse":
+            found += torch.autograd.grad(mbd.Max(mbd.StrainEnergy("rod"))(motion).sum() + motion.q.sum(), [angles])
+        if gradients == "forward":
+            found += [x for x in (motion.dq_db, motion.dlam_db) if x is not None]
+    stats = repr({k: v.tolist() if isinstance(v, torch.Tensor) else v for k, v in motion.stats.items()})
+    return found, motion.status, stats, [str(w.message) for w in seen]
+
+
+def identical(method: str, gradients: str, **options: Any) -> None:
+    numbers(None, method, gradients, **options)  # what is said once in a process
+    plain, status, stats, said = numbers(None, method, gradients, **options)
+    for phases in ([mbd.Phase()], NAMED):
+        phased, *rest = numbers(phases, method, gradients, **options)
+        assert all(torch.equal(a, b) for a, b in zip(plain, phased, strict=True))
+        assert rest == [status, stats, said]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.filterwarnings("ignore:Functional iteration did not converge")
+def test_one_phase_is_none_for_every_integrator(method):
+    identical(method, "reverse" if INTEGRATORS[method].adjoint else "forward", steps=12)
+
+
+@pytest.mark.parametrize("options", [{"steps": 2}, {"steps": 12, "checkpoint": 4}, {}, {"steps": 12, "halvings": 2}])
+def test_steps_that_are_too_few_chosen_or_kept_in_part_are_those_of_no_phase(options):
+    identical("generalized_alpha", "none", **options)
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("gradients", ["forward", "reverse"])
+def test_native_steps_are_those_of_no_phase(gradients):
+    identical("generalized_alpha", gradients, steps=30, backend="native")
+
+
+def test_the_duration_has_its_gradient_with_one_phase():
+    slopes = []
+    for phases in (None, [mbd.Phase()]):
+        T = torch.tensor(0.02, dtype=torch.float64, requires_grad=True)
+        motion = mbd.simulate(pendulum(damping=1e-4), T, steps=10, phases=phases)
+        slopes += torch.autograd.grad(motion.q[:, -1].sum(), [T])
+    assert torch.equal(*slopes)

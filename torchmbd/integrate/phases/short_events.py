@@ -1,0 +1,108 @@
+"""Events that are shorter than a step: the function g of an event passes zero twice between ends at which its sign is the same.
+
+    p(s), 0 <= s <= 1     the cubic of g and its rate g' at both ends (Hermite)
+    p'(s) = 0             where g turns in the step, as the cubic has it; there the state is integrated, and g evaluated
+
+If g has not passed zero there, the half in which its rate changes its sign is looked at in the same way. An event that begins
+where another one has just ended (a bounce) has g = 0 at its begin: then g turns away from zero and comes back through it.
+Only what was evaluated counts: the cubic says where to look. Where it misses g by more than the distance of g from zero, the
+steps are too long to know.
+Checked in tests/integrate/phases/test_short_events.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.phases.events import DIRECTIONS, ROUNDING, Event
+
+_LOOKS = 4  # of a step, each at the turn of a shorter cubic
+# A function that is farther from zero than so many times its change in this step and the one before does not reach it.
+FAR = 4.0
+
+
+@dataclass
+class ShortEvents:
+    """Where lanes pass zero in a step, as sizes from its begin [lanes].
+
+    found     which lanes do
+    low, high enclose the event;  g_low: the function at low;  size: an estimate
+    unclear   lanes in which the steps are too long to know
+    """
+
+    found: Tensor
+    low: Tensor
+    high: Tensor
+    g_low: Tensor
+    size: Tensor
+    unclear: Tensor
+
+    def in_lanes(self, lanes: list[int], count: int) -> ShortEvents:
+        """The same, where these are some of so many lanes."""
+
+        def wide(x: Tensor) -> Tensor:
+            return x.new_zeros(count).index_copy(0, torch.tensor(lanes), x)
+
+        return ShortEvents(*(wide(getattr(self, f.name)) for f in fields(self)))
+
+
+def short_events(
+    event: Event,
+    h: Tensor,
+    g: tuple[Tensor, Tensor],
+    rates: tuple[Tensor, Tensor],
+    look: Callable[[Tensor], tuple[Tensor, Tensor]],
+) -> ShortEvents:
+    """Events in steps of sizes h, from the function and its rates at both ends; look: gives both at sizes; all [lanes]."""
+    begins_at_zero = g[0].abs() <= ROUNDING * g[1].abs()
+    sign = torch.where(begins_at_zero, rates[0], g[0]).sign()
+    returns = begins_at_zero & (sign * g[1] < 0.0)
+    way = torch.where(returns, sign, -sign)  # in which g turns: away from zero, or towards it
+    open_lanes = returns | (~begins_at_zero & (sign * g[1] > 0.0))
+    a, b, (ga, gb), (ra, rb) = torch.zeros_like(h), h, g, rates
+    result = ShortEvents(torch.zeros_like(returns), a, h, g[0], 0.5 * h, torch.zeros_like(returns))
+    direction = DIRECTIONS[event.direction]
+    for count in range(_LOOKS):
+        s, p = _turn(ga, ra * (b - a), gb, rb * (b - a), way)
+        open_lanes = open_lanes & torch.isfinite(s)
+        if not bool(open_lanes.any()):
+            break
+        size = a + torch.where(open_lanes, s, 0.5) * (b - a)
+        gm, rm = look(size)
+        if not count:
+            result.unclear = open_lanes & ((gm - p).abs() > gm.abs())
+        crossed = open_lanes & (way * gm >= 0.0) & (gm != 0.0)
+        leaves = (direction == 0) | (sign == -direction)  # whether going through zero from the sign at the begin counts
+        first = crossed & ~returns & leaves
+        second = crossed & ~first & (leaves | ~returns)
+        _put(result, first, torch.zeros_like(h), size, g[0], gm)
+        _put(result, second, size, h, gm, g[1])
+        open_lanes = open_lanes & ~crossed
+        right = way * rm > 0.0  # g still goes on
+        a, ga, ra = (torch.where(right, x, y) for x, y in ((size, a), (gm, ga), (rm, ra)))
+        b, gb, rb = (torch.where(right, y, x) for x, y in ((size, b), (gm, gb), (rm, rb)))
+    result.unclear = result.unclear & ~result.found
+    return result
+
+
+def _put(result: ShortEvents, lanes: Tensor, low: Tensor, high: Tensor, g_low: Tensor, g_high: Tensor) -> None:
+    """Note what encloses the event of some lanes (a mask)."""
+    result.found = result.found | lanes
+    result.low, result.high = torch.where(lanes, low, result.low), torch.where(lanes, high, result.high)
+    result.g_low = torch.where(lanes, g_low, result.g_low)
+    result.size = torch.where(lanes, low + (high - low) * g_low / (g_low - g_high), result.size)
+
+
+def _turn(g0: Tensor, m0: Tensor, g1: Tensor, m1: Tensor, way: Tensor) -> tuple[Tensor, Tensor]:
+    """Where in 0 < s < 1 the cubic turns after it has gone the way (1 or -1), and its value there; nan: nowhere."""
+    a, b = 6.0 * (g0 - g1) + 3.0 * (m0 + m1), -6.0 * (g0 - g1) - 4.0 * m0 - 2.0 * m1  # p' = a s^2 + b s + m0
+    root = torch.sqrt(b * b - 4.0 * a * m0)
+    # The turn after which the slope has the sign -way: p'' = 2 a s + b = -way root. Both forms: neither cancels.
+    s = torch.where(way * b > 0.0, -(b + way * root) / (2.0 * a), 2.0 * m0 / (way * root - b))
+    s = torch.where((s > 0.0) & (s < 1.0), s, torch.nan)
+    p = g0 + s * (m0 + s * (0.5 * b + s * a / 3.0))
+    return s, p

@@ -1,0 +1,226 @@
+"""Segments: the parts of a motion between its switches, one for each phase; a motion without phases is one segment.
+
+    state before --entry--> state --regular steps--> state --exit--> state at the switch
+
+    entry    marks of locks, jump, impact, consistent accelerations (phases/switch.py); of the first one the initial state
+    steps    equal ones, of the condensed system of the segment (phases/loop.py)
+    exit     a last step, whose size is solved for (phases/loop.py); the last segment has none
+
+Bodies, structure stage and attached vectors are those of one whole system with all joints and all locks; a segment has some
+of its constraint rows (multibody/system/selection.py). Multipliers are those of all rows of the whole.
+Segments are made once for a system and a list of phases.
+Checked in tests/integrate/phases/test_phase.py, tests/contracts/test_segments.py.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrate.phase import Phase
+from torchmbd.multibody.forces.action import Action, Law
+from torchmbd.multibody.forces.laws import check_law
+from torchmbd.multibody.joints import Drive, Joint
+from torchmbd.multibody.joints.joint import AttachmentTable
+from torchmbd.multibody.joints.lock import Lock
+from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.condensation import Condensation, condense
+from torchmbd.multibody.system.initial import InitialConditions
+from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.selection import selected
+from torchmbd.multibody.system.topology import Topology
+
+MOST_LISTS = 8  # lists of phases whose segments a system keeps
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A segment of the motions of one system.
+
+    number            in the list of segments
+    topology, saddle  its joints and locks;  rows: its constraint rows among those of the whole
+    closing           the joints that close the mechanism before the locks take hold, and their saddle point
+    initial           initial conditions of these joints: of the first segment
+    condensation      of the joints to the ground; None: nothing is condensed
+    """
+
+    number: int
+    phase: Phase
+    name: str
+    topology: Topology
+    saddle: Saddle
+    rows: list[int]
+    locks: list[Lock]
+    closing: tuple[Topology, Saddle]
+    initial: InitialConditions
+    condensation: Condensation | None
+
+    @classmethod
+    def of(cls, dynamics: Dynamics, phase: Phase, number: int) -> Segment:
+        """A segment in which all joints act and none is locked."""
+        T, saddle, initial = dynamics.topology, dynamics.saddle, dynamics.initial
+        name, rows = phase.name or str(number + 1), list(range(T.rows))
+        return cls(number, phase, name, T, saddle, rows, [], (T, saddle), initial, initial.condensed)
+
+    @property
+    def starts_assembled(self) -> bool:
+        """Whether it begins in the state of the assembled mechanism: the first segment, without locks."""
+        return self.number == 0 and not self.locks
+
+
+def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
+    """The phases of a motion; None for a single one that locks, releases and replaces nothing: a motion without switches."""
+    if not isinstance(phases, (list, tuple)) or len(phases) != 1 or not isinstance(phases[0], Phase):
+        return phases
+    [phase] = phases
+    changes = phase.lock or phase.release or phase.laws or phase.until or phase.lasting or phase.impact
+    return phases if changes else None
+
+
+def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Segment]]:
+    """The system with all joints and locks, and its segments; InputError names what a phase cannot have."""
+    if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
+        raise InputError(f"phases is {phases!r}; allowed: a list of at least one mbd.Phase")
+    names = [phase.name or str(i) for i, phase in enumerate(phases, 1)]
+    _check_order(phases, names, duration)
+    for known, found in system.segments_of_phases:
+        if len(known) == len(phases) and all(a is b for a, b in zip(known, phases, strict=True)):
+            return found
+    if len(phases) > 1 or any(phase.lock or phase.release for phase in phases):
+        _check_names(system, names)
+    found = _segments(system, phases, names)
+    system.segments_of_phases.append((tuple(phases), found))
+    del system.segments_of_phases[:-MOST_LISTS]
+    return found
+
+
+def _segments(system: System, phases: Sequence[Phase], names: Sequence[str]) -> tuple[System, list[Segment]]:
+    locked = [_joints_named(system, name, phase.lock, "lock") for name, phase in zip(names, phases, strict=True)]
+    released = [
+        _joints_named(system, name, phase.release, "release") for name, phase in zip(names, phases, strict=True)
+    ]
+    for name, locked_joints, released_joints in zip(names, locked, released, strict=True):
+        _check_locks(name, system, locked_joints, released_joints)
+    locks = [
+        [Lock(joint, f"lock of {joint.name} in phase {name}") for joint in joints_of_phase]
+        for name, joints_of_phase in zip(names, locked, strict=True)
+    ]
+    whole = system.with_joints([*system.joints, *itertools.chain.from_iterable(locks)]) if any(locks) else system
+    result: list[Segment] = []
+    for k, phase in enumerate(phases):
+        acting = {joint.name for joint in system.joints} - {joint.name for joint in released[k]}
+        result.append(_segment(whole, k, names[k], phase, acting, locks[k], result))
+    return whole, result
+
+
+def _segment(
+    whole: System,
+    number: int,
+    name: str,
+    phase: Phase,
+    acting: set[str],
+    locks: list[Lock],
+    before: Sequence[Segment],
+) -> Segment:
+    """The segment of a phase in which the joints `acting` and `locks` act."""
+    model = whole.equations()
+    T, initial = model.topology, model.initial
+    closing_rows = _rows(T, acting)
+    if len(closing_rows) == T.rows and not phase.laws:
+        return Segment.of(model, phase, number)
+    rows = _rows(T, acting | {lock.name for lock in locks})
+    actions = _actions_of_phase(whole, name, phase.laws)
+    topology = replace(selected(T, rows), actions=actions)
+    saddle = Saddle(topology)
+    closing = topology, saddle
+    if locks:
+        of_joints = replace(selected(T, closing_rows), actions=actions)
+        closing = of_joints, Saddle(of_joints)
+    initial = replace(initial, topology=closing[0])
+    always = set(rows).intersection(*(segment.rows for segment in before))
+    constant = [i for i, row in enumerate(rows) if row in always]
+    condensation = condense(topology, initial.q, constant, [lock.name for lock in locks]) if topology.rows else None
+    return Segment(number, phase, name, topology, saddle, rows, locks, closing, initial, condensation)
+
+
+def _check_names(system: System, names: Sequence[str]) -> None:
+    """InputError for phases or joints of one name: locks and rows are found by these."""
+    for labels, kind in ((names, "phases"), ([joint.name for joint in system.joints], "joints")):
+        twice = sorted({name for name in labels if labels.count(name) > 1})
+        if twice:
+            raise InputError(
+                f"{kind} have the names {', '.join(twice)} more than once; allowed with phases: unique names"
+            )
+
+
+def _rows(T: Topology, joints: set[str]) -> list[int]:
+    return [i for i, name in enumerate(T.row_joints) if name in joints]
+
+
+def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action, ...]:
+    """The actions of the forces, with the laws of a phase instead of those of the named forces."""
+    named = {force.name: force for force in system.forces}
+    changed = {kind: list(kind.laws) for kind in system.topology.actions}
+    of_kind, count = {type(kind): kind for kind in system.topology.actions}, Counter()
+    for name, law in laws.items():
+        if name not in named:
+            raise unknown(f"in laws of phase {phase!r} the force", name, named)
+        own = [force for force in system.forces if force.name == name]
+        if len(own) > 1 or len(list(own[0].actions(AttachmentTable()))) != 1:
+            raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
+        check_law(f"{name} in phase {phase}", law)
+    for force in system.forces:
+        for action in force.actions(AttachmentTable()):
+            if force.name in laws:
+                changed[of_kind[action.kind]][count[action.kind]] = laws[force.name]
+            count[action.kind] += 1
+    return tuple(replace(kind, laws=tuple(laws_of_kind)) for kind, laws_of_kind in changed.items())
+
+
+def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float) -> None:
+    """InputError unless every phase but the last has an end, at increasing times."""
+    for name, phase in zip(names[:-1], phases[:-1], strict=True):
+        if phase.until is None and phase.lasting is None:
+            raise InputError(f"phase {name!r} never ends; allowed: until or lasting for every phase but the last")
+    if phases[-1].until is not None or phases[-1].lasting is not None:
+        raise InputError(
+            f"phase {names[-1]!r} is the last and has an end of its own; allowed: the last phase lasts until the "
+            f"duration of the simulation (add mbd.Phase() after it)"
+        )
+    times = [0.0, *(p.until for p in phases if isinstance(p.until, (int, float))), duration]
+    if any(a >= b for a, b in itertools.pairwise(times)):
+        raise InputError(
+            f"until of the phases is {times[1:-1]} s; allowed: increasing times before duration={duration:g} s"
+        )
+
+
+def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], argument: str) -> list[Joint]:
+    """Joints of the system by name or as they are; InputError names one that the system does not have."""
+    named = {joint.name: joint for joint in system.joints}
+    result = []
+    for x in joints:
+        name = x if isinstance(x, str) else x.name
+        if name not in named or (isinstance(x, Joint) and named[name] is not x):
+            raise unknown(f"in {argument} of phase {phase!r} the joint", name, named)
+        result.append(named[name])
+    return result
+
+
+def _check_locks(phase: str, system: System, locked: Sequence[Joint], released: Sequence[Joint]) -> None:
+    """InputError for locks that do not go with the other joints of a phase."""
+    for joint in locked:
+        if joint in released:
+            raise InputError(f"phase {phase!r} both locks and releases {joint.name!r}; allowed: one of them")
+        if isinstance(joint, Drive):
+            raise InputError(f"phase {phase!r} locks the drive {joint.name!r}; allowed: release it, lock its joint")
+        bodies = {joint.a.body.name, joint.b.body.name}
+        for drive in system.joints:
+            driven = isinstance(drive, Drive) and {drive.a.body.name, drive.b.body.name} == bodies
+            if driven and drive not in released:
+                raise InputError(
+                    f"phase {phase!r} locks {joint.name!r}, which {drive.name!r} drives; "
+                    f"allowed: release={[drive.name]!r} in this phase"
+                )
