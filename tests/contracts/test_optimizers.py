@@ -14,6 +14,7 @@ from tests.optimization.hock_schittkowski import hock_schittkowski
 from tests.optimization.structures import three_bar_truss
 from torchmbd.errors import InputError
 from torchmbd.optimization import OPTIMIZERS, STATUSES, Evaluation, optimize
+from torchmbd.optimization.optimizer import Ending
 
 # A method with an option that changes it altogether is a case of its own.
 VARIANTS = {
@@ -371,6 +372,37 @@ def test_equalities_are_met_or_refused(method):
         with pytest.raises(InputError, match="equalities"):
             solve(problem, method)
         assert problem.batches == []
+
+
+EARLY = {
+    "slsqp": {"ftol": 1e-1},
+    "mma": {"ftol": 1e-2, "xtol": 1e-2},
+    "ccsaq": {"ftol": 1e-2},
+    "mmfd": {"delobj": 1e-2},
+}
+
+
+@pytest.mark.parametrize("method", EARLY)
+@pytest.mark.parametrize("name", ["HS5", "HS12", "HS43", "HS65"])
+def test_the_residual_decides_where_a_method_stops_early(method, name):
+    problem = BY_NAME[name]
+    result = optimize(problem, method, max_iterations=500, **EARLY[method])
+    assert result.status == ("converged" if result.kkt_residual <= 1e-3 else "stalled")
+    assert error(problem, result.value) <= 1e-3
+
+
+def test_a_method_that_claims_an_optimum_where_there_is_none(monkeypatch):
+    def hasty(search, max_iterations: int, *, kkt: float = 1e-3) -> Ending:
+        search.begin()
+        return Ending(search.start, "converged", "that will do")
+
+    monkeypatch.setitem(OPTIMIZERS, "hasty", hasty)
+    result = optimize(quadratic(), "hasty")
+    assert result.status == "stalled"
+    assert result.kkt_residual > 0.1
+    assert f"but the Kuhn-Tucker residual {result.kkt_residual:.2g} is beyond kkt = 0.001" in result.message
+    assert optimize(quadratic(), "hasty", kkt=1e3).status == "converged"
+    assert "KKT residual" in str(result)
 
 
 def test_crossed_bounds_are_named():

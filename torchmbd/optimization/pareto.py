@@ -40,6 +40,7 @@ from torchmbd.optimization.optimizer import (
     require_range,
 )
 from torchmbd.optimization.search import Search
+from torchmbd.optimization.units import first_order_change, unit_of, variable_scale
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -209,14 +210,17 @@ def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
 
 def _anchors(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -> list[ParetoPoint]:
     """Return the minimum of each criterion."""
-    known = [np.abs(criteria.values) for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
+    known = [criteria for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
     if not known:
         raise InputError("start: none could be evaluated")
-    if known[0].shape != (len(names),):
+    values, slopes = known[0].values, known[0].gradients
+    if values.shape != (len(names),):
         raise InputError(
-            f"problem.evaluate returned criteria of shape {known[0].shape}, allowed: {(len(names),)}, {', '.join(names)}"
+            f"problem.evaluate returned criteria of shape {values.shape}, allowed: {(len(names),)}, {', '.join(names)}"
         )
-    scale = np.where(known[0] > 0.0, known[0], 1.0)
+    size = variable_scale(searches.start, searches.lower, searches.upper)
+    changes = [0.0] * len(names) if slopes is None else [first_order_change(slope, size) for slope in slopes]
+    scale = np.array([unit_of(value, change) for value, change in zip(values, changes, strict=True)])
     weights = np.where(np.eye(len(names)), 1.0, TIE) / scale
     results = searches.from_starts([partial(_weighted, w) for w in weights], starts)
     if searches.interrupted:

@@ -260,9 +260,10 @@ def check_law(name: str, law: Any) -> Any:
             f"law of {name!r} gives {f!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
         )
     if not hasattr(law, "slopes") and not isinstance(law, Scaled):
+        function: Any = law
         require_differentiable(
             f"law of {name!r}",
-            lambda s: law(s.reshape(1, 1, 1), zero, zero[0, 0, 0])[0, 0, 0],
+            lambda s: function(s.reshape(1, 1, 1), zero, zero[0, 0, 0])[0, 0, 0],
             "allowed: a torch function of (s, s', t), or mbd.forces.Table of points",
         )
     return law
