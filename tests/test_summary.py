@@ -52,3 +52,19 @@ def test_a_motion_as_a_data_frame(motion):
     columns = torch.tensor(frame[["x", "y", "z"]].to_numpy())
     assert torch.equal(columns, view.r.flatten(0, 1))
     assert torch.equal(torch.tensor(frame[["wx", "wy", "wz"]].to_numpy()), view.omega.flatten(0, 1))
+
+
+def test_a_problem_is_shown_without_memory_addresses():
+    """Operations as Python writes them, functions of users by their names."""
+
+    @mbd.measure
+    def reach(motion):
+        return motion.t.new_ones(motion.lanes)
+
+    arm, energy = mbd.examples.arm(), mbd.StrainEnergy("arm")
+    asked = 2.0 * mbd.Max(abs(energy) ** 2 - 3.0 * energy) / mbd.Mass("arm")
+    text = str(mbd.Problem(arm, 0.1, asked, [reach <= 1.0, mbd.Max(energy / 2.0) <= 1.0], steps=4))
+    assert "built-in" not in text
+    assert " at 0x" not in text
+    assert "(abs(StrainEnergy(body='arm')) ** 2)" in text
+    assert "measure(reach)" in text

@@ -64,6 +64,8 @@ def nearest(name: object, allowed: Iterable[object]) -> str:
         small = {option.lower(): option for option in reversed(options)}
         close = [small[x] for x in difflib.get_close_matches(str(name).lower(), small, n=1, cutoff=0.5)]
     hint = f"; did you mean {close[0]!r}?" if close else ""
+    if name == "device":
+        hint = "; torchmbd computes on the CPU alone"
     return f"; allowed: {', '.join(options) or '(none)'}{hint}"
 
 
@@ -171,6 +173,9 @@ def _unfit(function: Callable[..., Any], args: tuple, kwargs: dict[str, Any], na
     given = {*places[: len(args)], *kwargs}
     for p in parameters:
         if p.name in named and p.default is p.empty and p.name not in given:
+            options = [key for key in kwargs if key not in named]
+            for key in difflib.get_close_matches(p.name, options, n=1):  # an option of a function that takes any
+                return f"argument {key!r} (= {_brief(kwargs[key])}) of {name} does not exist{nearest(key, shown)}"
             return f"argument {p.name!r} of {name} is missing; allowed: {', '.join(shown)}"
     return None
 

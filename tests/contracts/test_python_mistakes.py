@@ -204,6 +204,15 @@ MISTAKES = {
     "sampler": (lambda: any_.multistart(BOX, "mmfd", "sobel"), "starts is 'sobel'", "mbd.sobol(...)"),
     "seed": (lambda: any_.sobol(2), "'seed' of sobol is missing", "count, seed"),
     "sed": (lambda: any_.sobol(2, 1, sed=1), "'sed' (= 1) of sobol", "did you mean 'seed'"),
+    "duraton": (lambda: any_.simulate(SYSTEM, duraton=0.1), "'duraton' (= 0.1) of simulate", "did you mean 'duration'"),
+    "duraton of a problem": (
+        lambda: any_.Scenarios(SYSTEM, duraton=0.1, scenarios={}),
+        "'duraton' (= 0.1) of Scenarios",
+        "did you mean 'duration'",
+    ),
+    "device": (lambda: simulate(device="cuda"), "device = 'cuda'", "torchmbd computes on the CPU alone"),
+    "device of a problem": (lambda: problem(device="cuda"), "device = 'cuda'", "torchmbd computes on the CPU alone"),
+    "device of a search": (lambda: mbd.optimize(BOX, device="cuda"), "'device'", "torchmbd computes on the CPU alone"),
     "tolerance": (lambda: mbd.RobustProblem(BOX, -0.1), "tolerance is -0.1", "not negative"),
     "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
     # switches

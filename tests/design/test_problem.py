@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
@@ -178,3 +179,14 @@ def test_a_problem_may_have_phases():
     assert problem(phases=lock, subject_to=[mbd.Max(ENERGY) <= 1.0, mbd.Min(ENERGY) >= 0.0]).gradients == "forward"
     with pytest.raises(InputError, match="the joint 'hook' does not exist"):
         problem(phases=[mbd.Phase(lock=["hook"])])
+
+
+@pytest.mark.parametrize("gradients", ["forward", "reverse"])
+def test_numpy_in_a_response_is_named(gradients):
+    @mbd.measure
+    def largest(motion):
+        return torch.as_tensor(motion.body("arm").strain_energy.numpy().max(1))
+
+    p = mbd.Problem(mbd.examples.arm(), 0.01, largest, steps=4, gradients=gradients)
+    with pytest.raises(InputError, match=r"response 'largest' makes NumPy numbers .*; allowed: operations of torch"):
+        p.evaluate(p.start[None], True)

@@ -87,6 +87,14 @@ def test_what_a_file_can_say(spec, expected):
     assert measure_of(spec) == expected
 
 
+def test_the_name_is_told_from_its_options():
+    """Whatever stands first: `integrl` is the unknown name, not the window."""
+    for spec in ({"integrl": {"strain_energy": "rod"}, "window": [0, 1]}, {"window": [0, 1], "integrl": "rod"}):
+        with pytest.raises(SpecError, match="did you mean 'integral'") as error:
+            measure_of(spec)
+        assert error.value.path[-1] == "integrl"
+
+
 def test_responses_have_units():
     assert set(UNITS) == {*RESPONSES, *OF_DESIGN}
     assert heading({"integral": {"strain_energy": "rod"}}) == "integral of strain energy of rod [J s]"

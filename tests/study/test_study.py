@@ -207,6 +207,20 @@ def test_other_problems_fronts_tolerances_and_steps(own):
 
 
 @pytest.mark.thorough
+def test_a_sweep_as_a_data_frame(own):
+    span = {"rod.laminate.angles[1]": (float(mbd.deg(-90.0)), float(mbd.deg(90.0)), 3)}
+    swept = mbd.Study(problem(), name="swept", sweep=span).run(console=QUIET)
+    table = swept.to_dataframe()
+    assert table["angle_2_deg"].tolist() == pytest.approx([-90.0, 0.0, 90.0])
+    evaluations = problem().evaluate(np.radians([[45.0, x] for x in (-90.0, 0.0, 90.0)]), False)
+    assert table["objective"].tolist() == pytest.approx([e.objective for e in evaluations], rel=1e-9)
+    assert table["violation"].tolist() == pytest.approx([max(float(e.constraints.max()), 0.0) for e in evaluations])
+    assert table["status"].tolist() == ["ok"] * 3
+    assert swept.plot().axes[0].get_xlabel() == "angle 2 [deg]"
+    assert swept.best is None
+
+
+@pytest.mark.thorough
 def test_scenarios_are_a_study_like_any_other(own):
     cases = [{"rod.laminate.thickness": h} for h in (1e-3, 2e-3)]
     asked = mbd.Scenarios(

@@ -30,6 +30,9 @@ class FunctionHistory(History):
     function: Callable[[Any], Tensor]
     unit: str | None = None
 
+    def __repr__(self) -> str:
+        return f"history({_name(self.function)})"
+
     def values(self, motion: Trajectory) -> Tensor:
         return _checked_call(self.function, motion, (motion.lanes, len(motion.t)))
 
@@ -41,8 +44,20 @@ class FunctionMeasure(Measure):
     function: Callable[[Any], Tensor]
     unit: str | None = None
 
+    def __repr__(self) -> str:
+        return f"measure({_name(self.function)})"
+
     def value(self, motion: Trajectory) -> Tensor:
         return _checked_call(self.function, motion, (motion.lanes,))
+
+
+# What torch says where NumPy asks for a tensor with a gradient, or for one inside a transform.
+NUMPY_ERRORS = ("numpy", "data pointer")
+
+
+def _name(function: Callable[..., Any]) -> str:
+    inner = function.func if isinstance(function, partial) else function
+    return getattr(inner, "__name__", type(inner).__name__)
 
 
 def _callable(function: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
@@ -59,13 +74,20 @@ def _unit(unit: str | None) -> str | None:
 
 def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
     """The result of a user's function of a motion; InputError unless it has the required shape."""
-    result = function(motion)
+    name = _name(function)
+    try:
+        result = function(motion)
+    except (RuntimeError, TypeError) as error:
+        if not any(text in str(error) for text in NUMPY_ERRORS):
+            raise
+        raise InputError(
+            f"response {name!r} makes NumPy numbers of a motion that is differentiated; allowed: operations of torch, such as "
+            "torch.maximum for np.maximum, without .numpy()"
+        ) from error
     if not isinstance(result, Tensor) or result.shape != shape or not result.is_floating_point():
         returned = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
-        name = getattr(function, "__name__", repr(function))
         raise InputError(f"response {name!r} returned {returned}; allowed: a tensor of shape {shape}, real numbers")
     if torch.is_grad_enabled() and motion.q.requires_grad and not result.requires_grad:
-        name = getattr(function, "__name__", repr(function))
         warn(
             f"response {name!r} has a gradient of zero: its result does not follow from the motion by operations of torch; "
             "float(), .item(), .numpy() and .detach() cut the gradient"

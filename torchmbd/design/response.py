@@ -115,6 +115,9 @@ class Combined(History):
     operation: Callable[..., Tensor]
     parts: tuple
 
+    def __repr__(self) -> str:
+        return _formula(self.operation, self.parts)
+
     def __post_init__(self) -> None:
         for part in self.parts:
             if not isinstance(part, (History, int, float)):
@@ -307,6 +310,9 @@ class CombinedMeasure(Measure):
     operation: Callable[..., Tensor]
     parts: tuple
 
+    def __repr__(self) -> str:
+        return _formula(self.operation, self.parts)
+
     def __post_init__(self) -> None:
         for part in self.parts:
             if not _number(part) and not (isinstance(part, Measure) and part.rows == 1):
@@ -323,6 +329,17 @@ class CombinedMeasure(Measure):
 
     def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
         return CombinedMeasure(self.operation, tuple(change(x) if isinstance(x, Measure) else x for x in self.parts))
+
+
+_SIGNS = {torch.add: "+", torch.sub: "-", torch.mul: "*", torch.div: "/", torch.pow: "**"}
+
+
+def _formula(operation: Callable[..., Tensor], parts: Sequence[Any]) -> str:
+    """An operation on responses and numbers as Python writes it."""
+    if operation in _SIGNS:
+        first, second = map(repr, parts)
+        return f"({first} {_SIGNS[operation]} {second})"
+    return f"{getattr(operation, '__name__', 'operation')}({', '.join(map(repr, parts))})"
 
 
 KINDS = ("at_most", "at_least", "equal")

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Mapping
+from difflib import SequenceMatcher
 from functools import partial, reduce
 from operator import add, mul, sub, truediv
 from typing import Any
@@ -237,7 +238,8 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         return known[0], {key: x for key, x in spec.items() if key != known[0]}
     if len(known) > 1 or not spec:
         raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
-    key = next(iter(spec))
+    # Of several keys the name is the one that resembles a name: the others are its options, such as a window.
+    key = max(spec, key=lambda key: max(SequenceMatcher(None, str(key), name).ratio() for name in names))
     raise SpecError((*path, key), f"unknown name{nearest(key, names)}")
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 # |f| is the unit between these multiples of the change.
-LEAST, MOST = 0.01, 1.0
+LEAST, MOST = 0.1, 1.0
 # Changes below this share of |f| come of a start that is nearly stationary, or of a constant part: a neighbor tells.
 SMALL = 1e-3
 ROUNDING = 1e-9  # changes below this share of |f| are none

@@ -101,7 +101,7 @@ def run_study(
         result: Any = None
         try:
             if study.sweep is not None:
-                status = run_sweep(study, problem, cached.evaluate, journal, console)
+                result, status = run_sweep(study, problem, cached.evaluate, journal, console)
             elif study.front:
                 result, status = run_front(study, cached, lanes, journal, console)
             else:

@@ -47,7 +47,7 @@ class Outcome:
     """How the last run of a study ended.
 
     status   "FINISHED", "KILLED" (Ctrl-C, with what was computed) or "FAILED" (no start succeeded)
-    result   of multistart, of pareto_front or, where variables take steps, of optimize_discrete; None: a sweep, or nothing
+    result   of multistart, of pareto_front, of optimize_discrete where variables take steps, or SweepResult; None: nothing
     run_id   of the tracking store; None: it was not reached
     """
 

@@ -104,7 +104,7 @@ class Study(StudySettings):
 
     @property
     def result(self) -> Any:
-        """The result of the last run: of multistart, of pareto_front, or of optimize_discrete; None of a sweep."""
+        """The result of the last run: of multistart, of pareto_front, of optimize_discrete, or the points of a sweep."""
         return self._ended.result
 
     @property
@@ -117,15 +117,17 @@ class Study(StudySettings):
     def _searches(self) -> Any:
         searches = getattr(self.result, "relaxed", self.result)
         if searches is None:
-            raise InputError(f"study {self.name!r} ended {self.status} without starts; allowed: one that is no sweep")
+            raise InputError(
+                f"study {self.name!r} ended {self.status} without a result; allowed: one whose start can be evaluated"
+            )
         return searches
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each start, or for each point of a front."""
+        """A row for each start, or for each point of a front or of a sweep."""
         return self._searches.to_dataframe()
 
     def plot(self) -> Figure:
-        """Figure of the convergence of all starts; of a front, its points."""
+        """Figure of the convergence of all starts; of a front or a sweep, its points."""
         return self._searches.plot()
 
     def _summary(self) -> list[tuple[str, Any]]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -29,7 +30,47 @@ from torchmbd.tracking import Status
 from torchmbd.viz import criterion
 from torchmbd.viz.panels import SIGNS
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
 _PART = 512  # designs at most in a part of the sweep, which is on disk before the next begins
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """The points of a sweep, in the units of the study.
+
+    heading     of the swept variable, with its unit
+    start       value of the swept variable of the start design
+    values      of the swept variable [points]
+    criteria    name -> objective or constrained response, divided by its size at the start design [points]; nan: failed
+    designs     name -> design variable [points]
+    objectives  as the question states them [points]
+    violations  the largest of a constraint [points]
+    statuses    "ok", or why a point failed [points]
+    """
+
+    heading: str
+    start: float
+    values: np.ndarray
+    criteria: dict[str, list[float]]
+    designs: dict[str, list[float]]
+    objectives: list[float]
+    violations: list[float]
+    statuses: list[str]
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each point: design by its names, objective, violation, status, criteria divided by those of the start."""
+        import pandas as pd
+
+        outcome = {"objective": self.objectives, "violation": self.violations, "status": self.statuses}
+        ratios = {f"{name} / start": ratio for name, ratio in self.criteria.items()}
+        return pd.DataFrame(self.designs | outcome | ratios).rename_axis("point")
+
+    def plot(self) -> Figure:
+        """Figure of the criteria against the swept variable."""
+        return criterion(values=self.values, criteria=self.criteria, xlabel=self.heading, mark=self.start)
 
 
 def run_sweep(
@@ -38,8 +79,8 @@ def run_sweep(
     evaluate: Callable[[np.ndarray, bool], list[Evaluation]],
     journal: Journal,
     console: Console,
-) -> Status:
-    """Evaluate the sweep, draw it, and track every point as a child run."""
+) -> tuple[SweepResult | None, Status]:
+    """Evaluate the sweep, draw it, and track every point as a child run; None if the start cannot be evaluated."""
     assert study.sweep is not None
     index, swept = study.sweep
     values = swept / study.columns.factors[index]
@@ -53,7 +94,7 @@ def run_sweep(
         first, *evaluations = [_largest_row(problem, x, e) for x, e in zip(designs, evaluations, strict=True)]
     if first.status != "ok":
         console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red", soft_wrap=True)
-        return "FAILED"
+        return None, "FAILED"
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
     criteria = _criteria(problem, first, evaluations)
@@ -64,22 +105,32 @@ def run_sweep(
     )
     best = nearest if nearest is not None and violations[nearest] <= study.feasibility else None
     start = float(problem.start[index] / study.columns.factors[index])
-    _show(study, journal, console, index, start, values, criteria, best)
+    result = SweepResult(
+        study.columns.heading(index),
+        start,
+        values,
+        criteria,
+        {name: x.tolist() for name, x in zip(study.columns.names, study.columns.in_units(X).T, strict=True)},
+        [study.sign * e.objective for e in evaluations],
+        [violation if e.status == "ok" else math.nan for violation, e in zip(violations, evaluations, strict=True)],
+        [e.status for e in evaluations],
+    )
+    _show(study, journal, console, index, result, best)
     if nearest is None:
-        return "FAILED"
+        return result, "FAILED"
     if best is None:
         reason = (
             f"no point satisfies all constraints; the nearest, {nearest}, is beyond one by {violations[nearest]:.3g}"
         )
         journal.summary({"violation": violations[nearest]}, {"message": reason})
         console.print(f"No design to report: {reason}", soft_wrap=True, highlight=False, markup=False)
-        return "FINISHED"
+        return result, "FINISHED"
     value = study.sign * evaluations[best].objective
     numbers = {"objective": value, "best_objective": value}
     numbers[gain_metric(study.sign)] = percent(first.objective, evaluations[best].objective)
     journal.summary(numbers | journal.design_metrics(X[best]), {"best_point": str(best)})
     journal.design(X[best])
-    return "FINISHED"
+    return result, "FINISHED"
 
 
 def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation, first: Evaluation) -> None:
@@ -142,12 +193,10 @@ def _show(
     journal: Journal,
     console: Console,
     index: int,
-    start: float,
-    values: np.ndarray,
-    criteria: dict[str, list[float]],
+    result: SweepResult,
     best: int | None,
 ) -> None:
-    heading = study.columns.heading(index)
+    heading, values, criteria = result.heading, result.values, result.criteria
     table = table_of(f"{study.name}: criteria divided by the size of those of the start design", [heading, *criteria])
     rows = shown_rows(len(values), best)
     for k, value in ((k, values[k]) for k in rows):
@@ -165,4 +214,4 @@ def _show(
         journal.file(file)
     if np.isfinite(next(iter(criteria.values()))).any():
         files = ["sweep.png", "sweep.pdf"]
-        save_figure(criterion, files, journal, console, values=values, criteria=criteria, xlabel=heading, mark=start)
+        save_figure(result.plot, files, journal, console)

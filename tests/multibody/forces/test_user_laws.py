@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.testing import assert_close
 
+import torchmbd as mbd
+from torchmbd.errors import InputError
 from torchmbd.math.codegen.scalars import Untraceable
 from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.multibody.forces import Gap, OfTime, Pieces, Spring, Table
@@ -95,3 +98,18 @@ def test_a_law_is_what_it_is_made_of_at_the_time():
 def test_what_cannot_be_written_out_is_left(law):
     with pytest.raises(Untraceable):
         trace_law(law)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda s, rate, t: torch.from_numpy(np.tanh(s.detach().numpy())),
+        lambda s, rate, t: torch.full_like(s, float(np.tanh(s.detach().mean()))),
+        lambda s, rate, t: torch.sin(s.detach()),
+    ],
+    ids=["numpy", "float", "detach"],
+)
+def test_a_law_that_leaves_torch_is_refused_by_name(law):
+    block = mbd.RigidBody("block", 1.0, (0.01,) * 3)
+    with pytest.raises(InputError, match=r"law of 'spring' .*; allowed: a torch function of"):
+        mbd.SpringDamper(mbd.Ground().at(), block.at(0.1, 0, 0), law=law, name="spring")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pickle
 
+import numpy as np
 import pytest
 import torch
+from scipy.interpolate import CubicSpline
 from torch.testing import assert_close
 
 import torchmbd as mbd
@@ -25,6 +27,40 @@ def test_slopes_are_derivatives(law):
     for i, t in enumerate(times):
         for stated, expected in zip(found, slopes(lambda s: law(s), t), strict=True):
             assert_close(stated[i], expected, rtol=1e-12, atol=1e-12)
+
+
+SPLINE = CubicSpline([0.0, 0.5, 1.0, 2.0], [0.0, 0.2, 0.6, 0.7])
+LEAVES_TORCH = {
+    "spline": lambda t: SPLINE(t),
+    "its numbers": lambda t: torch.as_tensor(SPLINE(t)),
+    "numpy": lambda t: torch.from_numpy(np.asarray(np.sin(t.detach().numpy()))),
+    "float": lambda t: torch.tensor(float(SPLINE(float(t))), dtype=torch.float64),
+    "detach": lambda t: torch.sin(t.detach()),
+}
+
+
+@pytest.mark.parametrize("name", LEAVES_TORCH)
+def test_a_law_that_leaves_torch_is_refused_by_name(name):
+    with pytest.raises(InputError, match=r"angle of 'motor' .*; allowed: a torch function of time"):
+        mbd.Drive(mbd.Ground(), box("b"), axis="z", angle=LEAVES_TORCH[name], name="motor")
+
+
+def test_a_spline_of_scipy_in_torch_operations_drives():
+    """As the message says: the pieces x and the coefficients c of the spline, highest power first."""
+    x, c = torch.as_tensor(SPLINE.x), torch.as_tensor(SPLINE.c)
+
+    def angle(t):
+        k = (torch.searchsorted(x, t.detach().reshape(1), right=True)[0] - 1).clamp(0, len(x) - 2)
+        d = t - x[k]
+        return ((c[0, k] * d + c[1, k]) * d + c[2, k]) * d + c[3, k]
+
+    crank = mbd.RigidBody("crank", 1.0, (0.01,) * 3)
+    motor = mbd.Drive(mbd.Ground(), crank, axis="z", angle=angle, name="motor")
+    system = mbd.System([crank], [mbd.Revolute(mbd.Ground().at(), crank.at(), axis="z"), motor])
+    motion = mbd.simulate(system, 0.4, steps=8)
+    assert motion.status == ["ok"]
+    turned = 2.0 * torch.atan2(motion.q[0, :, 6], motion.q[0, :, 3])  # of the Euler parameters about z
+    assert_close(turned, torch.as_tensor(SPLINE(motion.t.numpy())), rtol=1e-9, atol=1e-9)
 
 
 def test_a_smooth_step_goes_from_rest_to_rest():

@@ -28,6 +28,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import reals, scalar
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
+from torchmbd.math.torch_law import require_differentiable
 from torchmbd.multibody.joints.laws import finite
 
 Slopes = tuple[Tensor, Tensor]
@@ -248,7 +249,7 @@ VARIABLES = (
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 
 
-def check_law(name: str, law: object) -> object:
+def check_law(name: str, law: Any) -> Any:
     """The law as it is, after one evaluation at zero; InputError names its force element."""
     if not callable(law):
         raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
@@ -257,6 +258,12 @@ def check_law(name: str, law: object) -> object:
     if not isinstance(f, Tensor) or f.shape != zero.shape or not bool(torch.isfinite(f).all()):
         raise InputError(
             f"law of {name!r} gives {f!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
+        )
+    if not hasattr(law, "slopes") and not isinstance(law, Scaled):
+        require_differentiable(
+            f"law of {name!r}",
+            lambda s: law(s.reshape(1, 1, 1), zero, zero[0, 0, 0])[0, 0, 0],
+            "allowed: a torch function of (s, s', t), or mbd.forces.Table of points",
         )
     return law
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.plausible_units import warn_degrees
+from torchmbd.math.torch_law import require_differentiable
 from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, other_axes
 from torchmbd.multibody.joints.laws import ConstantSpeed, FiniteLaw, finite
@@ -90,6 +91,12 @@ class Drive(Joint):
             yield Equation(Angle, axes, self.law)
 
 
+DIFFERENTIABLE = (
+    "allowed: a torch function of time that is differentiable twice; "
+    "a spline of SciPy as torch operations on its x and c"
+)
+
+
 def _number(x: Any) -> float:
     """A number or a tensor of one number as a float; 0 for all else."""
     x = x.detach() if isinstance(x, Tensor) else x
@@ -111,6 +118,8 @@ def _checked(name: str, key: str, law: Any) -> FiniteLaw:
             f"{key} of {name!r} gives {start!r} at t = 0; "
             f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64"
         )
+    if not hasattr(law, "slopes"):
+        require_differentiable(f"{key} of {name!r}", law, DIFFERENTIABLE)
     prescribed: Any = law
     variables = ParameterVector.of(law)
     refuse_lost_gradients(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)

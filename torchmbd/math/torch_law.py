@@ -1,0 +1,58 @@
+"""Whether a law of a user can be differentiated by torch: laws of SciPy or NumPy, such as splines, are refused by name.
+
+A law that leaves torch either raises in the derivative, or gives a slope of zero without a word (`float(t)`). The latter is
+found by differences: where values change smoothly, the slope of torch must not be zero.
+Checked in tests/multibody/joints/test_laws.py, tests/multibody/forces/test_user_laws.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+
+PLACES = (0.0, 0.013, 0.11, 0.57, 1.3)  # of the argument, where slopes are compared
+STEP = 1e-4
+SMOOTH = (
+    0.1  # of a difference over two steps: the change from one step to the other beyond which the law bends or jumps
+)
+
+
+def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str) -> None:
+    """InputError for a law of one number [] that torch does not differentiate.
+
+    what     names the law in the message
+    allowed  what a law may be
+    """
+    _slope(what, law, 0.0, allowed)
+    for place in PLACES:
+        try:
+            before, here, after = (float(law(_number(place + k * STEP))) for k in (-1, 0, 1))
+            lost = _slope(what, law, place, allowed) == 0.0
+        except Exception:  # a law may end where its table ends
+            continue
+        change = after - before
+        if lost and change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change):
+            raise InputError(
+                f"{what} changes, but its derivative by torch is zero: it leaves torch (float, .item(), .detach(), NumPy, "
+                f"SciPy); {allowed}"
+            )
+
+
+def _number(x: float) -> Tensor:
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def _slope(what: str, law: Callable[[Tensor], Any], place: float, allowed: str) -> float:
+    at = _number(place)
+    try:
+        return float(torch.func.jvp(law, (at,), (torch.ones_like(at),))[1])
+    except InputError:
+        raise
+    except Exception as error:  # a law may do anything
+        text = str(error).partition("\n")[0] or repr(error)
+        raise InputError(f"{what} cannot be differentiated by torch ({text}); {allowed}") from error
