@@ -1,7 +1,8 @@
 """Integration of lanes that fail alone: a lane that fails is integrated again, the others keep their motion.
 
     1. all lanes, by the steps asked for
-    2. lanes with contacts that these steps do not show, by smaller steps (contacts.py)
+    2. lanes with contacts that these steps do not show, by smaller steps (contacts.py); all lanes where held values of a
+       controller change within a step (jumps.py)
     3. lanes that failed, and with gradients those whose iteration is imprecise, as `Integrator.retry` says: one-step methods
        with a new matrix for every correction, then with half the step
 
@@ -20,6 +21,7 @@ import torch
 
 from torchmbd.integrate.contacts import MOST_SUBSTEPS, UnresolvedContact
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
+from torchmbd.integrate.jumps import held_times_of, substeps_at
 from torchmbd.integrate.lane_status import (
     IMPRECISE,
     STEP_STATISTICS,
@@ -129,13 +131,17 @@ def integrate_lanes(
         if (has_failed(reason) or imprecise[lane]) and lane not in dynamics.start_errors and lane not in contacts
     ]
     results = LaneResults(first.history, statistics, status)
-    if (finer := _substeps_for_contacts(integrator, dynamics, steps, substeps, contacts)) > 1:
-        lanes = list(contacts)
+    finer, lanes = _substeps_for_contacts(integrator, dynamics, steps, substeps, contacts), list(contacts)
+    held = substeps_at(held_times_of(dynamics, duration), duration, steps) if integrator.refines else None
+    if held is not None and held > 1:  # contacts are looked at again, in these steps
+        finer, lanes = held, [lane for lane in range(len(status)) if lane not in dynamics.start_errors]
+    if finer > 1 and lanes:
         other = integrate_lanes(
             integrator, dynamics.select_lanes(lanes), duration, finer * steps, with_gradients, substeps=finer * substeps
         )
         for lane in results.replace_lanes(lanes, finer, other):
-            del contacts[lane]
+            contacts.pop(lane, None)
+        to_retry = [lane for lane in to_retry if lane not in results.replaced]
     mark_unresolved_contacts(results.status, contacts)
     if to_retry and retry is not None:
         other = integrate_lanes(

@@ -32,6 +32,7 @@ from torchmbd.integrate.arguments import (
     start_of,
 )
 from torchmbd.integrate.forward_integration import ForwardIntegration
+from torchmbd.integrate.jumps import warn_of_jumps
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
@@ -134,6 +135,7 @@ def simulate(
     with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
         warn_static_truncation(system)
         by_duration = duration_is_differentiated(duration, gradients, integrator, phases is not None)
+        warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
         names = variable_names(system, given, gradients, variables, by_duration)
         check_start(initial, gradients, integrator)
         if gradients != "none":

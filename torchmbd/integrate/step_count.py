@@ -5,6 +5,8 @@
     then    as many as the estimated error of a step asks for (estimates.py), and contacts (contacts.py), until both are met
     most    20 per period of the fastest retained mode: every mode is resolved
 
+Some steps end where held values of a controller change (jumps.py).
+
 Modes that nothing excites cost no steps. Laws are sampled at 2048 times: a shorter pulse is not seen before it acts.
 Checked in tests/integrate/test_step_count.py.
 """
@@ -22,6 +24,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import GOOD_STEP
 from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.jumps import held_times_of, steps_at
 from torchmbd.integrate.ode import fastest_vibration
 from torchmbd.integrate.stepper import TURN
 from torchmbd.multibody.system import Dynamics, equations
@@ -68,23 +71,31 @@ def choose_steps(
 
     Methods without estimates of their error get the steps that all modes need, and are not tried: their result is None.
     """
-    most = integrator.round_up_steps(all_modes(dynamics, duration))
+    round_up = _rounding(integrator, dynamics, duration)
+    most = round_up(all_modes(dynamics, duration))
     if not integrator.adjoint:
-        most = min(most, RIGID) if "Kr" not in dynamics.data else most
+        most = min(most, round_up(RIGID)) if "Kr" not in dynamics.data else most
         check_memory(most)
         return most, None
     try:
         check_memory(most // _LEAST_SHARE)
     except InputError:
         check_memory(most)  # the message names the steps that resolve every mode
-    steps = min(integrator.round_up_steps(first_steps(dynamics, duration)), most)
+    steps = min(round_up(first_steps(dynamics, duration)), most)
     while True:
         check_memory(steps)
         trial = integrate(steps)
         needed = needed_steps(steps, trial.statistics, trial.status, dynamics.start_errors, trial.contacts)
         if needed <= steps or steps >= most:
             return steps, trial.result
-        steps = min(integrator.round_up_steps(needed), most)
+        steps = min(round_up(needed), most)
+
+
+def _rounding(integrator: Integrator, dynamics: Dynamics, duration: float) -> Callable[[int], int]:
+    """Rounds a number of steps up to one that suits the integrator, and where held values of controllers change."""
+    fitting = steps_at(held_times_of(dynamics, duration), duration)
+    multiple = math.lcm(integrator.round_up_steps(1), fitting or 1)
+    return lambda steps: -(-steps // multiple) * multiple
 
 
 def all_modes(dynamics: Dynamics, duration: float) -> int:

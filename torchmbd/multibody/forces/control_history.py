@@ -12,7 +12,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter, positive
 
 _KINDS = ("linear", "hold")
-_EARLY = 1e-9  # share of an interval by which rounding may put a time before the start of its interval
+_ROUNDING = 1e-9  # share of an interval by which rounding may move a time
 
 
 class ControlHistory(nn.Module):
@@ -22,7 +22,8 @@ class ControlHistory(nn.Module):
     duration   [s]
     kind       "linear": between values at `times` equal times 0 ... duration; "hold": each value holds for duration / times
 
-    Before the first time the first value acts, after the last time the last one.
+    Before the first time the first value acts, after the last time the last one. Where a held value changes the mean of both
+    acts, so that steps that end there have the exact impulse (integrate/jumps.py).
 
     >>> push = mbd.ControlHistory([[0.0], [2.0], [0.0]], duration=1.0)
     >>> push(torch.tensor([[0.25]], dtype=torch.float64)).tolist()  # [N]
@@ -45,12 +46,19 @@ class ControlHistory(nn.Module):
         self.values, self.kind = values, kind
         self.duration = positive("duration", duration, "s")
 
+    @property
+    def jumps(self) -> list[float]:
+        """Times at which a held value gives way to the next [s]."""
+        count = len(self.values) if self.kind == "hold" else 1
+        return [k * self.duration / count for k in range(1, count)]
+
     def forward(self, t: Tensor) -> Tensor:
         """u [lanes, actuators] at times t [lanes, 1]."""
         count = len(self.values) - (self.kind == "linear")
         place = (t[:, 0] * (count / self.duration)).clamp(0.0, float(count))
-        k = (place.detach() + _EARLY).floor().long().clamp_max(count - 1)
+        before, after = ((place.detach() + x).floor().long().clamp(0, count - 1) for x in (-_ROUNDING, _ROUNDING))
         if self.kind == "hold":
-            return self.values[k]
+            return 0.5 * (self.values[before] + self.values[after])
+        k = after
         share = (place - k)[:, None]
         return self.values[k] * (1.0 - share) + self.values[k + 1] * share

@@ -1,0 +1,297 @@
+"""Laws of time that jump: closed forms of held control histories, and warnings that name all other laws, times and remedies."""
+
+from __future__ import annotations
+
+import warnings
+from fractions import Fraction
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import tensor
+from torchmbd.errors import InputError
+from torchmbd.integrate.jumps import steps_at, substeps_at
+from torchmbd.math.jumps import jump_times
+from torchmbd.multibody.forces import OfTime
+
+pytestmark = pytest.mark.usefixtures("compiled")
+S = mbd.signals
+INERTIA = 0.5
+
+
+def rotor() -> tuple[mbd.RigidBody, mbd.Revolute]:
+    body = mbd.RigidBody("rotor", 1.0, (INERTIA, INERTIA, INERTIA))
+    return body, mbd.Revolute(mbd.Ground().at(), body.at(), axis="z", name="hinge")
+
+
+def held(*values: float, duration: float = 2.0, wrap=None) -> mbd.System:
+    """A rotor whose hinge has a torque that is constant on equal intervals."""
+    body, hinge = rotor()
+    history = mbd.ControlHistory([[u] for u in values], duration, kind="hold")
+    module = history if wrap is None else nn.Sequential(history, wrap)
+    control = mbd.Controller(module, [S.Time()], [S.JointTorque(hinge)], name="control")
+    return mbd.System([body], [hinge], [control])
+
+
+def turned(motion: mbd.Trajectory) -> Tensor:
+    """Angle and rate at the end [lanes, 2]."""
+    return torch.stack([mbd.Final(mbd.Angle("rotor", "z"))(motion), motion.body("rotor").omega[:, -1, 2]], 1)
+
+
+def exact(values: Tensor, duration: float = 2.0, end: float = 2.0) -> Tensor:
+    """The same in closed form, by the pieces of constant torque."""
+    angle = rate = torch.zeros((), dtype=torch.float64)
+    each = duration / len(values)
+    for k, u in enumerate(values):
+        span = (end - k * each) if k == len(values) - 1 else each
+        angle, rate = angle + rate * span + 0.5 * u / INERTIA * span**2, rate + u / INERTIA * span
+    return torch.stack([angle, rate])
+
+
+def texts(run) -> list[str]:
+    """Warnings of this kind."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        run()
+    return [str(x.message) for x in seen if "jump" in str(x.message) or "change at" in str(x.message)]
+
+
+@pytest.mark.parametrize(
+    ("values", "steps", "options"),
+    [
+        ((1.0, -1.0), 20, {}),
+        ((1.0, -1.0), 21, {}),  # the jump within a step
+        ((1.0, -1.0, 2.0), 20, {}),
+        ((0.3, -1.0, 2.0, 0.0, 5.0), 12, {"backend": "eager"}),
+        ((1.0, -1.0), 20, {"spectral_radius": 0.0}),
+        ((1.0, -1.0), 20, {"method": "hht_alpha"}),
+        ((1.0, -1.0, 2.0), 20, {"checkpoint": 4}),
+        pytest.param((1.0, -1.0), 200, {"method": "rk4"}, marks=pytest.mark.thorough),
+        pytest.param((1.0, -1.0), 20, {"method": "dopri5", "rtol": 1e-9, "atol": 1e-10}, marks=pytest.mark.thorough),
+        pytest.param((1.0, -1.0, 2.0), None, {}, marks=pytest.mark.thorough),
+    ],
+)
+def test_held_values_have_their_closed_form(values, steps, options):
+    """Rates are exact, angles of second order: a jump in the middle of two half steps."""
+    motion = mbd.simulate(held(*values), 2.0, steps=steps, gradients="none", **options).require_ok()
+    h = 2.0 / (steps or 1000)
+    most = 0.3 * h * h * float(tensor(*values).diff().abs().sum()) / INERTIA
+    found, expected = turned(motion)[0], exact(tensor(*values))
+    assert abs(float(found[0] - expected[0])) <= most * (4.0 if "spectral_radius" in options else 1.0) + 1e-6
+    assert abs(float(found[1] - expected[1])) <= (3e-4 if "spectral_radius" in options else 3e-5)
+
+
+def test_the_error_of_held_values_is_of_second_order():
+    values, errors = tensor(1.0, -1.0), []
+    for steps in (20, 40, 80):
+        motion = mbd.simulate(held(*values.tolist()), 2.0, steps=steps, gradients="none")
+        errors.append(float((turned(motion)[0, 0] - exact(values)[0]).abs()))
+        assert float(motion.energies.balance[0, -1].abs()) < 0.5 * (2.0 / steps) ** 2 / INERTIA
+    assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.2)
+    assert errors[1] / errors[2] == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("steps", [24, 20])
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
+def test_gradients_by_held_values(steps, mode):
+    """The motion is linear in the values: slopes are the closed form's, on divided steps (20), too."""
+    x = tensor(1.0, -1.0, 2.0)[:, None].requires_grad_()
+    motion = mbd.simulate(held(1.0, -1.0, 2.0), 2.0, steps=steps, designs={"control.values": x[None]}, gradients=mode)
+    assert motion.stats["gradients"] == mode
+    for k in range(2):
+        (found,) = torch.autograd.grad(turned(motion)[0, k], x, retain_graph=True)
+        expected = torch.func.jacrev(exact)(tensor(1.0, -1.0, 2.0))[k]
+        assert_close(found[:, 0], expected, rtol=0, atol=4e-3 if k == 0 else 1e-4)
+
+
+def test_compiled_and_eager_steps_are_the_same():
+    system = held(1.0, -1.0, 2.0)
+    one, two = (mbd.simulate(system, 2.0, steps=20, backend=b, gradients="none") for b in ("auto", "eager"))
+    assert_close(one.q, two.q, rtol=0, atol=1e-12)
+
+
+def test_lanes_of_divided_steps_do_not_see_each_other():
+    values = torch.stack([tensor(1.0, -1.0, 2.0), tensor(0.0, 3.0, 0.5)])[..., None]
+    system = held(1.0, -1.0, 2.0)
+    both = mbd.simulate(system, 2.0, steps=20, designs={"control.values": values}, gradients="none").require_ok()
+    for lane in range(2):
+        assert_close(turned(both)[lane], exact(values[lane, :, 0]), rtol=0, atol=5e-3)
+
+
+def test_steps_are_chosen_such_that_some_end_at_the_jumps():
+    motion = mbd.simulate(held(1.0, -1.0, 2.0, 1.0, 0.0, 1.0, 2.0), 2.0, gradients="none")
+    assert motion.stats["steps"] % 7 == 0
+    assert mbd.simulate(held(1.0, -1.0, 2.0), 2.0, checkpoint=4, gradients="none").stats["steps"] % 12 == 0
+
+
+def test_the_duration_of_the_values_is_not_that_of_the_motion():
+    motion = mbd.simulate(held(1.0, -1.0, duration=1.0), 2.0, steps=20, gradients="none")
+    assert_close(turned(motion)[0], exact(tensor(1.0, -1.0), 1.0), rtol=0, atol=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("system", "options"),
+    [
+        (held(1.0, -1.0, 2.0), {"halvings": 0}),
+        (held(1.0, -1.0, 2.0), {"phases": [mbd.Phase(until=0.5), mbd.Phase()]}),
+        (held(1.0, -1.0, 2.0, wrap=nn.Linear(1, 1, dtype=torch.float64)), {"halvings": 0}),
+        pytest.param(held(1.0, -1.0, 2.0), {"method": "midpoint"}, marks=pytest.mark.thorough),
+    ],
+)
+def test_steps_that_cannot_end_there_are_warned_of(system, options):
+    (text,) = texts(lambda: mbd.simulate(system, 2.0, steps=20, gradients="none", **options))
+    assert "values of the controller 'control' change at t = 0.666667, 1.33333 s" in text
+    assert "none of 20 steps ends" in text
+    assert "a multiple of 3" in text
+    assert not texts(lambda: mbd.simulate(system, 2.0, steps=21, gradients="none", **options))
+
+
+def test_a_duration_without_a_ratio_is_warned_of():
+    (text,) = texts(lambda: mbd.simulate(held(1.0, -1.0, duration=2.0**0.5), 2.0, steps=20, gradients="none"))
+    assert "change at t = 0.707107 s" in text
+    assert "simple ratio" in text
+
+
+def switched(t: Tensor) -> Tensor:
+    return torch.where(t < 1.0, 1.0, -1.0).to(t.dtype)
+
+
+def branched(t: Tensor) -> Tensor:
+    return t * 0.0 + (1.0 if t < 0.77 else -1.0) + 40.0 * t
+
+
+def loaded(law: Any) -> mbd.System:
+    body, hinge = rotor()
+
+    def about_z(t: Tensor) -> Tensor:
+        return torch.stack([0.0 * t, 0.0 * t, law(t)])
+
+    return mbd.System([body], [hinge], [mbd.Torque(body.at(), about_z if callable(law) else law, name="push")])
+
+
+def sprung(law) -> mbd.System:
+    body, hinge = rotor()
+    return mbd.System([body], [hinge], [mbd.RotationalSpringDamper(hinge.a, hinge.b, axis="z", law=law, name="push")])
+
+
+@pytest.mark.parametrize(
+    ("system", "time"),
+    [
+        (loaded(switched), "1"),
+        (loaded(branched), "0.77"),
+        (loaded(lambda t: torch.sin(50.0 * t) + 0.1 * torch.sign(t - 0.3)), "0.3"),
+        (loaded(lambda t: torch.floor(3.0 * t)), "0.333333, 0.666667, 1 s and 2 more times"),
+        (sprung(lambda s, rate, t: torch.where(t < 1.0, -s, -3.0 * s)), "1"),
+        (sprung(mbd.forces.Scaled(mbd.variable(2.0), OfTime(switched))), "1"),  # pyright: ignore[reportArgumentType]
+    ],
+)
+def test_functions_that_jump_are_found(system, time):
+    for _ in range(2):
+        found = texts(lambda: mbd.simulate(system, 2.0, steps=8, gradients="none", backend="eager"))
+        assert len(found) == 1
+        assert f"the law of 'push' jumps at t = {time}" in found[0]
+        assert f"mbd.Phase(until={time.split(',')[0]}, laws={{'push': first}})" in found[0]
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda t: torch.sin(300.0 * t) + torch.tanh(1e3 * (t - 1.0)),
+        lambda t: (t - 1.0).abs(),
+        lambda t: torch.relu(t - 1.0) * 1e4,
+        lambda t: torch.sqrt((t - 1.0).abs()),
+        lambda t: torch.exp(-(((t - 1.2345) / 2e-3) ** 2)),
+        lambda t: 0.0 * t,
+    ],
+)
+def test_continuous_functions_are_passed_over(law):
+    assert jump_times(lambda t: law(t)[None], 2.0) == []
+    assert not texts(lambda: mbd.simulate(loaded(law), 2.0, steps=8, gradients="none", backend="eager"))
+
+
+def test_jumps_are_located_to_rounding():
+    found = jump_times(lambda t: torch.stack([switched(t), 3.0 * (t >= 0.1).double(), 100.0 * t]), 2.0)
+    assert found == pytest.approx([0.1, 1.0], abs=1e-14)
+
+
+def test_the_remedies_of_the_warning():
+    """Laws of phases, a held history, an adaptive method; each is exact, and not warned of."""
+    expected = exact(tensor(1.0, -1.0))
+    phases = [mbd.Phase(until=1.0, laws={"push": OfTime(1.0)}), mbd.Phase(laws={"push": OfTime(-1.0)})]
+    for steps in (20, 21):
+        options: dict = {"steps": steps, "phases": phases, "gradients": "none", "backend": "eager"}
+        system = loaded((0.0, 0.0, 5.0))
+        assert not texts(lambda s=system, o=options: mbd.simulate(s, 2.0, **o))
+        assert_close(turned(mbd.simulate(system, 2.0, **options))[0], expected, rtol=0, atol=1e-12)
+    within = [mbd.Phase(until=1.0), mbd.Phase(laws={"push": OfTime(-1.0)})]
+    (text,) = texts(
+        lambda: mbd.simulate(sprung(OfTime(switched)), 2.0, steps=20, phases=within, gradients="none", backend="eager")
+    )
+    assert "'push' jumps at t = 1 s" in text  # the first phase ends with the value after the jump
+    late = [mbd.Phase(until=0.9), mbd.Phase(laws={"push": OfTime(-1.0)})]
+    assert not texts(
+        lambda: mbd.simulate(sprung(OfTime(switched)), 2.0, steps=20, phases=late, gradients="none", backend="eager")
+    )
+    early = [mbd.Phase(until=0.9), mbd.Phase(laws={"push": OfTime(switched)})]
+    assert texts(
+        lambda: mbd.simulate(loaded((0.0, 0.0, 5.0)), 2.0, steps=20, phases=early, gradients="none", backend="eager")
+    )
+
+
+class Switch(nn.Module):
+    """A controller of angle and time that has a jump in time."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.where(x[:, 1:] < 1.25, 1.0, -1.0) * (1.0 + x[:, :1])
+
+
+def test_a_module_that_jumps_is_found():
+    body, hinge = rotor()
+    control = mbd.Controller(Switch(), [S.JointAngle(hinge), S.Time()], [S.JointTorque(hinge)], name="pd")
+    (text,) = texts(
+        lambda: mbd.simulate(mbd.System([body], [hinge], [control]), 2.0, steps=8, gradients="none", backend="eager")
+    )
+    assert "the module of the controller 'pd' jumps at t = 1.25 s" in text
+
+
+def driven(law, **options) -> mbd.System:
+    body, hinge = rotor()
+    return mbd.System([body], [hinge, mbd.Drive(mbd.Ground(), body, axis="z", angle=law, name="motor", **options)])
+
+
+@pytest.mark.parametrize(
+    ("law", "jumps"),
+    [
+        (lambda t: torch.where(t < 1.0, 0.0 * t, 0.5 + 0.0 * t), True),
+        (lambda t: torch.relu(t - 1.0), True),  # its rate
+        (lambda t: torch.relu(t - 1.0) ** 2, False),
+        (lambda t: torch.remainder(5.0 * t, 2.0 * torch.pi), False),  # whole turns
+        (mbd.SmoothStep(1.0, 0.5), False),
+    ],
+)
+def test_drives_that_no_body_follows_are_found(law, jumps):
+    found = texts(lambda: mbd.simulate(driven(law), 2.0, steps=20, gradients="none", backend="eager"))
+    assert len(found) == jumps
+    assert all("the law of the drive 'motor', or its rate, jumps at t = 1 s" in text for text in found)
+
+
+def test_a_duration_that_moves_past_jumps_has_no_gradient():
+    duration = tensor(2.0)[0].requires_grad_()
+    for system in (held(1.0, -1.0), loaded(switched)):
+        with pytest.raises(InputError, match=r"duration requires a gradient, and the law of '\w+' jumps at t = 1 s"):
+            mbd.simulate(system, duration, steps=20)
+
+
+def test_numbers_of_steps():
+    assert steps_at([], 2.0) == 1
+    assert steps_at([2.0 / 3.0, 4.0 / 3.0], 2.0) == 3
+    assert steps_at([0.3, 0.25], 2.0) == 40
+    assert steps_at([2.0**0.5], 2.0) is None
+    assert substeps_at([2.0 / 3.0], 2.0, 20) == 3
+    assert substeps_at([2.0 / 3.0], 2.0, 21) == 1
+    for share in (Fraction(7, 60), Fraction(3, 11)):
+        assert steps_at([float(share) * 0.37], 0.37) == share.denominator

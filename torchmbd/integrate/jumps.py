@@ -1,0 +1,253 @@
+"""Laws of time that jump: where they do, and steps that end there.
+
+    f(t_j) = (f(t_j-) + f(t_j+)) / 2     where a step ends at a jump: the impulse is exact, the motion of second order
+
+A step takes a law at its ends. If a jump D comes a share s of a step after the end of one, the impulse is off by
+h D (s - 1/2), of first order, whatever the weights of a method. At s = 0 the mean of both sides makes it exact.
+
+`ControlHistory(kind="hold")` has this mean, and its jumps are known: the number of steps is chosen such that some end there
+(step_count.py), and steps that the caller states are divided until they do (retries.py). Where that cannot be, a warning says
+so. Functions of users are sampled (math/jumps.py), once for an element and a duration, and a warning names jumps.
+Checked in tests/integrate/test_jumps.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, warn
+from torchmbd.integrate.contacts import MOST_SUBSTEPS
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.ode import ADAPTIVE
+from torchmbd.integrate.phase import Phase
+from torchmbd.math.jumps import distinct, jump_times
+from torchmbd.multibody.forces.control_history import ControlHistory
+from torchmbd.multibody.forces.controller import Controller
+from torchmbd.multibody.forces.feedback import Control
+from torchmbd.multibody.forces.signals import Time
+from torchmbd.multibody.forces.user_laws import is_library_law
+from torchmbd.multibody.joints import Drive
+from torchmbd.multibody.joints.joint import AttachmentTable
+from torchmbd.multibody.joints.laws import ConstantSpeed, Sine, SmoothStep
+from torchmbd.multibody.system.dynamics import Dynamics
+
+_SAME = 1e-9  # relative: times that are equal, and of a step
+_MOST = 20_000  # steps: a larger number that all jumps need is not taken
+_SHOWN = 3  # times in a message
+
+# Element -> duration -> times of its jumps.
+_known: WeakKeyDictionary[Any, dict[float, list[float]]] = WeakKeyDictionary()
+
+
+def held_times(control: Control, duration: float) -> list[float]:
+    """Times within the duration at which held values of a controller change [s]; it may contain a ControlHistory."""
+    module = getattr(control, "module", None)
+    histories = [m for m in module.modules() if isinstance(m, ControlHistory)] if module is not None else []
+    return distinct((t for m in histories for t in m.jumps), duration)
+
+
+def steps_at(times: Sequence[float], duration: float) -> int | None:
+    """The least number of equal steps some of which end at these times; None: it is beyond 20,000."""
+    count = 1
+    for t in times:
+        share = Fraction(t / duration).limit_denominator(_MOST)
+        count = math.lcm(count, share.denominator)
+        if count > _MOST or abs(float(share) - t / duration) * count > _SAME:
+            return None
+    return count
+
+
+def held_times_of(dynamics: Dynamics, duration: float) -> list[float]:
+    """Times within the duration at which held values of any controller change [s]."""
+    links = dynamics.topology.links
+    controls = [link.control for link in links.each if bool((link.read == 2 * links.total).any())]  # those that read t
+    return distinct((t for control in controls for t in held_times(control, duration)), duration)
+
+
+def substeps_at(times: Sequence[float], duration: float, steps: int) -> int | None:
+    """Into how many parts each of the equal steps is divided so that some end at these times; None: too many."""
+    count = steps_at(times, duration)
+    substeps = None if count is None else count // math.gcd(count, steps)
+    return substeps if substeps is not None and substeps <= MOST_SUBSTEPS else None
+
+
+def warn_of_jumps(
+    system: Any,
+    duration: float,
+    steps: int | None,
+    integrator: Integrator,
+    phases: Sequence[Phase] | None,
+    by_duration: bool,
+) -> None:
+    """Warn of laws that jump where no step ends, or whose value at a jump is that of one side.
+
+    Methods that choose their own steps find jumps of forces themselves.
+    by_duration   the motion is differentiated by its duration: InputError where a law jumps. Steps move with the duration,
+                  jumps do not; the derivative of the steps would move both
+    """
+    with torch.no_grad():
+        if by_duration:
+            _refuse_jumps(system, duration)
+        for joint in system.joints:
+            if isinstance(joint, Drive):
+                _warn_of_drive(joint, duration)
+        if integrator.name in ADAPTIVE:
+            return
+        controllers = [
+            x for x in system.forces if isinstance(x, Controller) and any(isinstance(y, Time) for y in x.inputs)
+        ]
+        held = distinct((t for x in controllers for t in held_times(x.control, duration)), duration)
+        count = steps or steps_at(held, duration)
+        divides = phases is None and integrator.refines and count and substeps_at(held, duration, count)
+        for force in controllers:
+            if not divides:
+                _warn_of_held(force, duration, steps, count, phases or ())
+            _warn_of_module(force, duration)
+        for force in system.forces:
+            if not isinstance(force, Controller):
+                times = _jumps_of_force(force, duration)
+                _warn_of_force(force.name, [t for t in times if _acts(force.name, phases, t)])
+        for number, phase in enumerate(phases or ()):
+            for name, law in phase.laws.items():
+                f = [] if is_library_law(law) else [_at_a_state(law)]
+                times = [t for g in f for t in jump_times(g, duration)]
+                _warn_of_force(name, [t for t in times if _within(phases or (), number, t)])
+
+
+def _jumps(element: Any, functions: Callable[[], list], duration: float, without: Sequence[float] = ()) -> list[float]:
+    """Times of the jumps of an element's functions of time, found once for a duration."""
+    found = _known.setdefault(element, {})
+    if duration not in found:
+        found[duration] = distinct((t for f in functions() for t in jump_times(f, duration, without)), duration)
+    return found[duration]
+
+
+def _jumps_of_force(force: Any, duration: float) -> list[float]:
+    return _jumps(force, lambda: _force_laws(force), duration)
+
+
+def _jumps_of_module(force: Controller, duration: float) -> list[float]:
+    """Of a controller, without those of held values."""
+    return _jumps(force, lambda: [_of_time(force)], duration, held_times(force.control, duration))
+
+
+def _refuse_jumps(system: Any, duration: float) -> None:
+    """InputError names the first force whose law jumps in time."""
+    for force in system.forces:
+        if isinstance(force, Controller):
+            times = held_times(force.control, duration) or _jumps_of_module(force, duration)
+        else:
+            times = _jumps_of_force(force, duration)
+        if times:
+            raise InputError(
+                f"duration requires a gradient, and the law of {force.name!r} jumps at {_shown(times)}; allowed: a law that "
+                "does not jump, or a duration without a gradient"
+            )
+
+
+def _force_laws(force: Any) -> list[Callable[[Tensor], Tensor]]:
+    """Functions of time [] -> [1] of the laws that are functions of a user."""
+    laws = [action.law for action in force.actions(AttachmentTable())]
+    return [_at_a_state(law) for law in laws if not is_library_law(law)]
+
+
+def _at_a_state(law: Any) -> Callable[[Tensor], Tensor]:
+    """A law f(s, s', t) as a function of time, at some s and s' in general position."""
+    s = torch.full((1, 1, 1), 0.37, dtype=torch.float64)
+    return lambda t: law(s + getattr(law, "center", 0.0), 0.8 * s, t)[0, 0]
+
+
+def _warn_of_force(name: str, times: Sequence[float]) -> None:
+    if times:
+        t = times[0]
+        warn(
+            f"the law of {name!r} jumps at {_shown(times)}: steps take its value at their ends, so that the force acts up to "
+            "half a step early or late, an error of first order in the step; allowed: a law for each phase that does not jump, "
+            f"as by phases=[mbd.Phase(until={t:.6g}, laws={{{name!r}: first}}), mbd.Phase(laws={{{name!r}: second}})] of a "
+            'force along one axis; a Controller with mbd.ControlHistory(..., kind="hold"); or method="dopri5"'
+        )
+
+
+def _acts(name: str, phases: Sequence[Phase] | None, t: float) -> bool:
+    """Whether the law that a force has in the system acts at time t."""
+    return not phases or any(name not in phase.laws and _within(phases, k, t) for k, phase in enumerate(phases))
+
+
+def _within(phases: Sequence[Phase], number: int, t: float) -> bool:
+    """Whether a phase may last to, or from, time t: where it begins and ends is known of times, not of events."""
+    begin: float | None = 0.0
+    for k, phase in enumerate(phases):
+        end = phase.until if isinstance(phase.until, (int, float)) else None
+        if phase.lasting is not None and begin is not None:
+            end = begin + phase.lasting
+        if k == number:
+            after = begin is None or t >= begin * (1.0 + _SAME)  # a law that changes where it begins has its new value
+            return after and (end is None or t <= end * (1.0 + _SAME))
+        begin = end
+    return False
+
+
+def _warn_of_held(
+    force: Controller, duration: float, steps: int | None, count: int | None, phases: Sequence[Phase]
+) -> None:
+    """Of held values whose changes are no ends of the steps, a multiple of `count`; None: of no number of steps."""
+    held = held_times(force.control, duration)
+    ends = [phase.until for phase in phases if isinstance(phase.until, (int, float))]
+    within = [t for t in held if not any(abs(t - end) <= _SAME * duration for end in ends)]
+    fitting = steps_at(within, duration)
+    if within and (count is None or fitting is None or count % fitting):
+        fit = f"steps, a multiple of {fitting}" if fitting else "a duration in a simple ratio to that of the values"
+        allowed = f"{fit}, or no steps" if fitting else fit
+        warn(
+            f"values of the controller {force.name!r} change at {_shown(within)}, where none of "
+            f"{f'{steps} steps' if steps else f'up to {_MOST} steps'} ends: they act up to half a step early or late, an error "
+            f'of first order in the step; allowed: {allowed}, or method="dopri5"'
+        )
+
+
+def _warn_of_module(force: Controller, duration: float) -> None:
+    times = _jumps_of_module(force, duration)
+    if times:
+        warn(
+            f"the module of the controller {force.name!r} jumps at {_shown(times)}: steps take its value at their ends, so "
+            "that it acts up to half a step early or late, an error of first order in the step; allowed: a module that does "
+            'not jump in time, mbd.ControlHistory(..., kind="hold") for what does, or method="dopri5"'
+        )
+
+
+def _of_time(force: Controller) -> Callable[[Tensor], Tensor]:
+    """u [outputs] of the module as a function of time, its other inputs fixed in general position."""
+    clock = torch.cat([torch.full((x.size,), isinstance(x, Time)) for x in force.inputs])
+    rest = 0.1 + 0.37 * torch.arange(len(clock), dtype=torch.float64).cos()
+    return lambda t: force.module(torch.where(clock, t, rest)[None])[0]
+
+
+def _warn_of_drive(drive: Drive, duration: float) -> None:
+    """Of a prescribed position or rate that jumps: a whole turn is none."""
+    law = drive.law.law
+    if isinstance(law, (ConstantSpeed, SmoothStep, Sine)):
+        return
+
+    def of_time(t: Tensor) -> Tensor:
+        x, rate = torch.func.jvp(law, (t,), (torch.ones_like(t),))[:2]
+        return torch.stack([x, rate] if drive.travels else [x.cos(), x.sin(), rate])
+
+    times = _jumps(drive, lambda: [of_time], duration)
+    if times:
+        warn(
+            f"the law of the drive {drive.name!r}, or its rate, jumps at {_shown(times)}: no body follows it without "
+            "an impact, and forces there grow with the number of steps; allowed: a law with a continuous rate, such as "
+            f"mbd.SmoothStep, or mbd.Phase(until={times[0]:.6g}) before a phase with another drive"
+        )
+
+
+def _shown(times: Sequence[float]) -> str:
+    more = f" and {len(times) - _SHOWN} more times" if len(times) > _SHOWN else ""
+    return "t = " + ", ".join(f"{t:.6g}" for t in times[:_SHOWN]) + f" s{more}"
