@@ -121,8 +121,7 @@ class Problem(Summary):
         integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(Problem))
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
-        if phases is not None:
-            segments_of(system, phases, duration)
+        segments_of(system, phases or (Phase(),), duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
             if measure.until > duration * (1.0 + 1e-9):
