@@ -150,3 +150,13 @@ def test_a_frequency_that_does_not_exist_is_named(number):
     motion = mbd.simulate(pendulum(), 0.01, steps=2)
     with pytest.raises(mbd.InputError, match=rf"number is {number}; allowed: 1 to 2, the retained modes of 'rod'"):
         mbd.Frequency("rod", number).value(motion)
+
+
+def test_as_many_peaks_as_intervals_are_allowed():
+    motion = mbd.simulate(mbd.examples.pendulum(), 0.2, steps=4)
+    height = mbd.Position("bob", "y")
+    peaks = mbd.AtPeaks(height, count=4)(motion)
+    assert peaks.shape == (1, 4)
+    assert float(peaks[0, 0]) == float(mbd.Max(height)(motion))
+    with pytest.raises(mbd.InputError, match="count is 5; allowed: at most 4, the intervals"):
+        mbd.AtPeaks(height, count=5)(motion)

@@ -50,3 +50,14 @@ def test_a_fold_stays_a_fold():
         assert_close(found[0, 2], mesh.normals[0])
         if shared:
             assert_close(found[0, 0], found[1, 1])
+
+
+def test_a_wall_on_a_bent_plate_does_not_count():
+    """Where three facets meet at an edge, the normal of the smooth two is their mean, as without the wall."""
+    bend, wall = math.radians(20.0), math.radians(100.0)
+    nodes = [[0, 0, 0], [0, 1, 0], [-1, 0, 0], *([math.cos(a), 0, math.sin(a)] for a in (bend, wall))]
+    mesh = Mesh(torch.tensor(nodes, dtype=torch.float64), [[0, 1, 2], [1, 0, 3], [1, 0, 4]])
+    found, mean = corner_normals(mesh)["triangle"], mesh.normals[0] + mesh.normals[1]
+    for facet, corner in ((0, 0), (1, 1)):
+        assert_close(found[facet, corner], mean / mean.norm(), rtol=0, atol=1e-14)
+    assert_close(found[2], mesh.normals[2].expand(3, 3), rtol=0, atol=1e-14)
