@@ -18,13 +18,12 @@ import functools
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack
 from typing import Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-from torchmbd.math.gradients import in_transform
 from torchmbd.math.vmap import as_lanes
 from torchmbd.process import one_thread
 
@@ -88,12 +87,22 @@ def _itself(x: Tensor) -> Tensor:
     return x
 
 
+def _own_hooks() -> ExitStack:
+    """Context in which saved tensors are none of those that hooks of the caller see."""
+    stack = ExitStack()
+    try:
+        stack.enter_context(torch.autograd.graph.saved_tensors_hooks(_itself, _itself))
+    except RuntimeError:  # a transform of torch.func allows no hooks: then the caller has none
+        stack.close()
+    return stack
+
+
 class _Outside(torch.autograd.Function):
     """An operation whose forward pass runs a function; torch.func calls it after removing all of its transforms."""
 
     @staticmethod
-    def forward(run: Callable[..., None], hooks: bool, x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        with torch.autograd.graph.saved_tensors_hooks(_itself, _itself) if hooks else nullcontext():
+    def forward(run: Callable[..., None], x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        with _own_hooks():
             run(*tensors)
         return x.clone()
 
@@ -102,10 +111,8 @@ class _Outside(torch.autograd.Function):
         return None
 
     @staticmethod
-    def vmap(
-        info: Any, in_dims: tuple, run: Callable[..., None], hooks: bool, x: Tensor, *tensors: Tensor
-    ) -> tuple[Any, None]:
-        return _Outside.apply(run, hooks, x, *as_lanes(tensors, in_dims[3:], info.batch_size)), None
+    def vmap(info: Any, in_dims: tuple, run: Callable[..., None], x: Tensor, *tensors: Tensor) -> tuple[Any, None]:
+        return _Outside.apply(run, x, *as_lanes(tensors, in_dims[2:], info.batch_size)), None
 
 
 def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
@@ -115,6 +122,5 @@ def outside_transforms(f: Callable[..., R], *tensors: Tensor) -> R:
     """
     results: list[R] = []
     nothing = torch.zeros((), dtype=torch.float64)
-    hooks = not in_transform(nothing)  # torch.func.grad has none, and allows none
-    _Outside.apply(lambda *x: results.append(f(*x)), hooks, nothing, *(x.detach() for x in tensors))
+    _Outside.apply(lambda *x: results.append(f(*x)), nothing, *(x.detach() for x in tensors))
     return results[0]
