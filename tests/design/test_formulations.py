@@ -141,6 +141,21 @@ def test_weighted_sum_is_one_at_the_start():
     assert raw.evaluate(raw.start[None], gradients=False)[0].objective == pytest.approx(float(expected))
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_weighted_sum_falls_with_its_measures_whatever_their_sign(sign):
+    """Divided by the size of the start's value: a negative measure is not maximized."""
+    measure = sign * mbd.Integral(ENERGY)
+    (single,), (weighted,) = (
+        p.evaluate(p.start[None], True) for p in (problem(measure), problem(WeightedSum([(0.6, measure)])))
+    )
+    assert weighted.objective == pytest.approx(0.6 * sign, rel=1e-12)
+    assert weighted.objective_gradient == pytest.approx(
+        0.6 * single.objective_gradient / abs(single.objective), rel=1e-9
+    )
+    with pytest.raises(InputError, match="a positive number for each term"):
+        WeightedSum([(1.0, measure)], normalize=(-1.0,))
+
+
 def test_equalities_are_met():
     """Least integral of energy at a given mass, over angles and thicknesses."""
     p = problem(
