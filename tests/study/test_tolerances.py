@@ -24,7 +24,8 @@ SHORT = {"duration": 0.002, "steps": 8}
 
 
 def given(tolerance, **more):
-    return {"design": {"rod.laminate.angles": {**ANGLES, "tolerance": tolerance}}, "simulate": SHORT, **more}
+    angles = ANGLES if tolerance is None else {**ANGLES, "tolerance": tolerance}
+    return {"design": {"rod.laminate.angles": angles}, "simulate": SHORT, **more}
 
 
 @pytest.mark.thorough
