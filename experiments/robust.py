@@ -49,7 +49,8 @@ def main() -> None:
         robust = mbd.RobustProblem(problem, d, kind)
         start = np.append(nominal.x, 2.0)[: robust.start.size]
         if kind == "worst":
-            start[-1] = max(e.objective for e in problem.evaluate(nominal.x + robust.shifts, False)) / robust.unit
+            corners = problem.evaluate(nominal.x + robust.shifts, False)
+            start[-1] = robust.extra.of_largest(max(corner.objective for corner in corners))
         result = mbd.optimize(robust, start=start)
         designs[f"least {kind} value"] = robust.design(result.x), f"{result.value:.7f} ({result.status})"
     heads = ("angles [deg]", "nominal", "sampled mean", "worst", "violation", "criterion")

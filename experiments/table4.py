@@ -81,7 +81,7 @@ def refined(layers: int, start: Sequence[float], x: np.ndarray, **options) -> mb
     """The optimum of the paper's formulation next to a design x [rad]; `options` as in `problem`."""
     p = problem(layers, start, "bound", **options)
     peak = float(mbd.Max(ENERGY).value(p.motion(np.append(x, 1.0)))[0])
-    return mbd.optimize(p, method="slsqp", start=np.append(x, min(1.001 * peak / p.reference.unit, 1.0)))
+    return mbd.optimize(p, method="slsqp", start=np.append(x, min(p.reference.extra.of_largest(1.001 * peak), 1.0)))
 
 
 def main() -> None:

@@ -62,6 +62,10 @@ class ExtraVariable:
                 change = max(change, *(first_order_change(slope, size) for slope in slopes))
         return cls(len(values), origin, unit_of(origin, change, MOST), most)
 
+    def of_largest(self, row: float) -> float:
+        """beta of a design whose largest row this is."""
+        return 1.0 + (row - self.origin) / self.unit
+
     def stated(
         self, values: np.ndarray, slopes: np.ndarray | None, beta: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None]:
