@@ -20,6 +20,7 @@ DISTRIBUTION = {
     "pydantic_core": "pydantic",
     "annotated_types": "annotated-types",
     "dask": "distributed",
+    "psutil": "distributed",  # which needs it
 }
 ELSEWHERE = {"cyipopt"}  # no wheel: by conda only, as its method says
 

@@ -94,7 +94,7 @@ def moduli_of(card: Card) -> tuple[float, float, float]:
     if nu is None and E and G:
         nu = E / (2.0 * G) - 1.0
     if nu is None or not (E or G) or not -1.0 < nu < 0.5:
-        raise InputError(f"{card}: E {E:g}, G {G:g}, NU {nu}; allowed: two of them, NU between -1 and 0.5")
+        raise InputError(f"{card}: E {E:g}, G {G:g}, NU {nu}; allowed: two of E, G, NU, the last between -1 and 0.5")
     E = E or 2.0 * G * (1.0 + nu)
     G = G or E / (2.0 * (1.0 + nu))
     if not (E > 0.0 and G > 0.0):
