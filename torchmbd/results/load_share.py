@@ -31,6 +31,7 @@ from torchmbd.errors import warn
 from torchmbd.fem.elements import GivenElements
 from torchmbd.math.pair import matvec_t, value
 from torchmbd.math.rotation import skew
+from torchmbd.multibody.forces.contact_law import ContactControl
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.modal_data import frame_nodes
 from torchmbd.results.motion_data import has_failed
@@ -49,8 +50,10 @@ _LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = (
 
 
 def load_shares(motion: Trajectory) -> dict[str, float]:
-    """Largest share of every flexible body of plates and beams without stiffening, of all lanes that have not failed."""
+    """Largest share of every flexible body of plates and beams without stiffening; none where there are controllers."""
     T, shares = motion.dynamics.topology, {}
+    if any(not isinstance(link.control, ContactControl) for link in T.links.each):
+        return shares  # modules of controllers are called for one state at a time, as they were in the motion
     bodies = [(k, motion.system.body(name)) for k, name in enumerate(T.names[: T.flexible])]
     bodies = [(k, body) for k, body in bodies if _has_geometric_stiffness(body) and body.stiffening is None]
     sizes = _sizes(motion) if bodies else []
