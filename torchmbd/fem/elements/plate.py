@@ -31,7 +31,7 @@ from torchmbd.fem.elements.shell_elements import ELEMENTS
 from torchmbd.fem.elements.strains import ShearRecovery, Strains
 from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness, present_mean
 from torchmbd.fem.mesh import Mesh, directed_area
-from torchmbd.math.gradients import is_differentiated, untransformed
+from torchmbd.math.gradients import in_transform, is_differentiated, untransformed
 from torchmbd.math.linear_map import apply_linear
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.sums import Sums
@@ -190,7 +190,9 @@ class PlateMatrices:
         mean = present_mean(laminate)
         start = torch.tensor([self.mean.poisson, self.mean.shear_length, self.mean.bending_length], dtype=mean.dtype)
         same = (untransformed(mean) - start).abs() <= _SAME * start.abs()
-        return None if bool(same.all()) and not is_differentiated(mean) else mean
+        # A transform of torch.func wraps whatever is computed under it, also of numbers that it leaves alone.
+        varied = is_differentiated(mean) and (not in_transform(mean) or any(map(is_differentiated, _of_mean(laminate))))
+        return None if bool(same.all()) and not varied else mean
 
     def values(
         self,
@@ -297,3 +299,9 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
         m, c = corners.shape
         cells.append(positions[own].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
     return Pattern(rows, cols, 6 * n), cells
+
+
+def _of_mean(laminate: Laminate) -> list[Tensor]:
+    """The numbers of a laminate that its isotropic mean depends on: all but its angles."""
+    numbers = [x for name, x in laminate.named_parameters() if name.rpartition(".")[2] != "angles"]
+    return [*numbers, *(x for x in (getattr(laminate, "thickness", None),) if isinstance(x, Tensor))]
