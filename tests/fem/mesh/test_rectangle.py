@@ -74,6 +74,7 @@ def test_bandwidth_is_that_of_the_short_direction(cells):
         ((1.0, 1.0, (2, 0)), r"cells = \(2, 0\)"),
         ((1.0, 1.0, (2.0, 2)), r"cells = \(2\.0, 2\)"),
         ((1.0, 1.0, (2, 2, 2)), "two integers"),
+        ((1.0, 1.0, (2000, 2000)), r"cells = \(2000, 2000\) have 4,004,001 nodes; allowed: up to 1,000,000 nodes"),
     ],
 )
 def test_bad_input_is_named(arguments, message):

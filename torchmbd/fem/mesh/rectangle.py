@@ -20,6 +20,8 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh import Mesh
 from torchmbd.math.checked_numbers import is_whole, positive
 
+# Nodes of a mesh: factors of the stiffness of a million take some 560 GB (integrate/memory.py).
+MOST_NODES = 1_000_000
 #: Kinds of cells that it can make.
 KINDS = ("quad", "triangle")
 
@@ -44,6 +46,10 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     if kind not in KINDS:
         raise unknown("kind", kind, KINDS)
     nx, ny = cells
+    if (nx + 1) * (ny + 1) > MOST_NODES:
+        raise InputError(
+            f"rectangle: cells = {cells!r} have {(nx + 1) * (ny + 1):,} nodes; allowed: up to {MOST_NODES:,} nodes"
+        )
     i, j = (a.ravel() for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij"))
     node = (i * (ny + 1) + j if nx >= ny else j * (nx + 1) + i).reshape(nx + 1, ny + 1)
     xyz = np.zeros((node.size, 3))
