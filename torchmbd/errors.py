@@ -64,7 +64,7 @@ def nearest(name: object, allowed: Iterable[object]) -> str:
         small = {option.lower(): option for option in reversed(options)}
         close = [small[x] for x in difflib.get_close_matches(str(name).lower(), small, n=1, cutoff=0.5)]
     hint = f"; did you mean {close[0]!r}?" if close else ""
-    if name == "device":
+    if isinstance(name, str) and name == "device":
         hint = "; torchmbd computes on the CPU alone"
     return f"; allowed: {', '.join(options) or '(none)'}{hint}"
 

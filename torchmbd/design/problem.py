@@ -121,7 +121,7 @@ class Problem(Summary):
         integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(Problem))
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
-        segments_of(system, phases or (Phase(),), duration)
+        segments_of(system, (Phase(),) if phases is None else phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
             if measure.until > duration * (1.0 + 1e-9):

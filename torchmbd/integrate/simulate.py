@@ -135,6 +135,8 @@ def simulate(
     with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
         warn_static_truncation(system)
         by_duration = duration_is_differentiated(duration, gradients, integrator, phases is not None)
+        if phases is not None:
+            outside_transforms(lambda: segments_of(system, phases, seconds))
         warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
         names = variable_names(system, given, gradients, variables, by_duration)
         check_start(initial, gradients, integrator)
