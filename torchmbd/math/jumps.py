@@ -39,7 +39,8 @@ def _located(f: Callable[[Tensor], Tensor], duration: float, without: Sequence[f
     beside = torch.cat([change[1:2], change, change[-2:-1]])
     bend = change - 0.5 * (beside[:-2] + beside[2:])  # what a slope does not explain
     at, part = torch.nonzero(bend.abs() > _LEAST * (y.amax(0) - y.amin(0)), as_tuple=True)
-    known = torch.tensor([int(t / duration * _SAMPLES + shift) for t in without for shift in (-_SAME, _SAME)])
+    shifted = [int(t / duration * _SAMPLES + shift) for t in without for shift in (-_SAME, _SAME)]
+    known = torch.tensor(shifted, dtype=torch.long)
     at, part = (x[~torch.isin(at, known)] for x in (at, part))
     jump, begin, end = bend[at, part], times[at], times[at + 1]
     before, after = y[at, part], y[at + 1, part]
