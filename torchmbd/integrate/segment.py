@@ -3,7 +3,7 @@
     state before --entry--> state --regular steps--> state --exit--> state at the switch
 
     entry    marks of locks, jump, impact, consistent accelerations (phases/switch.py); of the first one the initial state
-    steps    equal ones (phases/loop.py)
+    steps    equal ones, of the condensed system of the segment (phases/loop.py)
     exit     a last step, whose size is solved for (phases/loop.py); the last segment has none
 
 Bodies, structure stage and attached vectors are those of one whole system with all joints and all locks; a segment has some
@@ -27,6 +27,7 @@ from torchmbd.multibody.joints import Drive, Joint
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.condensation import Condensation, condense
 from torchmbd.multibody.system.initial import InitialConditions
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
@@ -43,6 +44,7 @@ class Segment:
     topology, saddle  its joints and locks;  rows: its constraint rows among those of the whole
     closing           the joints that close the mechanism before the locks take hold, and their saddle point
     initial           initial conditions of these joints: of the first segment
+    condensation      of the joints to the ground; None: nothing is condensed
     """
 
     number: int
@@ -54,13 +56,19 @@ class Segment:
     locks: list[Lock]
     closing: tuple[Topology, Saddle]
     initial: InitialConditions
+    condensation: Condensation | None
 
     @classmethod
     def of(cls, dynamics: Dynamics, phase: Phase, number: int) -> Segment:
         """A segment in which all joints act and none is locked."""
         T, saddle, initial = dynamics.topology, dynamics.saddle, dynamics.initial
         name, rows = phase.name or str(number + 1), list(range(T.rows))
-        return cls(number, phase, name, T, saddle, rows, [], (T, saddle), initial)
+        return cls(number, phase, name, T, saddle, rows, [], (T, saddle), initial, initial.condensed)
+
+    @property
+    def starts_assembled(self) -> bool:
+        """Whether it begins in the state of the assembled mechanism: the first segment, without locks."""
+        return self.number == 0 and not self.locks
 
 
 def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
@@ -104,7 +112,7 @@ def _segments(system: System, phases: Sequence[Phase], names: Sequence[str]) -> 
     result: list[Segment] = []
     for k, phase in enumerate(phases):
         acting = {joint.name for joint in system.joints} - {joint.name for joint in released[k]}
-        result.append(_segment(whole, k, names[k], phase, acting, locks[k]))
+        result.append(_segment(whole, k, names[k], phase, acting, locks[k], result))
     return whole, result
 
 
@@ -115,6 +123,7 @@ def _segment(
     phase: Phase,
     acting: set[str],
     locks: list[Lock],
+    before: Sequence[Segment],
 ) -> Segment:
     """The segment of a phase in which the joints `acting` and `locks` act."""
     model = whole.equations()
@@ -131,7 +140,10 @@ def _segment(
         of_joints = replace(selected(T, closing_rows), actions=actions)
         closing = of_joints, Saddle(of_joints)
     initial = replace(initial, topology=closing[0])
-    return Segment(number, phase, name, topology, saddle, rows, locks, closing, initial)
+    always = set(rows).intersection(*(segment.rows for segment in before))
+    constant = [i for i, row in enumerate(rows) if row in always]
+    condensation = condense(topology, initial.q, constant, [lock.name for lock in locks]) if topology.rows else None
+    return Segment(number, phase, name, topology, saddle, rows, locks, closing, initial, condensation)
 
 
 def _check_names(system: System, names: Sequence[str]) -> None:
