@@ -33,6 +33,7 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pull_back, rows_first, zeros
 from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
+from torchmbd.integrate.phases.loop import condensed_state
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
@@ -192,29 +193,35 @@ class PhaseAdjoint:
         """As `_steps`, for lanes with the same first and last point of the grid."""
         multiphase, lanes = self.multiphase, [so_far.lanes[i] for i in group]
         at, phase_model = slice(points.start, points.stop), multiphase.phase_models[record.number]
-        h = multiphase.history
-        q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, phase_model.rows]))
+        h, c = multiphase.history, record.condensation
+        rows_of_steps = phase_model.rows if c is None else [phase_model.rows[k] for k in c.rows.tolist()]
+        q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, rows_of_steps]))
+        if c is not None:
+            q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
         history = History(q, v, vd, lam)
         in_phase = (multiphase.phase_number[at, lanes] == record.number)[:, None, None]
-        of_states = [
-            torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64)
-            if x is None
-            else torch.where(in_phase, (x[:, phase_model.rows] if i == 3 else x)[at, :, :, lanes], 0.0)
-            for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True))
-        ]
+        of_states = []
+        for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True)):
+            if x is None:
+                of_states.append(torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64))
+                continue
+            of_points = torch.where(in_phase, (x[:, rows_of_steps] if i == 3 else x)[at, :, :, lanes], 0.0)
+            of_states.append(of_points if c is None or i == 3 else c.of_whole(i, of_points))
+        ends = so_far.end if c is None else c.state_of_whole(so_far.end)
         by_a = torch.zeros_like(of_states[2][0])
         for i, (one, lane) in enumerate(zip(group, lanes, strict=True)):
             k = int(record.base_point[lane]) - points.start
             if k >= 0:
-                by_a[..., i] = self._add_state(of_states, k, [x[..., one] for x in so_far.end], i)
-        start = pick_states(record.arrival, lanes).map(leaf)
+                by_a[..., i] = self._add_state(of_states, k, [x[..., one] for x in ends], i)
+        start = condensed_state(c, pick_states(record.arrival, lanes)).map(leaf)
         if len(points) == 1:
             by_q, by_v, by_vd, by_lam = (x[0] for x in of_states)
             by_start, by_data = State(by_q, by_v, by_vd, by_a, by_lam), {}
         else:
             by_start, by_data = self._adjoint_of_steps(record, points, lanes, history, start, of_states)
             by_start = by_start._replace(a=by_start.a + by_a)
-        for total, x in zip(so_far.arrival, by_start, strict=True):
+        parts = by_start if c is None else c.of_retained_state(by_start)
+        for total, x in zip(so_far.arrival, parts, strict=True):
             total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
         for key, x in by_data.items():
             so_far.add(key, group, x.movedim(-2, 0).unsqueeze(-2))
@@ -247,7 +254,10 @@ class PhaseAdjoint:
         dynamics = record.dynamics.select_lanes(lanes)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
-        dynamics = replace(dynamics, data={**dynamics.data, **leaves})
+        dynamics = dynamics.with_data({**dynamics.data, **leaves})
+        if record.condensation is not None:
+            with torch.enable_grad():
+                dynamics = dynamics.condensed().share_rank(record.condensed)
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
         times = self.multiphase.times[points.start : points.stop]
         corrections = self.integrator.counts(dynamics)[1]

@@ -3,12 +3,14 @@
     h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
     t_k - t*                        the first step of the next one, back to the grid
 
-An integrator makes regular steps by its stepper, and those of other sizes by `Integrator.step_of_size`. The steps
+Regular steps are those of the condensed system of the segment, by the stepper of the integrator, many at a time; those of other
+sizes are made by `Integrator.step_of_size`, of the whole system. The steps
 are differentiated as they stand: sizes are numbers with design tangents, and h*, while it is iterated, is one more.
 What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
 a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
 terms of the Taylor series from the switch.
 
+Over 300 lines: entering, stepping and leaving share what is known of each lane.
 All lanes are stepped together through one phase; the numbers of those that left it, or have not entered it yet, are not used.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
@@ -16,6 +18,8 @@ Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.p
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -27,10 +31,14 @@ from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, 
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
-from torchmbd.math.pair import value
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.condensation import Condensation
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.results.history import SEGMENT, History, Record
 from torchmbd.results.state import State
 
+_BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the phase: those after it are lost
 _SAME = 1e-9  # of a regular step: times that are equal
 _ROUND = 1e-13  # of the size
 _MOST = 40  # iterations for the size of a last step
@@ -62,7 +70,9 @@ class _PhaseLoop:
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
-        self.record = PhaseRecord(number, self.dynamics, entry, x, self.first, on_grid)
+        self.condensed = self.dynamics.condensed() if integrator.condenses else self.dynamics
+        self.condensation = None if self.condensed is self.dynamics else self.phase_model.condensation
+        self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
         self.g = self._start_values()
         self.base_time = entry.t  # of lanes that leave, where their last step begins
         # Sizes of their last step: two that enclose it, an estimate, and the event's function at the lower one.
@@ -72,40 +82,114 @@ class _PhaseLoop:
 
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
         """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
-        d, x, record = self.dynamics, self.entry.x, self.record
-        stepper = self.integrator.stepper(d, self.h)
+        record, x, last = self.record, condensed_state(self.condensation, self.entry.x), len(self.times) - 1
+        stepper, i, steps = self.integrator.stepper(self.condensed, self.h), int(self.first.min()), None
         self._record_shortly_after()
         self._arrive()
-        schedule = d.topology.schedule(self.times, d.data)
-        alive, inside = self.alive, torch.zeros_like(self.alive)
-        older, recent, indices = x, x, []
-        for i in range(int(self.first.min()), len(self.times)):
-            if bool(inside.any()):
-                older, recent, x = recent, x, stepper.step(i, x, schedule[i], inside)
-                indices.append(i)
-            arriving = lane_numbers(alive & (self.first == i))
+        inside, indices = torch.zeros_like(self.alive), []
+        while i <= last:
+            arriving = lane_numbers(self.alive & (self.first == i))
             if arriving:
-                x = put_states(x, arriving, pick_states(record.arrival, arriving))
+                x = put_states(x, arriving, condensed_state(self.condensation, pick_states(record.arrival, arriving)))
                 stepper.restart()
-                inside[arriving] = True
-            passed, g = self._passed(i, x, inside)
-            short = self._short_events(i, recent, x, inside & ~passed, g)
-            passed = passed if short is None else passed | short.found
-            self.multiphase.record(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
-            for lane in lane_numbers(passed):
-                self._note_base(lane, i, (recent, older), g, short)
-            self.change = torch.where(inside & (self.first < i), (g - self.g).abs(), self.change)
-            self.g = torch.where(inside, g, self.g)
-            inside, alive = inside & ~passed, alive & ~passed
-            if not bool(alive.any()):
+                inside |= self._arrived(i, arriving, x)
+            if i == last or not bool(self.alive.any()):
                 break
+            j = self._boundary(i, last)
+            if bool(inside.any()):
+                steps = _Steps(self, stepper, i, j, x, inside, steps)
+                x, indices = steps.end, [*indices, *range(i + 1, j + 1)]
+                inside = self._left_behind(steps, inside)
+            i = j
         errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, indices) if indices else {}
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
-        self.multiphase.never_left(self.phase_model, alive)
+        self.multiphase.never_left(self.phase_model, self.alive)
         if bool(record.left.any()):
             self._leave(lane_numbers(record.left))
         return record.exit, errors
+
+    def _boundary(self, i: int, last: int) -> int:
+        """The point at which the steps from the point i are interrupted: where lanes arrive, and for events."""
+        later = [k for k in self.first.tolist() if i < k]
+        return min([last, i + (SEGMENT if self.event is None else _BETWEEN_EVENTS), *later])
+
+    def _arrived(self, i: int, lanes: list[int], x: State) -> Tensor:
+        """Record lanes at their first point i of the grid, where all have the condensed states x; which stay in the phase."""
+        new = torch.zeros_like(self.alive)
+        new[lanes] = True
+        whole = whole_state(self.condensation, x, float(self.times[i]))
+        history = History.of([x])
+        g = self.g if self.event is None else self._event_values(i, history)[:, 0]
+        passed = self._passed(i, new, g)
+        short = self._short_events(i, whole, whole, new & ~passed, g)
+        passed = passed if short is None else passed | short.found
+        self._record(i, history, (new & ~(passed & self._beyond(i)))[None])
+        for lane in lane_numbers(passed):
+            self._note_base(lane, i, (whole, whole), g, short)
+        self.g = torch.where(new, g, self.g)
+        self.alive = self.alive & ~passed
+        return new & ~passed
+
+    def _left_behind(self, steps: _Steps, inside: Tensor) -> Tensor:
+        """Record steps of the lanes `inside`, and let those leave that pass the end of the phase; which stay."""
+        i, history = steps.first, steps.states
+        g = self.g[:, None].expand(-1, len(history.q))
+        if self.event is not None:
+            g = torch.cat([self.g[:, None], self._event_values(i + 1, history.at(slice(1, None)))], 1)
+        change = torch.cat([self.change[:, None], (g[:, 1:] - g[:, :-1]).abs()], 1)
+        counted = torch.zeros(len(history.q), self.lanes, dtype=torch.bool)
+        stepped = counted.clone()
+        candidates = self._may_leave(i, g, change)
+        for k in range(1, len(history.q)):
+            counted[k] = stepped[k] = inside
+            if not bool((candidates[k] & inside).any()):
+                continue
+            p, self.g, self.change = i + k, g[:, k - 1], change[:, k - 1]
+            passed = self._passed(p, inside, g[:, k])
+            short = None
+            if bool((inside & ~passed).any()) and self.event is not None:
+                short = self._short_events(p, steps.state(p - 1), steps.state(p), inside & ~passed, g[:, k])
+            passed = passed if short is None else passed | short.found
+            for lane in lane_numbers(passed):
+                self._note_base(lane, p, (steps.state(p - 1), steps.state(p - 2)), g[:, k], short)
+            counted[k] = inside & ~(passed & self._beyond(p))
+            inside, self.alive = inside & ~passed, self.alive & ~passed
+        steps.stepper.count_only(stepped[1:])
+        self._record(i + 1, history.at(slice(1, None)), counted[1:])
+        self.g, self.change = g[:, -1], change[:, -1]
+        return inside
+
+    def _may_leave(self, i: int, g: Tensor, change: Tensor) -> Tensor:
+        """Where lanes may leave, at the point i and those after it [points, lanes]; g and change [lanes, points]."""
+        points = torch.arange(i, i + g.shape[1])
+        if self.event is None:
+            if self.ends is None:
+                return torch.zeros(len(points), self.lanes, dtype=torch.bool)
+            return self.times[points, None] > value(self.ends)[0] - self.short * self.h
+        before, after = g[:, :-1], g[:, 1:]
+        near = torch.minimum(before.abs(), after.abs()) <= FAR * (after - before).abs().maximum(change[:, :-1])
+        return torch.nn.functional.pad(self.event.passed(before, after) | near, (1, 0)).T
+
+    def _event_values(self, first: int, states: History) -> Tensor:
+        """The event's function [lanes, points] of condensed states at the point `first` of the grid and those after it."""
+        assert self.event is not None
+        times, dynamics = self.times[first : first + len(states.q)], self.dynamics.values()
+        q, v, vd, lam = (x[:, :, :1] for x in states.states)
+        history = History(q, v, vd, lam, times=times)
+        if self.condensation is not None:
+            history = replace(history, expansion=Expansion.of(self.condensation, dynamics.data, times))
+        return self.multiphase.views.along(self.event, dynamics, times, history)
+
+    def _record(self, first: int, states: History, counted: Tensor) -> None:
+        """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes]."""
+        c, times, rows = self.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
+        q, v, vd, lam = states.states
+        if c is not None:
+            expansion = Expansion.of(c, self.dynamics.data, times)
+            q, v, vd = (expansion.rows(order, x) for order, x in enumerate((q, v, vd)))
+            rows = [rows[k] for k in c.rows.tolist()]
+        self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""
@@ -151,7 +235,8 @@ class _PhaseLoop:
         for k in lane_numbers(between.any(1)):
             h = self._time(k) - self.entry.t
             x = shortly_after(self.dynamics.topology, self.entry.x, h)
-            self.multiphase.record(self.phase_model, k, between[k], x)
+            states = History.of([x]).states
+            self.multiphase.record(self.number, k, between[k][None], states, self.phase_model.rows)
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""
@@ -161,14 +246,13 @@ class _PhaseLoop:
             g[lanes] = self.multiphase.views.value(self.event, lanes, lanes_of(self.dynamics, lanes), *entry)
         return g
 
-    def _passed(self, i: int, x: State, inside: Tensor) -> tuple[Tensor, Tensor]:
-        """Which lanes leave the phase before, or little after, a point of the grid; and the event's function there."""
+    def _passed(self, i: int, inside: Tensor, g: Tensor) -> Tensor:
+        """Which lanes leave the phase before, or little after, the point i of the grid; g: the event's function there."""
         if self.event is not None:
-            g = self.multiphase.views.values(self.event, self.dynamics, self.times[i], x)
-            return inside & self.event.passed(self.g, g), g
+            return inside & self.event.passed(self.g, g)
         if self.ends is None:
-            return torch.zeros_like(inside), self.g
-        return inside & (self.times[i] > value(self.ends)[0] - self.short * self.h), self.g
+            return torch.zeros_like(inside)
+        return inside & (self.times[i] > value(self.ends)[0] - self.short * self.h)
 
     def _beyond(self, i: int) -> Tensor:
         """Which of the leaving lanes had left before a point of the grid."""
@@ -278,6 +362,51 @@ class _PhaseLoop:
         found = _finite(y) & (~active | (high - low <= _BRACKET * most))
         rate = -slope[:-1] / slope[-1]
         return PhaseExit(narrowed(t + (one + h[None]), rate), y.map(lambda z: narrowed(z, rate))), found
+
+
+class _Steps:
+    """Regular steps of lanes from a point of the grid to another.
+
+    first          the point at which they begin, in the condensed states x;  states: condensed ones at all points
+    end            the last one
+    before         the steps before these
+    """
+
+    def __init__(
+        self, loop: _PhaseLoop, stepper: Any, first: int, last: int, x: State, inside: Tensor, before: _Steps | None
+    ):
+        self.loop, self.stepper, self.first, self.x = loop, stepper, first, x
+        self.before = before
+        if before is not None:
+            before.before = None  # of what was, the last point but one is asked for at most
+        d, record = loop.condensed, Record(x, last - first + 1)
+        record.put(0, x)
+        schedule = d.topology.schedule(loop.times[first + 1 : last + 1], d.data)
+        self.end = stepper.run(x, schedule, record, first + 1, 1, inside)
+        self.states = record.history()
+
+    @cached_property
+    def _accelerations(self) -> list[Any]:
+        """Algorithmic ones at all points."""
+        return self.stepper.algorithmic(self.x.a, self.states.vd)
+
+    def state(self, k: int) -> State:
+        """The state of the whole system at the point k of the grid, or at the one before the first."""
+        if k < self.first:
+            return self.state(self.first) if self.before is None else self.before.state(k)
+        q, v, vd, lam = (Pair(x[k - self.first]) if x.shape[-2] > 1 else x[k - self.first] for x in self.states.states)
+        x = State(q, v, vd, self._accelerations[k - self.first], lam)
+        return whole_state(self.loop.condensation, x, float(self.loop.times[k]))
+
+
+def whole_state(condensation: Condensation | None, x: State, t: float) -> State:
+    """The state of the whole system at the time t [s], out of that of the condensed one."""
+    return x if condensation is None else condensation.whole_state(x, t)
+
+
+def condensed_state(condensation: Condensation | None, x: State) -> State:
+    """The state of the condensed system, out of that of the whole one."""
+    return x if condensation is None else condensation.retained_state(x)
 
 
 def _finite(x: State) -> Tensor:

@@ -28,11 +28,13 @@ from torchmbd.integrate.phases.switch import (
 )
 from torchmbd.integrate.segment import Segment
 from torchmbd.math.pair import Pair, linear, value
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.system import equations, reactions
+from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
 from torchmbd.multibody.system.times_as_lanes import at_own_times
+from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, Moment, Switch
 from torchmbd.results.state import State
@@ -55,7 +57,7 @@ class PhaseExit(NamedTuple):
 class PhaseRecord:
     """The steps of all lanes in one phase, for the adjoint (adjoint.py).
 
-    dynamics    of the phase, with the marks of its locks
+    dynamics    of the phase, with the marks of its locks;  condensed: of its regular steps
     entry       time and state before the switch that begins the phase;  start: the state after it
     first       the first point of the grid that a lane steps to [lanes]
     on_grid     whether the state there is `start` itself [lanes]
@@ -66,6 +68,7 @@ class PhaseRecord:
 
     number: int
     dynamics: Dynamics
+    condensed: Dynamics
     entry: PhaseExit
     start: State
     first: Tensor
@@ -80,6 +83,11 @@ class PhaseRecord:
         self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start)
         self.left = torch.zeros_like(self.on_grid)
         self.base_point = torch.full_like(self.first, -1)
+
+    @property
+    def condensation(self) -> Condensation | None:
+        """Of the regular steps; None: they are those of the whole system."""
+        return None if self.condensed is self.dynamics else self.condensed.initial.condensation
 
 
 @dataclass
@@ -127,13 +135,20 @@ class MultiphaseRun:
 
         data   instead of those of the whole
         """
-        lam = history.lam
-        for number, least in enumerate(self.least_norm):
-            in_phase = self.phase_number == number
+        lam, data = history.lam, data or self.whole.data
+        for record, least in zip(self.records, self.least_norm, strict=True):
+            in_phase = self.phase_number == record.number
             times = in_phase.any(1)
-            if least is not None and bool(times.any()):
-                least_lam = least.at_times(data or self.whole.data, self.times[times], history.q[times], lam[times])
-                lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], least_lam, lam[times]))
+            if (least is None and record.condensation is None) or not bool(times.any()):
+                continue
+            q, v, a, found = history.q[times], history.v[times], history.vd[times], lam[times]
+            if (c := record.condensation) is not None:
+                rows = torch.tensor(self.phase_models[record.number].rows, dtype=torch.long)
+                of_phase = reactions.multipliers(c, data, self.times[times], q, v, a, found[:, rows[c.rows]])
+                found = torch.zeros_like(found).index_copy(1, rows, of_phase)
+            if least is not None:
+                found = least.at_times(data, self.times[times], q, found)
+            lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], found, lam[times]))
         return lam
 
     def recorded(self) -> History:
@@ -183,7 +198,7 @@ class MultiphaseRun:
         data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
         self.whole = replace(self.whole, data=data)
         dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
-        self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, phase_model.rows))
+        self.least_norm.append(_least_norm(self.whole.topology, phase_model, dynamics))
         state = self._state_after(number, dynamics, phase_exit)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
@@ -192,7 +207,8 @@ class MultiphaseRun:
     def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
         """The dynamics of a phase, with the data of the whole."""
         phase_model = self.phase_models[number]
-        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=self.initial_state)
+        initial = replace(self.initial_state, condensed=phase_model.condensation)
+        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=initial)
 
     def _switch(self, number: int, phase_exit: PhaseExit, after: State) -> Switch:
         t = phase_exit.t
@@ -305,22 +321,33 @@ class MultiphaseRun:
             reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
         self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
 
-    def record(self, phase_model: Segment, i: int, lanes: Tensor, x: State) -> None:
-        """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
-        full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
-        q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
-        for states, y in ((self.q, q), (self.v, v), (self.vd, vd)):
-            states[i, ..., lanes] = y[..., lanes]
-        rows = torch.zeros_like(self.lam[i])
-        rows[phase_model.rows] = lam
-        self.lam[i, ..., lanes] = rows[..., lanes]
-        self.phase_number[i, lanes] = self.phase_models.index(phase_model)
+    def record(self, number: int, first: int, counted: Tensor, states: Sequence[Tensor], rows: Sequence[int]) -> None:
+        """Record states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
+
+        states   q, v, a [points, n, pair, lanes] of the whole system, and multipliers of some rows of it
+        """
+        at, index = slice(first, first + len(counted)), torch.tensor(list(rows), dtype=torch.long)
+        *motion, lam = states
+        for of_all, x in zip((self.q, self.v, self.vd), motion, strict=True):
+            of_all[at] = torch.where(counted[:, None, None], x, of_all[at])
+        new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
+        self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
+        self.phase_number[at] = torch.where(counted, number, self.phase_number[at])
 
     def never_left(self, phase_model: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
         for lane in lane_numbers(staying):
             if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
                 self.never_ends(phase_model, lane)
+
+
+def _least_norm(T: Topology, phase_model: Segment, dynamics: Dynamics) -> LeastNorm | None:
+    """Projection of the multipliers of a phase, among all rows of T; None if all are determined."""
+    least = dynamics.least_norm
+    if least is None:
+        return None
+    rows = torch.tensor(phase_model.rows, dtype=torch.long)
+    return LeastNorm(T, torch.zeros(T.rows, dtype=torch.float64).index_copy(0, rows, least.acting), least.rank)
 
 
 def _moment(x: State, lam: Any) -> Moment:

@@ -15,7 +15,7 @@ Checked in tests/multibody/system/test_condensation.py: against the same system 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -101,6 +101,23 @@ class Condensation:
             return y
         flat = gather(y.transpose(0, 1).flatten(1, 2))
         return flat.unflatten(1, (y.shape[0], y.shape[2])).transpose(0, 1)
+
+    @property
+    def coordinates(self) -> Tensor:
+        """Rows of q of the whole system that are those of the condensed one."""
+        return component_rows(self.whole, self.bodies, 7)
+
+    def state_of_whole(self, x: Sequence[Tensor]) -> list[Tensor]:
+        """Cotangents of the parts of a condensed state, from those [rows, n, 1, lanes] of the whole one (`whole_state`)."""
+        parts = [self.of_whole(min(order, 2), y[:, :, 0].movedim(0, 1)[None])[0] for order, y in enumerate(x[:4])]
+        return [y.movedim(1, 0)[:, :, None] for y in parts] + [x[4][:, self.rows]]
+
+    def of_retained_state(self, x: Any) -> Any:
+        """Cotangents [n, rows, lanes] of the parts of a whole state, from those of the condensed one (`retained_state`)."""
+        v = [_scattered(y, self.independent, self._size(6)) for y in (x.v, x.vd, x.a)]
+        return type(x)(
+            _scattered(x.q, self.coordinates, self._size(7)), *v, _scattered(x.lam, self.rows, self.whole.rows)
+        )
 
     def retained_state(self, x: Any) -> Any:
         """The state (results/state.py) of the condensed system, out of that of the whole."""
