@@ -19,6 +19,7 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored
+from torchmbd.multibody.system.reactions import multipliers_at
 from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
@@ -135,10 +136,16 @@ def _iterated(
     return x, found
 
 
-def least_norm_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
-    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm."""
+def all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
+    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm.
+
+    x   with those of all rows, or of the rows that condensation retains
+    """
+    lam, c = x.lam, dynamics.initial.condensed
+    if len(value(lam)) < dynamics.topology.rows:
+        lam = multipliers_at(c, dynamics.data, t, x.q, x.v, x.vd, lam)
     least = dynamics.least_norm
-    return x.lam if least is None else least.at_varying_time(dynamics.data, t, x.q, x.lam)
+    return lam if least is None else least.at_varying_time(dynamics.data, t, x.q, lam)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:

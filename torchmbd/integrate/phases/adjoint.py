@@ -33,7 +33,6 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pull_back, rows_first, zeros
 from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
-from torchmbd.integrate.phases.loop import condensed_state
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
@@ -137,7 +136,8 @@ class PhaseAdjoint:
     def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:
         """From where lanes left a phase to the bases of their last steps."""
         entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
-        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, start)
+        base, c = pick_states(record.base, so_far.lanes), record.condensation
+        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, base)
         own = [i for i, lane in enumerate(so_far.lanes) if record.left[lane]]  # counted among those of so_far
         if not own:
             return
@@ -146,13 +146,14 @@ class PhaseAdjoint:
         k, there = record.base_point[lanes], record.exit.lanes(lanes)
         with torch.enable_grad():
             leaves = LaneLeaves(self.multiphase.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
-            t, base = leaf(entry[:, own]), pick_states(record.base, lanes).map(leaf)
+            dynamics = _condensed(record, leaves.dynamics)
+            t, base = leaf(entry[:, own]), pick_states(base, own).map(leaf)
             begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
             size = leaf(there.t - begin)
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
             end = begin + size if event is not None else self.multiphase.end_times(phase_model, t)
             of_size = size if event is not None else end - begin
-            y = self.integrator.step_of_size(leaves.dynamics, base, of_size, end, there.x)
+            y = record.whole(self.integrator.step_of_size(dynamics, base, of_size, end, record.retained(there.x)), end)
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
         kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
@@ -165,9 +166,12 @@ class PhaseAdjoint:
         so_far.start[0][..., own] += by_t
         for key, cotangent in zip(keys, found[2 + len(base) :], strict=True):
             so_far.add(key, own, cotangent)
-        for at_start, at_end, cotangent in zip(so_far.start[1:], so_far.end, by_state, strict=True):
-            at_start[..., own] += torch.where(k < 0, cotangent, 0.0)
+        for at_end, cotangent in zip(so_far.end, by_state, strict=True):
             at_end[..., own] += torch.where(k < 0, 0.0, cotangent)
+        of_start = [torch.where(k < 0, cotangent, 0.0) for cotangent in by_state]
+        of_start = of_start if c is None else c.of_retained_state(of_start)
+        for at_start, cotangent in zip(so_far.start[1:], of_start, strict=True):
+            at_start[..., own] += cotangent
 
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
@@ -207,21 +211,19 @@ class PhaseAdjoint:
                 continue
             of_points = torch.where(in_phase, (x[:, rows_of_steps] if i == 3 else x)[at, :, :, lanes], 0.0)
             of_states.append(of_points if c is None or i == 3 else c.of_whole(i, of_points))
-        ends = so_far.end if c is None else c.state_of_whole(so_far.end)
         by_a = torch.zeros_like(of_states[2][0])
         for i, (one, lane) in enumerate(zip(group, lanes, strict=True)):
             k = int(record.base_point[lane]) - points.start
             if k >= 0:
-                by_a[..., i] = self._add_state(of_states, k, [x[..., one] for x in ends], i)
-        start = condensed_state(c, pick_states(record.arrival, lanes)).map(leaf)
+                by_a[..., i] = self._add_state(of_states, k, [x[..., one] for x in so_far.end], i)
+        start = pick_states(record.arrival, lanes).map(leaf)
         if len(points) == 1:
             by_q, by_v, by_vd, by_lam = (x[0] for x in of_states)
             by_start, by_data = State(by_q, by_v, by_vd, by_a, by_lam), {}
         else:
             by_start, by_data = self._adjoint_of_steps(record, points, lanes, history, start, of_states)
             by_start = by_start._replace(a=by_start.a + by_a)
-        parts = by_start if c is None else c.of_retained_state(by_start)
-        for total, x in zip(so_far.arrival, parts, strict=True):
+        for total, x in zip(so_far.arrival, by_start, strict=True):
             total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
         for key, x in by_data.items():
             so_far.add(key, group, x.movedim(-2, 0).unsqueeze(-2))
@@ -255,9 +257,8 @@ class PhaseAdjoint:
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
         dynamics = dynamics.with_data({**dynamics.data, **leaves})
-        if record.condensation is not None:
-            with torch.enable_grad():
-                dynamics = dynamics.condensed().share_rank(record.condensed)
+        with torch.enable_grad():
+            dynamics = _condensed(record, dynamics)
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
         times = self.multiphase.times[points.start : points.stop]
         corrections = self.integrator.counts(dynamics)[1]
@@ -288,7 +289,7 @@ class PhaseAdjoint:
             if number:
                 outputs.append(t)
                 for side, y in ((number - 1, x), (number, after)):
-                    outputs += [y.q, y.v, y.vd, multiphase.all_multipliers(side, data, t, y.q, y.lam)]
+                    outputs += [y.q, y.v, y.vd, multiphase.all_multipliers(side, data, t, y)]
                 by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in cotangents.switches[number - 1]]
                 of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
         for name in MARKED if phase_model.locks else ():
@@ -317,14 +318,15 @@ class PhaseAdjoint:
         first, on_grid = record.first[lanes], record.on_grid[lanes]
         direct = lane_numbers(on_grid)
         if direct:
-            outputs += pick_states(after, direct)
+            outputs += record.retained(pick_states(after, direct))
             of_outputs += [x[..., direct] for x in so_far.arrival]
         own = lane_numbers(~on_grid & (first < len(multiphase.times)))
         if own:
             end, begin = multiphase.times[first[own]][None], t[:, own]
             near = pick_states(record.arrival, [lanes[i] for i in own])
-            some = lanes_of(dynamics, own)
-            outputs += self.integrator.step_of_size(some, pick_states(after, own), end - begin, end, near)
+            some = _condensed(record, lanes_of(dynamics, own))
+            x = record.retained(pick_states(after, own))
+            outputs += self.integrator.step_of_size(some, x, end - begin, end, near)
             of_outputs += [x[..., own] for x in so_far.arrival]
         between = multiphase.phase_number[:, lanes] == record.number
         between &= torch.arange(len(between))[:, None] < first
@@ -336,3 +338,8 @@ class PhaseAdjoint:
                     x = rows_first((cotangent[:, phase_model.rows] if i == 3 else cotangent)[k], lanes)
                     of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs
+
+
+def _condensed(record: PhaseRecord, dynamics: Dynamics) -> Dynamics:
+    """The dynamics of the steps of a phase, of some lanes of it with other data."""
+    return dynamics if record.condensation is None else dynamics.condensed().share_rank(record.condensed)

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.phases.lanes import expanded, join_lanes, lanes_of, pick_lanes
-from torchmbd.integrate.variable_step import least_norm_multipliers
+from torchmbd.integrate.variable_step import all_multipliers
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
@@ -117,7 +117,7 @@ class Instant(Signals):
 
     @cached_property
     def _lam(self) -> Any:
-        return least_norm_multipliers(self.dynamics, self.t, self.x)
+        return all_multipliers(self.dynamics, self.t, self.x)
 
 
 class Leaves:

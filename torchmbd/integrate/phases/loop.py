@@ -3,8 +3,8 @@
     h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
     t_k - t*                        the first step of the next one, back to the grid
 
-Regular steps are those of the condensed system of the segment, by the stepper of the integrator, many at a time; those of other
-sizes are made by `Integrator.step_of_size`, of the whole system. The steps
+All steps are those of the condensed system of the segment: regular ones by the stepper of the integrator, many at a time, those
+of other sizes by `Integrator.step_of_size`. They
 are differentiated as they stand: sizes are numbers with design tangents, and h*, while it is iterated, is one more.
 What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
 a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
@@ -33,7 +33,6 @@ from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_event
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import SEGMENT, History, Record
 from torchmbd.results.state import State
@@ -71,7 +70,6 @@ class _PhaseLoop:
         self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
         self.condensed = self.dynamics.condensed() if integrator.condenses else self.dynamics
-        self.condensation = None if self.condensed is self.dynamics else self.phase_model.condensation
         self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
         self.g = self._start_values()
         self.base_time = entry.t  # of lanes that leave, where their last step begins
@@ -82,7 +80,7 @@ class _PhaseLoop:
 
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
         """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
-        record, x, last = self.record, condensed_state(self.condensation, self.entry.x), len(self.times) - 1
+        record, x, last = self.record, self.record.base, len(self.times) - 1
         stepper, i, steps = self.integrator.stepper(self.condensed, self.h), int(self.first.min()), None
         self._record_shortly_after()
         self._arrive()
@@ -90,7 +88,7 @@ class _PhaseLoop:
         while i <= last:
             arriving = lane_numbers(self.alive & (self.first == i))
             if arriving:
-                x = put_states(x, arriving, condensed_state(self.condensation, pick_states(record.arrival, arriving)))
+                x = put_states(x, arriving, pick_states(record.arrival, arriving))
                 stepper.restart()
                 inside |= self._arrived(i, arriving, x)
             if i == last or not bool(self.alive.any()):
@@ -118,15 +116,14 @@ class _PhaseLoop:
         """Record lanes at their first point i of the grid, where all have the condensed states x; which stay in the phase."""
         new = torch.zeros_like(self.alive)
         new[lanes] = True
-        whole = whole_state(self.condensation, x, float(self.times[i]))
         history = History.of([x])
         g = self.g if self.event is None else self._event_values(i, history)[:, 0]
         passed = self._passed(i, new, g)
-        short = self._short_events(i, whole, whole, new & ~passed, g)
+        short = self._short_events(i, x, x, new & ~passed, g)
         passed = passed if short is None else passed | short.found
         self._record(i, history, (new & ~(passed & self._beyond(i)))[None])
         for lane in lane_numbers(passed):
-            self._note_base(lane, i, (whole, whole), g, short)
+            self._note_base(lane, i, (x, x), g, short)
         self.g = torch.where(new, g, self.g)
         self.alive = self.alive & ~passed
         return new & ~passed
@@ -177,13 +174,13 @@ class _PhaseLoop:
         times, dynamics = self.times[first : first + len(states.q)], self.dynamics.values()
         q, v, vd, lam = (x[:, :, :1] for x in states.states)
         history = History(q, v, vd, lam, times=times)
-        if self.condensation is not None:
-            history = replace(history, expansion=Expansion.of(self.condensation, dynamics.data, times))
+        if self.record.condensation is not None:
+            history = replace(history, expansion=Expansion.of(self.record.condensation, dynamics.data, times))
         return self.multiphase.views.along(self.event, dynamics, times, history)
 
     def _record(self, first: int, states: History, counted: Tensor) -> None:
         """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes]."""
-        c, times, rows = self.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
+        c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
         q, v, vd, lam = states.states
         if c is not None:
             expansion = Expansion.of(c, self.dynamics.data, times)
@@ -211,9 +208,9 @@ class _PhaseLoop:
         lanes = lane_numbers(self.alive & (self.first < len(self.times)) & ~self.record.on_grid)
         if not lanes:
             return
-        entry = self.entry.lanes(lanes)
+        entry = PhaseExit(pick_lanes(self.entry.t, lanes), self.record.retained(pick_states(self.entry.x, lanes)))
         end = entry.t * 0.0 + self.times[self.first[lanes]][None]
-        x = self.integrator.step_of_size(lanes_of(self.dynamics, lanes), entry.x, end - entry.t, end)
+        x = self.integrator.step_of_size(lanes_of(self.condensed, lanes), entry.x, end - entry.t, end)
         self.record.arrival = put_states(self.record.arrival, lanes, x)
         self._fail(~_finite(x), lanes, "first", entry, value(end)[0])
         self.alive[lanes] = self.alive[lanes] & _finite(x)
@@ -269,20 +266,20 @@ class _PhaseLoop:
         if not own:
             return None
         event, views = self.event, self.multiphase.views
-        dynamics = lanes_of(self.dynamics, own).values()
-        start = put_states(
-            recent, lane_numbers(self.first == i), pick_states(self.entry.x, lane_numbers(self.first == i))
-        )
-        before, after = (pick_states(y, own).values() for y in (start, x))
+        dynamics, condensed = (lanes_of(d, own).values() for d in (self.dynamics, self.condensed))
+        entering, whole = lane_numbers(self.first == i), self.record.whole
+        start = put_states(recent, entering, self.record.retained(pick_states(self.entry.x, entering)))
+        at_start, at_end = (pick_states(y, own).values() for y in (start, x))
         t = torch.where(self.first == i, value(self.entry.t), self.times[i - 1])[:, own]
         h = self.times[i] - t
+        before, after = whole(at_start, t), whole(at_end, t + h)
 
         def slopes(y: State) -> State:
             accelerate, press = ((b - a) / h for a, b in ((before.vd, after.vd), (before.lam, after.lam)))
             return State(equations.coordinate_rates(dynamics.topology, y.q, y.v), y.vd, accelerate, accelerate, press)
 
         def look(size: Tensor) -> tuple[Tensor, Tensor]:
-            y = self.integrator.step_of_size(dynamics, before, size[None], t + size)
+            y = whole(self.integrator.step_of_size(condensed, at_start, size[None], t + size), t + size)
             return views.rates(event, own, dynamics, t + size, y, slopes(y))
 
         ends = [views.rates(event, own, dynamics, s, y, slopes(y))[1] for s, y in ((t, before), (t + h, after))]
@@ -303,7 +300,8 @@ class _PhaseLoop:
         # Steps that are too short for the integrator begin one point earlier.
         skipped = self.event is not None and size < self.integrator.shortest_step * self.h and bool(points)
         k = [*points, -1][int(skipped)]
-        t, x = self.entry if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
+        start = PhaseExit(self.entry.t, record.start_of_steps)
+        t, x = start if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
         t, x = pick_lanes(t, [lane]), pick_states(x, [lane])
         record.left[lane], record.base_point[lane] = True, k
         record.base, self.base_time = put_states(record.base, [lane], x), put_lanes(self.base_time, [lane], t)
@@ -317,8 +315,8 @@ class _PhaseLoop:
         base = PhaseExit(pick_lanes(self.base_time, lanes), pick_states(record.base, lanes))
         if self.event is None:
             end = pick_lanes(self.ends, lanes)
-            y = self.integrator.step_of_size(lanes_of(self.dynamics, lanes), base.x, end - base.t, end)
-            there, found = PhaseExit(end, y), _finite(y)
+            y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), base.x, end - base.t, end)
+            there, found = PhaseExit(end, record.whole(y, end)), _finite(y)
         else:
             there, found = self._located(self.event, lanes, base)
         self._fail(~found, lanes, "last", base, value(base.t)[0] + most)
@@ -333,7 +331,7 @@ class _PhaseLoop:
 
     def _located(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[PhaseExit, Tensor]:
         """Where the event's function of some lanes vanishes within `most` after their bases, and which lanes found it."""
-        wide = widened_data(lanes_of(self.dynamics, lanes))
+        wide, condensed = (widened_data(lanes_of(d, lanes)) for d in (self.dynamics, self.condensed))
         x, t = base.x.map(widened), widened(base.t)
         one = widened(torch.zeros(1, len(lanes), dtype=torch.float64), t.shape[0] - 1)
         one.full[-1] = 1.0
@@ -343,8 +341,9 @@ class _PhaseLoop:
         y = slope = None
         for _ in range(_MOST):
             size = one + h[None]
-            there = self.integrator.step_of_size(wide, x, size, t + size, y)
-            g, slope_there = self.multiphase.views.slopes(event, lanes, wide, t + size, there)
+            there = self.integrator.step_of_size(condensed, x, size, t + size, y)
+            whole = self.record.whole(there, t + size)
+            g, slope_there = self.multiphase.views.slopes(event, lanes, wide, t + size, whole)
             # What a lane gets depends on no other: it stays as it was when it was found.
             own = lane_numbers(active)
             y = there if y is None else put_states(y, own, pick_states(there, own))
@@ -361,7 +360,8 @@ class _PhaseLoop:
         assert slope is not None
         found = _finite(y) & (~active | (high - low <= _BRACKET * most))
         rate = -slope[:-1] / slope[-1]
-        return PhaseExit(narrowed(t + (one + h[None]), rate), y.map(lambda z: narrowed(z, rate))), found
+        end = narrowed(t + (one + h[None]), rate)
+        return PhaseExit(end, self.record.whole(y.map(lambda z: narrowed(z, rate)), end)), found
 
 
 class _Steps:
@@ -391,22 +391,11 @@ class _Steps:
         return self.stepper.algorithmic(self.x.a, self.states.vd)
 
     def state(self, k: int) -> State:
-        """The state of the whole system at the point k of the grid, or at the one before the first."""
+        """The condensed state at the point k of the grid, or at the one before the first."""
         if k < self.first:
             return self.state(self.first) if self.before is None else self.before.state(k)
         q, v, vd, lam = (Pair(x[k - self.first]) if x.shape[-2] > 1 else x[k - self.first] for x in self.states.states)
-        x = State(q, v, vd, self._accelerations[k - self.first], lam)
-        return whole_state(self.loop.condensation, x, float(self.loop.times[k]))
-
-
-def whole_state(condensation: Condensation | None, x: State, t: float) -> State:
-    """The state of the whole system at the time t [s], out of that of the condensed one."""
-    return x if condensation is None else condensation.whole_state(x, t)
-
-
-def condensed_state(condensation: Condensation | None, x: State) -> State:
-    """The state of the condensed system, out of that of the whole one."""
-    return x if condensation is None else condensation.retained_state(x)
+        return State(q, v, vd, self._accelerations[k - self.first], lam)
 
 
 def _finite(x: State) -> Tensor:

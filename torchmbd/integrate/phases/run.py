@@ -61,9 +61,11 @@ class PhaseRecord:
     entry       time and state before the switch that begins the phase;  start: the state after it
     first       the first point of the grid that a lane steps to [lanes]
     on_grid     whether the state there is `start` itself [lanes]
-    arrival     the state there, of lanes that get there
-    exit        where lanes left the phase;  left: which did [lanes]
-    base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes];  base: the state there
+    start_of_steps  `start` as a condensed state
+    arrival     the condensed state there, of lanes that get there
+    exit        where lanes left the phase, with the multipliers of retained rows;  left: which did [lanes]
+    base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
+    base        the condensed state there
     """
 
     number: int
@@ -78,9 +80,9 @@ class PhaseRecord:
     base: State = field(init=False)
 
     def __post_init__(self) -> None:
-        self.arrival = self.base = self.start
+        self.start_of_steps = self.arrival = self.base = self.retained(self.start)
         never = linear(torch.zeros_like, self.entry.t)
-        self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start)
+        self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start._replace(lam=self.base.lam))
         self.left = torch.zeros_like(self.on_grid)
         self.base_point = torch.full_like(self.first, -1)
 
@@ -88,6 +90,14 @@ class PhaseRecord:
     def condensation(self) -> Condensation | None:
         """Of the regular steps; None: they are those of the whole system."""
         return None if self.condensed is self.dynamics else self.condensed.initial.condensation
+
+    def retained(self, x: State) -> State:
+        """The state of the condensed system, out of that of the whole one."""
+        return x if self.condensation is None else self.condensation.retained_state(x)
+
+    def whole(self, x: State, t: Any) -> State:
+        """The state of the whole system at t [s] (Condensation.whole_state), out of that of the condensed one."""
+        return x if self.condensation is None else self.condensation.whole_state(x, t)
 
 
 @dataclass
@@ -222,21 +232,21 @@ class MultiphaseRun:
 
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
         """Multipliers of all rows [rows, ...] on one side of a switch, of redundant ones those of least norm."""
-        lanes = lane_numbers(torch.isfinite(value(t)[0]))
-        lam = self._with_all_rows(number, x.lam)
-        if not lanes or self.least_norm[number] is None:
+        lanes, lam = lane_numbers(torch.isfinite(value(t)[0])), x.v[:1] * 0.0
+        lam = linear(lambda y: y.new_full((self.whole.topology.rows, *y.shape[1:]), torch.nan), lam)
+        if not lanes:
             return lam
-        own = (pick_lanes(y, lanes) for y in (t, x.q, x.lam))
-        return put_lanes(lam, lanes, self.all_multipliers(number, lanes_of(self.whole, lanes).data, *own))
+        data = lanes_of(self.whole, lanes).data
+        return put_lanes(lam, lanes, self.all_multipliers(number, data, pick_lanes(t, lanes), pick_states(x, lanes)))
 
-    def all_multipliers(self, number: int, data: equations.Data, t: Any, q: Any, lam: Any) -> Any:
-        """Multipliers of all rows from those of a phase, of redundant ones those of least norm."""
-        least, lam = self.least_norm[number], self._with_all_rows(number, lam)
-        return lam if least is None else least.at_varying_time(data, t, q, lam)
-
-    def _with_all_rows(self, number: int, lam: Any) -> Any:
+    def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
+        """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
+        least, c, lam = self.least_norm[number], self.phase_models[number].condensation, x.lam
+        if c is not None and len(value(lam)) < c.whole.rows:
+            lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, lam)
         n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
-        return linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
+        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
+        return lam if least is None else least.at_varying_time(data, t, x.q, lam)
 
     def _state_after(self, number: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
         """The state of all lanes after the switch into a phase; nan where they do not get there."""
@@ -259,7 +269,9 @@ class MultiphaseRun:
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.phase_models[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
-            v = velocities_after_impact(ended.impact, ended.until, views, lanes, dynamics, t, x._replace(v=v))
+            unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
+            before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
+            v = velocities_after_impact(ended.impact, ended.until, views, lanes, dynamics, t, before)
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 

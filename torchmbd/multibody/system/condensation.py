@@ -22,7 +22,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.pair import linear
+from torchmbd.math.pair import linear, value
 from torchmbd.math.rotation import rotation_matrix, skew
 from torchmbd.multibody.joints.primitive import Primitive, values_at
 from torchmbd.multibody.system import equations
@@ -72,7 +72,7 @@ class Condensation:
     def whole_state(self, x: Any, t: Any) -> Any:
         """The state of the whole system at t [s] (a number, or a pair [1 + n, lanes or 1]), out of that of the condensed one.
 
-        Multipliers of removed rows are zero: no step depends on them.
+        Multipliers stay those of the retained rows; `reactions.multipliers_at` gives all.
         """
         known = [(self.whole.names.index(body.name), body.motion_at(t)) for body in self.topology.prescribed_bodies]
         spread = self.topology.spread
@@ -86,8 +86,7 @@ class Condensation:
                 z = z + linear(lambda u, own=own: _scattered(u, own, self._size(components)), motion[order])
             return z
 
-        lam = linear(lambda u: _scattered(u, self.rows, self.whole.rows), x.lam)
-        return type(x)(whole(x.q, 0), whole(x.v, 1), whole(x.vd, 2), whole(x.a, 2), lam)
+        return type(x)(whole(x.q, 0), whole(x.v, 1), whole(x.vd, 2), whole(x.a, 2), x.lam)
 
     def _size(self, components: int) -> int:
         """Coordinates (7 components of a body) or rates (6) of the whole system."""
@@ -107,23 +106,20 @@ class Condensation:
         """Rows of q of the whole system that are those of the condensed one."""
         return component_rows(self.whole, self.bodies, 7)
 
-    def state_of_whole(self, x: Sequence[Tensor]) -> list[Tensor]:
-        """Cotangents of the parts of a condensed state, from those [rows, n, 1, lanes] of the whole one (`whole_state`)."""
-        parts = [self.of_whole(min(order, 2), y[:, :, 0].movedim(0, 1)[None])[0] for order, y in enumerate(x[:4])]
-        return [y.movedim(1, 0)[:, :, None] for y in parts] + [x[4][:, self.rows]]
-
-    def of_retained_state(self, x: Any) -> Any:
-        """Cotangents [n, rows, lanes] of the parts of a whole state, from those of the condensed one (`retained_state`)."""
-        v = [_scattered(y, self.independent, self._size(6)) for y in (x.v, x.vd, x.a)]
-        return type(x)(
-            _scattered(x.q, self.coordinates, self._size(7)), *v, _scattered(x.lam, self.rows, self.whole.rows)
-        )
+    def of_retained_state(self, x: Sequence[Tensor]) -> list[Tensor]:
+        """Cotangents [rows, n, 1, lanes] of the parts of a whole state, from those of the condensed one (`retained_state`)."""
+        rows = [
+            (self.coordinates, self._size(7)),
+            *[(self.independent, self._size(6))] * 3,
+            (self.rows, self.whole.rows),
+        ]
+        return [_scattered(y.movedim(0, 1), *at).movedim(1, 0) for y, at in zip(x, rows, strict=True)]
 
     def retained_state(self, x: Any) -> Any:
-        """The state (results/state.py) of the condensed system, out of that of the whole."""
+        """The state (results/state.py) of the condensed system, out of that of the whole; multipliers of retained rows stay."""
         q, v = self.retained(x.q, x.v)
         vd, a = (y.index_select(0, self.independent) for y in (x.vd, x.a))
-        return type(x)(q, v, vd, a, x.lam.index_select(0, self.rows))
+        return type(x)(q, v, vd, a, x.lam if len(value(x.lam)) == len(self.rows) else x.lam.index_select(0, self.rows))
 
 
 def _spread(spread: Any, x: Tensor) -> Tensor:
