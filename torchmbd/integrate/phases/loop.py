@@ -22,7 +22,9 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import torch
+from scipy.optimize.elementwise import find_root
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
@@ -40,8 +42,7 @@ from torchmbd.results.state import State
 _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the phase: those after it are lost
 _SAME = 1e-9  # of a regular step: times that are equal
 _ROUND = 1e-13  # of the size
-_MOST = 40  # iterations for the size of a last step
-_BRACKET = 1e-9  # of the size: two that enclose a zero which is a jump
+_MOST = 100  # iterations for the size of a last step: a function that jumps takes about 50
 
 
 def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
@@ -331,37 +332,50 @@ class _PhaseLoop:
 
     def _located(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[PhaseExit, Tensor]:
         """Where the event's function of some lanes vanishes within `most` after their bases, and which lanes found it."""
+        size, found, near = self._sizes_of_last_steps(event, lanes, base)
         wide, condensed = (widened_data(lanes_of(d, lanes)) for d in (self.dynamics, self.condensed))
-        x, t = base.x.map(widened), widened(base.t)
-        one = widened(torch.zeros(1, len(lanes), dtype=torch.float64), t.shape[0] - 1)
-        one.full[-1] = 1.0
-        low, high, h, sign = self.low[lanes], self.most[lanes], self.size[lanes], self.g_low[lanes].sign()
-        most = high
-        active = torch.ones(len(lanes), dtype=torch.bool)
-        y = slope = None
-        for _ in range(_MOST):
-            size = one + h[None]
-            there = self.integrator.step_of_size(condensed, x, size, t + size, y)
-            whole = self.record.whole(there, t + size)
-            g, slope_there = self.multiphase.views.slopes(event, lanes, wide, t + size, whole)
-            # What a lane gets depends on no other: it stays as it was when it was found.
-            own = lane_numbers(active)
-            y = there if y is None else put_states(y, own, pick_states(there, own))
-            slope = slope_there if slope is None else torch.where(active, slope_there, slope)
-            above = g * sign > 0.0
-            low, high = torch.where(active & above, h, low), torch.where(active & ~above, h, high)
-            better = h - g / slope[-1]
-            active = active & ((better - h).abs() > _ROUND * most) & torch.isfinite(g)
-            if not bool(active.any()):
-                break
-            better = torch.where((low < better) & (better < high), better, 0.5 * (low + high))
-            h = torch.where(active, better, h)
-        assert y is not None
-        assert slope is not None
-        found = _finite(y) & (~active | (high - low <= _BRACKET * most))
+        h = widened(widened(size[None], base.t.shape[0] - 1) if isinstance(base.t, Pair) else size[None])
+        h.full[-1] = 1.0
+        x, end = base.x.map(widened), widened(base.t) + h
+        y = self.integrator.step_of_size(condensed, x, h, end, near)
+        _, slope = self.multiphase.views.slopes(event, lanes, wide, end, self.record.whole(y, end))
         rate = -slope[:-1] / slope[-1]
-        end = narrowed(t + (one + h[None]), rate)
-        return PhaseExit(end, self.record.whole(y.map(lambda z: narrowed(z, rate)), end)), found
+        end = narrowed(end, rate)
+        return PhaseExit(end, self.record.whole(y.map(lambda z: narrowed(z, rate)), end)), found & _finite(y)
+
+    def _sizes_of_last_steps(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[Tensor, Tensor, State]:
+        """Sizes of the last steps [lanes] at which the event's function vanishes, which were found, and states there."""
+        start, whole, condensed = (
+            base.x.values(),
+            lanes_of(self.dynamics, lanes).values(),
+            lanes_of(self.condensed, lanes),
+        )
+        condensed, t, views = condensed.values(), value(base.t), self.multiphase.views
+        low, most, g_low = (x[lanes] for x in (self.low, self.most, self.g_low))
+        near, sign = start, g_low.sign()
+
+        def function(size: np.ndarray, lane: np.ndarray) -> np.ndarray:
+            nonlocal near
+            own, h = lane.astype(int).tolist(), torch.from_numpy(np.array(size))
+            result, inner = g_low[own].clone(), h > low[own]
+            if bool(inner.any()):
+                own, h = [k for k, there in zip(own, inner.tolist(), strict=True) if there], h[inner]
+                end = t[:, own] + h
+                x, guess = pick_states(start, own), pick_states(near, own)
+                y = self.integrator.step_of_size(lanes_of(condensed, own), x, h[None], end, guess)
+                near = put_states(near, own, y)
+                every = [lanes[k] for k in own]
+                g = views.value(event, every, lanes_of(whole, own), end, self.record.whole(y, end))
+                # At the end of the regular step it has passed zero, but for rounding.
+                beyond = (h >= most[own]) & (g * sign[own] > 0.0)
+                result[inner] = torch.where(beyond, 0.0, g)
+            return result.numpy()
+
+        numbers = np.arange(len(lanes), dtype=float)
+        tolerances = {"xatol": 0.0, "xrtol": _ROUND, "fatol": 0.0, "frtol": 0.0}
+        bracket = (low.numpy(), most.numpy())
+        root = find_root(function, bracket, args=(numbers,), tolerances=tolerances, maxiter=_MOST)
+        return torch.from_numpy(np.array(root.x)), torch.from_numpy(np.array(root.success)), near
 
 
 class _Steps:
