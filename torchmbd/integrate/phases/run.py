@@ -34,7 +34,6 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
 from torchmbd.multibody.system.times_as_lanes import at_own_times
-from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, Moment, Switch
 from torchmbd.results.state import State
@@ -208,7 +207,7 @@ class MultiphaseRun:
         data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
         self.whole = replace(self.whole, data=data)
         dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
-        self.least_norm.append(_least_norm(self.whole.topology, phase_model, dynamics))
+        self.least_norm.append(_least_norm(self.whole, phase_model, dynamics))
         state = self._state_after(number, dynamics, phase_exit)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
@@ -353,13 +352,14 @@ class MultiphaseRun:
                 self.never_ends(phase_model, lane)
 
 
-def _least_norm(T: Topology, phase_model: Segment, dynamics: Dynamics) -> LeastNorm | None:
-    """Projection of the multipliers of a phase, among all rows of T; None if all are determined."""
+def _least_norm(whole: Dynamics, phase_model: Segment, dynamics: Dynamics) -> LeastNorm | None:
+    """Projection of the multipliers of a phase, among all rows of the whole; None if all are determined."""
     least = dynamics.least_norm
     if least is None:
         return None
     rows = torch.tensor(phase_model.rows, dtype=torch.long)
-    return LeastNorm(T, torch.zeros(T.rows, dtype=torch.float64).index_copy(0, rows, least.acting), least.rank)
+    acting = torch.zeros(whole.topology.rows, dtype=torch.float64).index_copy(0, rows, least.acting)
+    return LeastNorm(whole.saddle, acting, least.rank)
 
 
 def _moment(x: State, lam: Any) -> Moment:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -51,6 +52,11 @@ class Condensation:
     vectors: list[int]
     rows: Tensor
     independent: Tensor
+
+    @cached_property
+    def whole_saddle(self) -> Saddle:
+        """Of the whole topology."""
+        return Saddle(self.whole)
 
     def data(self, data: equations.Data) -> equations.Data:
         """Data of the condensed system, out of those of the whole."""

@@ -20,6 +20,7 @@ from torchmbd.math.pair import Pair, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import INERTIA, Data, Placement
+from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.times_as_lanes import as_lanes, at_own_times
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
@@ -52,8 +53,7 @@ def in_chunks(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tenso
 
 def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
     n, lanes = len(times), motion[0].shape[-1]
-    names = (*equations.ATTACHED, "gravity", *INERTIA)
-    wide = {name: repeat_over_times(data[name], n, lanes) for name in names if name in data}
+    wide = {name: repeat_over_times(x, n, lanes) for name, x in data.items()}
     given = as_lanes([c.whole.prescribed(t, data) for t in times], lanes)
     lam = _all_rows(c, wide, given, *(flatten_times(x) for x in motion))
     full = lam.full if isinstance(lam, Pair) else lam
@@ -67,8 +67,8 @@ def _all_rows(c: Condensation, data: Data, given: Prescribed, q: Any, v: Any, a:
     at = equations.placement(T, data, q, given)
     lam = _scatter_rows(retained, c.rows, T.rows)
     with torch.no_grad():
-        forces = [x.detach() for x in unit_constraint_forces(T, data, at, removed)[:2]]
-        B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in forces]).permute(2, 0, 1)
+        rigid = torch.tensor([k * T.bodies + b for k in range(6) for b in range(T.flexible, T.bodies)])
+        B = values_of_jacobian(c.whole_saddle, data, at)[:, removed][:, :, rigid].mT
         finite = torch.where(torch.isfinite(B), B, 0.0)  # in a lane that failed R is nan, and so the multipliers
         inverse = torch.linalg.pinv(finite, rtol=1e-9)
         lam_removed = -_times(inverse, value(_residual(T, data, at, v, a, lam)).detach())
@@ -96,14 +96,11 @@ def repeat_over_times(x: Any, times: int, lanes: int) -> Any:
     return x if x.shape[-1] == 1 else wide(x)
 
 
-def unit_constraint_forces(T: Topology, data: Data, at: Placement, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Generalized forces [component, bodies, rows, lanes] of unit multipliers of some rows: ground forces, body torques, modal
-    forces. Values only."""
-    lanes = value(at.g).shape[-1]
-    unit = torch.eye(T.rows, dtype=torch.float64)[:, rows, None].expand(-1, -1, lanes)
-    plain = at.values()
-    force = equations.force_on_vectors(T, plain, unit)
-    return equations.generalized_forces(T, {name: value(x) for name, x in data.items()}, plain, force)
+def values_of_jacobian(saddle: Saddle, data: Data, at: Placement) -> Tensor:
+    """Phi_q [lanes, rows, n_v] without a graph of torch."""
+    data = {name: value(x).detach() for name, x in data.items()}
+    J = saddle.jacobian(data, at.map(lambda y: value(y).detach()))
+    return J.expand(value(at.g).shape[-1], -1, -1)
 
 
 def _residual(T: Topology, data: Data, at: Placement, v: Any, a: Any, lam: Any) -> Any:
