@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
+from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
 from torchmbd.integrate.jumps import steps_at, substeps_at
 from torchmbd.math.jumps import jump_times
@@ -83,6 +84,26 @@ def test_held_values_have_their_closed_form(values, steps, options):
     found, expected = turned(motion)[0], exact(tensor(*values))
     assert abs(float(found[0] - expected[0])) <= most * (4.0 if "spectral_radius" in options else 1.0) + 1e-6
     assert abs(float(found[1] - expected[1])) <= (3e-4 if "spectral_radius" in options else 3e-5)
+
+
+@pytest.mark.parametrize("steps", [24, 20])
+def test_samples_at_a_jump_are_the_mean_of_both_sides(steps):
+    """As the law that the steps take: the integral of accelerations is the change of the rate, which one side would miss."""
+    motion = mbd.simulate(held(1.0, -3.0, 2.0), 2.0, steps=steps, gradients="none").require_ok()
+    acceleration = motion.body("rotor").omega_rate[0, :, 2]
+    at = motion.t * 3.0 / 2.0
+    before, after = (tensor(1.0, -3.0, 2.0)[(at + x).floor().long().clamp(0, 2)] for x in (-1e-9, 1e-9))
+    assert int((before != after).sum()) == (2 if steps == 24 else 0)
+    assert_close(acceleration, 0.5 * (before + after) / INERTIA, rtol=0, atol=1e-12)
+
+
+def test_peaks_beside_a_jump_are_beyond_it_as_limits_tell():
+    """The cubic through samples 1, 1, 0, -1, -1: max u (1 - u) (1 + 5 u) / 12 = 0.0805 of the half jump, as limits.md tells."""
+    y = tensor(1.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0, -1.0, -1.0)
+    curve = Spline.of(torch.arange(9.0, dtype=torch.float64), y, None, None)
+    u = torch.linspace(0.0, 1.0, 100_001, dtype=torch.float64)
+    beyond = (u * (1.0 - u) * (1.0 + 5.0 * u) / 12.0).amax()
+    assert_close(curve.maximum(), 1.0 + beyond, rtol=0, atol=1e-9)
 
 
 def test_the_error_of_held_values_is_of_second_order():
