@@ -33,6 +33,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from experiments.benchmark.processes import run_each
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.optimization.optimizer import Iterate
@@ -167,7 +168,8 @@ def start() -> None:
             began = time.perf_counter()
             with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
                 assert process.stdout is not None
-                next(line for line in process.stdout if "iteration" in line)
+                if not any("iteration" in line for line in process.stdout):
+                    raise RuntimeError(f"{' '.join(command)} ended with {process.wait()} before an iteration")
                 print(f"start: first iteration of {file.name} after {time.perf_counter() - began:.1f} s, {store}")
                 process.terminate()
                 process.stdout.read()
@@ -210,7 +212,7 @@ def _quietly(command: list[str], file: Path, environment: dict[str, str]) -> Non
     subprocess.run(command, cwd=file.parent, env=environment, stdout=subprocess.DEVNULL, check=True)
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     what = {
         "overhead": lambda file: overhead(file, False, arguments.pairs),
@@ -227,13 +229,16 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=5, help="of the study in Python and through the layer")
     arguments = parser.parse_args()
     use_one_thread()  # as the command line does
-    for part in arguments.what:
+
+    def run(part: str) -> None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "study.yaml"
             text = STUDY.replace("ITERATIONS", str(arguments.iterations)).replace("COUNT", str(arguments.starts))
             file.write_text(text, encoding="utf-8")
             what[part](file)
 
+    return 1 if run_each(arguments.what, run) else 0
+
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -3,7 +3,8 @@
     paper    every row of the paper next to ours (experiments/paper; parts that are done come from its store)
     others   the output of each command that the page names (experiments/recorded.py), with date, seconds and machine
 
-Without names all pages are written; that takes about an hour. Checked in tests/experiments/test_documentation.py.
+Without names all pages are written; that takes about an hour. A command that fails says why, and the others go on; the exit
+code is then 1. Checked in tests/experiments/test_documentation.py.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from __future__ import annotations
 import argparse
 import datetime
 import platform
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
 from experiments import recorded
+from experiments.benchmark.processes import run_each
 from experiments.benchmark.report import machine
 from experiments.paper.part import Finding, Row
 from experiments.paper.parts import chosen, run
@@ -64,7 +67,7 @@ def _row(row: Row) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     names = [path.stem for path in sorted(FOLDER.glob("*.md"))]
     parser.add_argument("pages", nargs="*", choices=[[], *names], help="default: all")
@@ -76,16 +79,27 @@ def main() -> None:
     known = [x for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
     if arguments.only not in (None, *known):
         parser.error(f"--only is {arguments.only!r}; allowed: one of {known}")
-    for name in arguments.pages or names:
-        path = FOLDER / f"{name}.md"
-        found = [x for x in recorded.commands(path) if arguments.only in (None, x)]
-        for command in found:
-            print(f"{name}: {command}", flush=True)
-            if not arguments.list:
-                recorded.record(path, command)
-        if name == "paper" and not arguments.list and arguments.only is None:
-            path.write_text(page(run(chosen(arguments.parts), studies_folder() / "paper")), encoding="utf-8")
+    found = [(name, x) for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
+    todo = {f"{name}: {x}": (name, x) for name, x in found if arguments.only in (None, x)}
+
+    def record(line: str) -> None:
+        print(line, flush=True)
+        name, command = todo[line]
+        recorded.record(FOLDER / f"{name}.md", command)
+
+    if arguments.list:
+        print("\n".join(todo))
+        return 0
+    failed = run_each(todo, record)
+    if "paper" in (arguments.pages or names) and arguments.only is None:
+        failed += run_each(["paper"], lambda name: _write_paper(arguments.parts))
+    return 1 if failed else 0
+
+
+def _write_paper(parts: Sequence[str]) -> None:
+    text = page(run(chosen(parts), studies_folder() / "paper"))
+    (FOLDER / "paper.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -6,6 +6,8 @@ Parts (default: all):
     motion8         the same with four angles and four thicknesses
     pendulum        another mechanism: two laminated links, six angles
     multistart      a whole optimization from 32 starts
+    study           the main job, warm and from an empty cache, by stages
+    evaluate        evaluations with gradients of 1 to 128 designs beside the sum of their parts
     structure       structure stage with tangents
     variables       cost of one more variable
     batches         fixed cost of a batch, and cost of ply failure
@@ -28,7 +30,7 @@ Parts (default: all):
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
 sizes. What was not measured is null. Processor times of one thread, the fastest of several runs taken in turns; wall times of
-multistart, start and compile.
+multistart, study, start and compile. A part that fails says why, and the others go on; the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -51,17 +53,22 @@ from experiments.benchmark.adjoint import adjoint
 from experiments.benchmark.angles import many_angles
 from experiments.benchmark.batches import batches
 from experiments.benchmark.beams import beams
+from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
 from experiments.benchmark.load_cases import load_cases
 from experiments.benchmark.multistart import multistart
+from experiments.benchmark.processes import run_each
 from experiments.benchmark.report import Result, Settings, machine
 from experiments.benchmark.stiffening import stiffening
+from experiments.benchmark.study import study
 
 PARTS: dict[str, Callable[[Settings], Result]] = {
     "motion": motion.slider_crank_part,
     "motion8": motion.eight_part,
     "pendulum": motion.pendulum_part,
     "multistart": multistart,
+    "study": study,
+    "evaluate": evaluate,
     "structure": costs.structure,
     "variables": costs.variables,
     "batches": batches,
@@ -91,6 +98,10 @@ FIGURES = (
     "values_x32",
     "eager_3x128",
     "multistart",
+    "study_warm_s",
+    "study_cold_s",
+    "evaluate_ms",
+    "evaluate_ratio",
     "structure_ms",
     "structure_reverse_ms",
     "batch_fixed_ms",
@@ -142,17 +153,21 @@ def versions(peer: bool) -> dict[str, str | None]:
 
 def report(
     parts: Sequence[str], settings: Settings, tell: Callable[[Result], None] = lambda result: None
-) -> dict[str, Any]:
-    """Run parts; all figures by name, None where nothing was measured."""
+) -> tuple[dict[str, Any], list[str]]:
+    """Run parts; all figures by name, None where nothing was measured, and the parts that failed."""
     figures: dict[str, Any] = dict.fromkeys(FIGURES)
-    for name in parts:
+
+    def run(name: str) -> None:
         result = PARTS[name](settings)
         tell(result)
-        figures |= result.figures
-    return figures | {"machine": machine(), "versions": versions(settings.peer)}
+        figures.update(result.figures)
+
+    failed = run_each(parts, run)
+    return figures | {"machine": machine(), "versions": versions(settings.peer)}, failed
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", help="parts to run; default: all")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
@@ -174,10 +189,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     # Exudyn greets on standard output, which belongs to the JSON object.
     with contextlib.redirect_stdout(sys.stderr):
-        figures = report(options.parts or list(PARTS), settings, tell)
+        figures, failed = report(options.parts or list(PARTS), settings, tell)
     if options.json:
         print(json.dumps(figures))
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -7,16 +7,14 @@ Structure stage included, one design. The rod of the slider-crank in 24x4 cells,
 from __future__ import annotations
 
 import json
-import resource
-import subprocess
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import torch
 
 import torchmbd as mbd
 from experiments.benchmark.cases import compilation, interleaved
+from experiments.benchmark.processes import fresh, resident_mb
 from experiments.benchmark.report import Grid, Result, Settings
 from experiments.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
 from torchmbd.fem.elements import Plates
@@ -66,7 +64,7 @@ def measured(cells: tuple[int, int], zones: tuple[int, int], steps: int, repeat:
     found = interleaved({"values": values, "gradient": gradient}, repeat)
     found["angles"] = sum(x.numel() for x in system.parameters() if x.requires_grad)
     found["freedoms"] = len(system.body("rod").free)
-    return found | {"gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2}
+    return found | {"gb": resident_mb() / 1024}
 
 
 def many_angles(settings: Settings) -> Result:
@@ -79,7 +77,7 @@ def many_angles(settings: Settings) -> Result:
         with compilation(False):
             found = [measured((6, 2), (6, 2), 20, settings.repeat)]
     else:
-        found = [_fresh("24", "4", "24", "4"), _fresh("82", "20", "50", "20")]
+        found = [fresh("experiments.benchmark.angles", *sizes.split()) for sizes in ("24 4 24 4", "82 20 50 20")]
         few, many = (x["gradient"] / x["values"] for x in found)
         figures = {"many_angles": few, "many_angles_3000": many, "many_angles_gb": found[1]["gb"]}
     rows = [
@@ -88,14 +86,6 @@ def many_angles(settings: Settings) -> Result:
     ]
     columns = ["angles", "freedoms", "simulation ms", "gradient ms", "in simulations", "GB"]
     return Result(figures, [Grid("many angles, one design", columns, rows)])
-
-
-def _fresh(*sizes: str) -> dict[str, float]:
-    """Of a fresh process, whose memory is that of the case alone."""
-    command = [sys.executable, "-W", "ignore", "-m", "experiments.benchmark.angles", *sizes]
-    root = Path(__file__).parents[2]
-    found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
-    return json.loads(found.stdout.splitlines()[-1])
 
 
 def main(sizes: Sequence[int]) -> None:

@@ -115,7 +115,7 @@ def _varying() -> tuple[str, ...]:
 
 def build(settings: Settings) -> Result:
     """build_s and cached_s."""
-    from experiments.benchmark.costs import fresh
+    from experiments.benchmark.costs import fresh_process
 
     figures: dict[str, float | None] = dict.fromkeys(("build_s", "cached_s"))
     if settings.quick or unavailable() is not None:
@@ -123,7 +123,9 @@ def build(settings: Settings) -> Result:
     rows: list[list[Cell]] = []
     for name in ("chain", "loops"):
         with tempfile.TemporaryDirectory() as cache:
-            both = [fresh("ready", name, TORCHMBD_COMPILE="1", TORCHMBD_CACHE=cache)["seconds"] for _ in range(2)]
+            both = [
+                fresh_process("ready", name, TORCHMBD_COMPILE="1", TORCHMBD_CACHE=cache)["seconds"] for _ in range(2)
+            ]
         rows.append([name, *both])
     figures = {"build_s": max(row[1] for row in rows), "cached_s": max(row[2] for row in rows)}  # type: ignore[type-var]
     return Result(figures, [Grid("seconds to native steps", ["mechanism", "nothing cached", "library at hand"], rows)])

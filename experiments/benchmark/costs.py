@@ -7,16 +7,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -33,6 +29,7 @@ from experiments.benchmark.cases import (
     motion_backwards,
     pendulum,
 )
+from experiments.benchmark.processes import fresh, resident_mb
 from experiments.benchmark.report import Cell, Grid, Result, Settings
 from experiments.benchmark_modes import rod
 from torchmbd.integrate.native import library
@@ -43,6 +40,7 @@ from torchmbd.multibody.system import Dynamics
 STEPS, LANES, LONG = 500, 32, 600_000
 TANGENTS = (3, 10)  # numbers of variables between which the cost of one more is taken
 ANGLES = "rod.laminate.angles"
+fresh_process = partial(fresh, "experiments.benchmark.costs")
 
 
 def structure(settings: Settings) -> Result:
@@ -162,14 +160,6 @@ def gradient_error(settings: Settings) -> Result:
     return Result({"gradient_error": None if settings.quick else worst}, [Grid(title, columns, rows)])
 
 
-def fresh(*arguments: str, **environment: str) -> dict[str, Any]:
-    """Run this file in a fresh process; what it printed."""
-    command = [sys.executable, "-m", "experiments.benchmark.costs", *arguments]
-    root = Path(__file__).parents[2]
-    found = subprocess.run(command, cwd=root, env=os.environ | environment, capture_output=True, text=True, check=True)
-    return json.loads(found.stdout.splitlines()[-1])
-
-
 def start(settings: Settings) -> Result:
     """Seconds from the start of a fresh process to its first step with gradients, compiled code at hand."""
     if not compiled_ready(crank3().dynamics(LANES, gradients=True), build=not settings.quick):
@@ -177,7 +167,7 @@ def start(settings: Settings) -> Result:
     seconds = []
     for _ in range(1 if settings.quick else 3):
         begin = time.time()
-        seconds.append(fresh("first-step", TORCHMBD_COMPILE="1")["at"] - begin)
+        seconds.append(fresh_process("first-step", TORCHMBD_COMPILE="1")["at"] - begin)
     rows = [["process to first step", min(seconds), max(seconds)]]
     return Result(
         {"warm_start_s": min(seconds)}, [Grid("start, compiled code at hand", ["what", "least s", "most s"], rows)]
@@ -191,7 +181,7 @@ def memory(settings: Settings) -> Result:
     ready = compiled_ready(crank3().dynamics(few, gradients=True), build=not settings.quick)
     flag = {"TORCHMBD_COMPILE": "1" if ready else "0"}
     # The structure stage of a batch has memory of its own: here every lane is the same design.
-    mb = [fresh("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
+    mb = [fresh_process("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
     figure = (mb[1] - mb[0]) / (many - few)
     rows = [[few, mb[0]], [many, mb[1]]]
     title = f"largest resident set, {steps} steps, 3 variables"
@@ -202,7 +192,7 @@ def long(settings: Settings) -> Result:
     """long_gb: peak memory of a fresh process that differentiates 600,000 steps with every twentieth state kept."""
     if not _compiler() or settings.quick:
         return Result({"long_gb": None})
-    found = fresh("long", str(LONG), TORCHMBD_COMPILE="1")
+    found = fresh_process("long", str(LONG), TORCHMBD_COMPILE="1")
     row = [LONG, found["seconds"], found["mb"]]
     table = Grid("gradient of one long motion, checkpoint=20", ["steps", "CPU s", "MB"], [row])
     return Result({"long_gb": found["mb"] / 1024}, [table])
@@ -213,18 +203,12 @@ def compile_time(settings: Settings) -> Result:
     if settings.quick or not _compiler():
         return Result({"compile_s": None})
     with tempfile.TemporaryDirectory() as empty:
-        seconds = fresh("compile", TORCHMBD_COMPILE="1", TORCHMBD_CACHE=empty)["seconds"]
+        seconds = fresh_process("compile", TORCHMBD_COMPILE="1", TORCHMBD_CACHE=empty)["seconds"]
     return Result({"compile_s": seconds}, [Grid("compilation", ["what", "s"], [["cold", seconds]])])
 
 
 def _compiler() -> bool:
     return unavailable() is None
-
-
-def _resident_mb() -> float:
-    """Largest so far. Not by getrusage: what that tells of a fresh process includes the process that began it."""
-    (peak,) = (line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line)
-    return float(peak) / 1024
 
 
 def main(arguments: list[str]) -> None:
@@ -242,13 +226,13 @@ def main(arguments: list[str]) -> None:
             for k, x in dynamics.data.items()
         }
         motion(replace(dynamics, data=data), slider_crank.DURATION * steps / STEPS, steps)
-        print(json.dumps({"mb": _resident_mb()}))
+        print(json.dumps({"mb": resident_mb()}))
     elif what == "long":
         steps, system = int(arguments[1]), mbd.examples.arm()
         begin = time.process_time()
         swing = mbd.simulate(system, 5e-4 * steps, steps=steps, gradients="reverse", checkpoint=20).require_ok()
         mbd.Integral(mbd.StrainEnergy("arm"))(swing).sum().backward()
-        print(json.dumps({"seconds": time.process_time() - begin, "mb": _resident_mb()}))
+        print(json.dumps({"seconds": time.process_time() - begin, "mb": resident_mb()}))
     elif what == "ready":
         dynamics = (pendulum(50) if arguments[1] == "chain" else loops()).dynamics(1, gradients=False)
         begin = time.perf_counter()

@@ -13,10 +13,13 @@ import torchmbd as mbd
 from experiments import exudyn_peer, slider_crank
 from experiments.benchmark import __main__ as benchmark
 from experiments.benchmark import costs as benchmark_costs
+from experiments.benchmark import evaluate as benchmark_evaluate
 from experiments.benchmark import motion as benchmark_motion
 from experiments.benchmark import multistart as benchmark_multistart
+from experiments.benchmark import processes, stages
+from experiments.benchmark import study as benchmark_study
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
-from experiments.benchmark.report import Settings
+from experiments.benchmark.report import Result, Settings
 
 
 @pytest.fixture(autouse=True)
@@ -166,6 +169,68 @@ def test_json_is_one_object_with_every_figure(capsys):
     assert all(report[name] is None for name in benchmark.FIGURES)  # too small to be the figures they are named after
     assert report["versions"]["torch"] == torch.__version__
     assert "freedoms" in err
+
+
+def test_a_part_whose_process_fails_is_printed_with_its_error_and_the_others_go_on(monkeypatch, capsys):
+    done = []
+
+    def child(settings):
+        raise processes.ChildFailure("the reason of the child")
+
+    def other(settings):
+        done.append("other")
+        return Result({"structure_ms": 2.5})
+
+    monkeypatch.setattr(benchmark, "PARTS", {"child": child, "other": other})
+    assert benchmark.main(["--json", "--quick"]) == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)["structure_ms"] == 2.5
+    assert done == ["other"]
+    assert "the reason of the child" in err
+    assert "failed: child" in err
+
+
+def test_the_error_of_a_process_is_in_the_message(monkeypatch, tmp_path):
+    (tmp_path / "fails.py").write_text("import sys\nprint('some lines')\nsys.exit('the reason of the child')")
+    monkeypatch.setattr(processes, "ROOT", tmp_path)
+    with pytest.raises(processes.ChildFailure, match="ended with 1\nthe reason of the child"):
+        processes.fresh("fails", folder=tmp_path)
+    (tmp_path / "works.py").write_text("print('a word')\nprint('{\"seconds\": 2.5}')")
+    assert processes.fresh("works", folder=tmp_path) == {"seconds": 2.5}
+
+
+def test_stages_are_those_of_the_innermost_function_that_has_one():
+    def at(*places):  # the innermost first
+        frame = None
+        for place in reversed(places):
+            file, _, name = place.partition(":")
+            frame = SimpleNamespace(f_code=SimpleNamespace(co_filename=file, co_name=name), f_back=frame)
+        return stages.stage_of(frame)
+
+    library = "/x/torchmbd"
+    assert at(f"{library}/fem/shift.py:solve", f"{library}/multibody/system/system.py:stages") == "structure"
+    assert at("/x/torch/_ops.py:call", f"{library}/integrate/native/steps.py:run", "scipy/a.py:b") == "steps"
+    assert at(f"{library}/integrate/simulate.py:f", f"{library}/study/report.py:save_pictures") == "pictures"
+    assert at("<frozen importlib._bootstrap>:_load", f"{library}/integrate/registry.py:f") == "imports"
+    assert at("/x/torch/autograd/__init__.py:grad", f"{library}/design/differentiate.py:f") == stages.BACKWARD
+    assert at("/x/rich/console.py:print") == "other"
+
+
+@pytest.mark.thorough
+def test_the_main_job_is_measured_by_stages():
+    [table] = benchmark_study.study(Settings(quick=True)).tables
+    seconds = {name: (cold, warm) for name, cold, warm in table.rows}
+    assert 0.0 < seconds["first line"][1] <= seconds["first iteration"][1] < seconds["table"][1]
+    assert min(*seconds["imports"], *seconds["steps"], *seconds["structure"], *seconds["pictures"]) > 0.0
+    own = sum(seconds[name][1] for name in (*benchmark_study.STAGES, "idle"))
+    assert own == pytest.approx(seconds["last line"][1], rel=0.2)
+
+
+@pytest.mark.thorough
+def test_evaluations_are_measured_beside_the_sum_of_their_parts():
+    [table] = benchmark_evaluate.evaluate(Settings(quick=True)).tables
+    for _, whole, *parts, ratio in table.rows:
+        assert ratio == pytest.approx(whole / sum(parts))
 
 
 def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -70,6 +71,24 @@ def test_outputs_of_commands_become_blocks_of_a_page(tmp_path):
     assert "`python -m experiments.table3 --starts 2`, 20" in text
     assert "```text\na\n\n b\n```\n<!-- end -->\n" in text
     assert "old" not in text
+
+
+def test_a_command_that_fails_does_not_keep_the_others_from_their_pages(monkeypatch, tmp_path, capsys):
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.md").write_text(f"<!-- recorded: {name} -->\nold\n<!-- end -->\n")
+
+    def output(command):
+        if command == "first":
+            raise subprocess.CalledProcessError(3, command)
+        return "new"
+
+    monkeypatch.setattr(validation, "FOLDER", tmp_path)
+    monkeypatch.setattr(recorded, "run", output)
+    monkeypatch.setattr("sys.argv", ["validation"])
+    assert validation.main() == 1
+    assert "old" in (tmp_path / "first.md").read_text()
+    assert "new" in (tmp_path / "second.md").read_text()
+    assert "Command 'first' returned non-zero exit status 3" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "validation").glob("*.md")), ids=lambda page: page.stem)

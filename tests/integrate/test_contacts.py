@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from torchmbd.design.curve import samples_over_time
 from torchmbd.integrate.contacts import STEPS, UnresolvedContact, lowest
 from torchmbd.integrate.lane_status import mark_unresolved_contacts
 
@@ -188,7 +189,12 @@ ACCELERATION, SPEED = mbd.Acceleration("ball", "z"), mbd.Velocity("ball", "z")
 @pytest.mark.thorough
 @pytest.mark.parametrize("steps", [31, 60])
 def test_responses_see_the_smaller_steps(steps):
-    """Peaks, integrals and energies are those of fine outputs: of coarse ones the contact was lost, with the status ok."""
+    """Peaks, integrals and energies are those of fine outputs: of coarse ones the contact was lost, with the status ok.
+
+    An acceleration has a kink where the contact begins or ends, of the slope k v (1 + c v) / m. A cubic between samples, with
+    slopes by differences of fourth order, passes a kink of slope s by less than max u (1 - u) (1 + 5 u) / 12 = 0.081 of h s:
+    1.3 % of the peak at 20 steps in contact, which cycles from least to largest value have on top of the error of the peak.
+    """
     motion = mbd.simulate(impact(), 0.25, steps=steps, gradients="none").require_ok()
     fine = mbd.simulate(impact(), 0.25, steps=6000, gradients="none").require_ok()
     assert motion.stats["halved"] == [0]
@@ -198,8 +204,12 @@ def test_responses_see_the_smaller_steps(steps):
     change = mbd.Final(SPEED)(motion)
     assert_close(mbd.Integral(ACCELERATION)(motion), change, rtol=0, atol=5e-3 * float(mbd.Max(SPEED)(fine)))
     assert float(motion.energies.balance.abs().max()) < 5e-3 * MASS * G * 0.1
+    t, speed = samples_over_time(SPEED, motion, 0)
+    touch = float(speed.abs().max())
+    beyond = 0.081 * float(t[1] - t[0]) * 2e4 * touch * (1.0 + 0.1 * touch) / MASS
+    assert -G - beyond < float(mbd.Min(ACCELERATION)(motion)) <= -G
     load = mbd.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
-    assert_close(load(motion), load(fine), rtol=5e-3, atol=0.0)
+    assert_close(load(motion), load(fine), rtol=5e-3, atol=beyond)
 
 
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from fractions import Fraction
 from typing import Any
@@ -13,6 +14,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
+from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
 from torchmbd.integrate.jumps import steps_at, substeps_at
 from torchmbd.math.jumps import jump_times
@@ -83,6 +85,26 @@ def test_held_values_have_their_closed_form(values, steps, options):
     found, expected = turned(motion)[0], exact(tensor(*values))
     assert abs(float(found[0] - expected[0])) <= most * (4.0 if "spectral_radius" in options else 1.0) + 1e-6
     assert abs(float(found[1] - expected[1])) <= (3e-4 if "spectral_radius" in options else 3e-5)
+
+
+@pytest.mark.parametrize("steps", [24, 20])
+def test_samples_at_a_jump_are_the_mean_of_both_sides(steps):
+    """As the law that the steps take: the integral of accelerations is the change of the rate, which one side would miss."""
+    motion = mbd.simulate(held(1.0, -3.0, 2.0), 2.0, steps=steps, gradients="none").require_ok()
+    acceleration = motion.body("rotor").omega_rate[0, :, 2]
+    at = motion.t * 3.0 / 2.0
+    before, after = (tensor(1.0, -3.0, 2.0)[(at + x).floor().long().clamp(0, 2)] for x in (-1e-9, 1e-9))
+    assert int((before != after).sum()) == (2 if steps == 24 else 0)
+    assert_close(acceleration, 0.5 * (before + after) / INERTIA, rtol=0, atol=1e-12)
+
+
+def test_peaks_beside_a_jump_are_beyond_it_as_limits_tell():
+    """The cubic through samples 1, 1, 0, -1, -1: max u (1 - u) (1 + 5 u) / 12 = 0.0805 of the half jump, as limits.md tells."""
+    y = tensor(1.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0, -1.0, -1.0)
+    curve = Spline.of(torch.arange(9.0, dtype=torch.float64), y, None, None)
+    u = torch.linspace(0.0, 1.0, 100_001, dtype=torch.float64)
+    beyond = (u * (1.0 - u) * (1.0 + 5.0 * u) / 12.0).amax()
+    assert_close(curve.maximum(), 1.0 + beyond, rtol=0, atol=1e-9)
 
 
 def test_the_error_of_held_values_is_of_second_order():
@@ -249,13 +271,71 @@ class Switch(nn.Module):
         return torch.where(x[:, 1:] < 1.25, 1.0, -1.0) * (1.0 + x[:, :1])
 
 
-def test_a_module_that_jumps_is_found():
+def controlled(module: nn.Module) -> mbd.System:
     body, hinge = rotor()
-    control = mbd.Controller(Switch(), [S.JointAngle(hinge), S.Time()], [S.JointTorque(hinge)], name="pd")
-    (text,) = texts(
-        lambda: mbd.simulate(mbd.System([body], [hinge], [control]), 2.0, steps=8, gradients="none", backend="eager")
-    )
+    control = mbd.Controller(module, [S.JointAngle(hinge), S.Time()], [S.JointTorque(hinge)], name="pd")
+    return mbd.System([body], [hinge], [control])
+
+
+def test_a_module_that_jumps_is_found():
+    (text,) = texts(lambda: mbd.simulate(controlled(Switch()), 2.0, steps=8, gradients="none", backend="eager"))
     assert "the module of the controller 'pd' jumps at t = 1.25 s" in text
+
+
+def _line(law) -> str:
+    return rf"in {re.escape(__file__)}:{law.__code__.co_firstlineno + 2}"
+
+
+def wrong_later(t: Tensor) -> Tensor:
+    if float(t) > 1.5:
+        return t + undefined  # pyright: ignore[reportUndefinedVariable]
+    return torch.sin(t)
+
+
+def wrong_away(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+    if float(s) > 0.3:
+        return torch.cat([s, rate[0]])  # torch refuses
+    return -s
+
+
+class WrongLater(nn.Module):
+    """A controller with a branch that the check at the door does not reach."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        if float(x[0, 1]) > 1.5:
+            return x.no_such_method()  # pyright: ignore[reportAttributeAccessIssue]
+        return x[:, :1]
+
+
+@pytest.mark.parametrize(
+    ("system", "words"),
+    [
+        (lambda: loaded(wrong_later), f"law of 'push' raises NameError.* {_line(wrong_later)}"),
+        (lambda: sprung(wrong_away), f"law of 'push' .*dimensions.* {_line(wrong_away)}"),
+        (
+            lambda: driven(wrong_later),
+            f"law of the drive 'motor' raises NameError.* {_line(wrong_later)}",
+        ),
+        (lambda: controlled(WrongLater()), f"'pd' raises AttributeError.* {_line(WrongLater.forward)}"),
+    ],
+)
+def test_a_law_that_raises_is_named_with_its_line(system, words):
+    with pytest.raises(InputError, match=words):
+        mbd.simulate(system(), 2.0, steps=8, gradients="none", backend="eager")
+
+
+@pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, AssertionError])
+def test_a_law_may_end_where_the_motion_does_not_go(error):
+    """As a table does that raises beyond its last point: the motion stays within 0.1 rad."""
+
+    def table(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        if float(s.detach().abs().max()) > 0.1:
+            raise error("beyond the table")
+        return -4.0 * s + 0.02
+
+    motion = mbd.simulate(sprung(table), 2.0, steps=80, gradients="none", backend="eager").require_ok()
+    frequency = (4.0 / INERTIA) ** 0.5
+    assert_close(turned(motion)[0, 0], 5e-3 * (1.0 - torch.cos(tensor(2.0 * frequency)[0])), rtol=2e-3, atol=1e-5)
 
 
 def driven(law, **options) -> mbd.System:

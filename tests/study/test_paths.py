@@ -17,6 +17,7 @@ from torchmbd.study import paths as paths_module
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import evaluations_file, problem_key, studies_folder, study_key
 from torchmbd.study.run import run_study
+from torchmbd.tracking.uri import StoreURI
 
 
 def keys(file, *overrides):
@@ -143,7 +144,7 @@ def replace(file: Path, old: str, new: str) -> None:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble, uri = None, ""
+    trouble, uri = None, StoreURI("http://127.0.0.1")
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None

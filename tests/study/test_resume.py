@@ -29,6 +29,7 @@ from torchmbd.study.run import run_study
 from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri
+from torchmbd.tracking.uri import StoreURI
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def run(file: Path, tracker=None) -> str:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble, uri = None, ""
+    trouble, uri = None, StoreURI("http://127.0.0.1")
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None
