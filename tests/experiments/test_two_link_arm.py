@@ -54,7 +54,7 @@ def test_where_the_iteration_fails_it_is_taken_again_carefully(system):
     """With steps that are so long that it fails: they do not resolve the vibrations, but their equations are solved."""
 
     def coarse(**given) -> mbd.Trajectory:
-        motion = mbd.simulate(system, 0.6, phases=phases(), **(SETTINGS | {"steps": 30} | given))
+        motion = mbd.simulate(system, 0.6, phases=phases(), **dict(SETTINGS, steps=30, **given))
         assert motion.status[0].startswith("unresolved: the steps do not resolve the vibrations")
         return motion
 
