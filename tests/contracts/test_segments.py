@@ -73,3 +73,22 @@ def test_the_duration_has_its_gradient_with_one_phase():
         motion = mbd.simulate(pendulum(damping=1e-4), T, steps=10, phases=phases)
         slopes += torch.autograd.grad(motion.q[:, -1].sum(), [T])
     assert torch.equal(*slopes)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("gradients", ["forward", "reverse"])
+def test_switches_that_change_nothing_at_points_of_the_grid_change_nothing(gradients):
+    """Segments have the unknowns of the plain motion: the driven crank is none in either."""
+    from experiments.slider_crank import build
+
+    system, found = build(6), []
+    name = next(name for name, _ in system.named_parameters() if name.endswith("angles"))
+    for phases in (None, [mbd.Phase(until=0.01), mbd.Phase(lasting=0.01), mbd.Phase()]):
+        x = dict(system.named_parameters())[name].detach()[None].clone().requires_grad_(gradients == "reverse")
+        wanted = {"variables": [name]} if gradients == "forward" else {}
+        motion = mbd.simulate(system, 0.04, steps=40, designs={name: x}, phases=phases, gradients=gradients, **wanted)
+        energy = mbd.Integral(mbd.StrainEnergy("rod"))(motion).sum()
+        slope = motion.dq_db if gradients == "forward" else torch.autograd.grad(energy, [x])[0]
+        found.append((motion.q, motion.v, motion.lam, slope))
+    for plain, phased, bound in zip(*found, (1e-9, 1e-8, 1e-5, 1e-5), strict=True):
+        torch.testing.assert_close(phased, plain, rtol=0.0, atol=bound * float(plain.abs().max()))

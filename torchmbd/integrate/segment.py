@@ -19,6 +19,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from torch import Tensor
+
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate.phase import Phase
 from torchmbd.multibody.forces.action import Action, Law
@@ -58,6 +60,11 @@ class Segment:
     initial: InitialConditions
     condensation: Condensation | None
 
+    @property
+    def time_name(self) -> str:
+        """The name among the data of the time at which it ends, or that it lasts, where the motion has gradients by it."""
+        return f"end of phase {self.name}"
+
     @classmethod
     def of(cls, dynamics: Dynamics, phase: Phase, number: int) -> Segment:
         """A segment in which all joints act and none is locked."""
@@ -76,7 +83,8 @@ def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
     if not isinstance(phases, (list, tuple)) or len(phases) != 1 or not isinstance(phases[0], Phase):
         return phases
     [phase] = phases
-    changes = phase.lock or phase.release or phase.laws or phase.until or phase.lasting or phase.impact
+    changes = phase.lock or phase.release or phase.laws or phase.impact
+    changes = changes or phase.until is not None or phase.lasting is not None
     return phases if changes else None
 
 
@@ -95,6 +103,11 @@ def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tup
     system.segments_of_phases.append((tuple(phases), found))
     del system.segments_of_phases[:-MOST_LISTS]
     return found
+
+
+def times_of(segments: Sequence[Segment]) -> dict[str, Tensor]:
+    """Times of phases that are being differentiated, as data [1, 1]."""
+    return {part.time_name: part.phase.time[None, None] for part in segments if part.phase.time is not None}
 
 
 def _segments(system: System, phases: Sequence[Phase], names: Sequence[str]) -> tuple[System, list[Segment]]:
@@ -190,7 +203,7 @@ def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float)
             f"phase {names[-1]!r} is the last and has an end of its own; allowed: the last phase lasts until the "
             f"duration of the simulation (add mbd.Phase() after it)"
         )
-    times = [0.0, *(p.until for p in phases if isinstance(p.until, (int, float))), duration]
+    times = [0.0, *(p.end_time for p in phases if p.end_time is not None), duration]
     if any(a >= b for a, b in itertools.pairwise(times)):
         raise InputError(
             f"until of the phases is {times[1:-1]} s; allowed: increasing times before duration={duration:g} s"

@@ -151,7 +151,7 @@ class PhaseAdjoint:
             begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
             size = leaf(there.t - begin)
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
-            end = begin + size if event is not None else self.multiphase.end_times(phase_model, t)
+            end = begin + size if event is not None else self.multiphase.end_times(phase_model, t, leaves.dynamics.data)
             of_size = size if event is not None else end - begin
             y = record.whole(self.integrator.step_of_size(dynamics, base, of_size, end, record.retained(there.x)), end)
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)

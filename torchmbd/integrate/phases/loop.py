@@ -64,7 +64,7 @@ class _PhaseLoop:
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(integrator.shortest_step, _SAME)
         self.dynamics, x = multiphase.enter(number, entry)
-        self.ends = multiphase.end_times(self.phase_model, entry.t)
+        self.ends = multiphase.end_times(self.phase_model, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])

@@ -124,7 +124,8 @@ class MultiphaseRun:
         self.begin_depends = [False]
         for phase_model in self.phase_models[:-1]:
             until = phase_model.phase.until
-            self.begin_depends.append(isinstance(until, Event) or (until is None and self.begin_depends[-1]))
+            depends = isinstance(until, Event) or phase_model.time_name in self.whole.data
+            self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
         def not_recorded(rows: int) -> Tensor:
@@ -296,20 +297,21 @@ class MultiphaseRun:
         good = torch.tensor([status == OK for status in self.status])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end_times(self, phase_model: Segment, t: Any) -> Any:
+    def end_times(self, phase_model: Segment, t: Any, data: equations.Data) -> Any:
         """Times [1 + n_b, lanes] at which a phase that begins at t ends; None where an event or the simulation ends it."""
-        phase = phase_model.phase
-        if phase.lasting is not None:
-            return t + torch.full_like(value(t), float(phase.lasting))
-        if not isinstance(phase.until, (int, float)):
+        length, until = phase_model.phase.length, phase_model.phase.end_time
+        number = length if until is None else until
+        if number is None:
             return None
-        until = float(phase.until)
+        time = data.get(phase_model.time_name, torch.full_like(value(t), number))
+        if until is None:
+            return t + time
         for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
             begins = float(value(t)[0, lane])
             self.fail(
                 lane, f"phase {phase_model.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s"
             )
-        return t * 0.0 + torch.full_like(value(t), until)
+        return t * 0.0 + time
 
     def fail(self, lane: int, reason: str) -> None:
         """Note the first reason why a lane failed."""
