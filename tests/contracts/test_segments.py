@@ -75,20 +75,18 @@ def test_the_duration_has_its_gradient_with_one_phase():
     assert torch.equal(*slopes)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("gradients", ["forward", "reverse"])
-def test_switches_that_change_nothing_at_points_of_the_grid_change_nothing(gradients):
-    """Segments have the unknowns of the plain motion: the driven crank is none in either."""
+@pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.0093), mbd.Phase(lasting=0.0111), mbd.Phase()]])
+def test_a_body_that_a_drive_moves_has_its_exact_motion_in_every_segment(phases):
+    """It is none of the unknowns: steps of any size leave no error, on both sides of switches, which begin anew."""
     from experiments.slider_crank import build
 
-    system, found = build(6), []
-    name = next(name for name, _ in system.named_parameters() if name.endswith("angles"))
-    for phases in (None, [mbd.Phase(until=0.01), mbd.Phase(lasting=0.01), mbd.Phase()]):
-        x = dict(system.named_parameters())[name].detach()[None].clone().requires_grad_(gradients == "reverse")
-        wanted = {"variables": [name]} if gradients == "forward" else {}
-        motion = mbd.simulate(system, 0.04, steps=40, designs={name: x}, phases=phases, gradients=gradients, **wanted)
-        energy = mbd.Integral(mbd.StrainEnergy("rod"))(motion).sum()
-        slope = motion.dq_db if gradients == "forward" else torch.autograd.grad(energy, [x])[0]
-        found.append((motion.q, motion.v, motion.lam, slope))
-    for plain, phased, bound in zip(*found, (1e-9, 1e-8, 1e-5, 1e-5), strict=True):
-        torch.testing.assert_close(phased, plain, rtol=0.0, atol=bound * float(plain.abs().max()))
+    system = build(6)
+    motion = mbd.simulate(system, 0.04, steps=40, phases=phases, gradients="none")
+    drive = next(joint for joint in system.joints if isinstance(joint, mbd.Drive))
+    plain = mbd.simulate(system, 0.04, steps=40, gradients="none")
+    names = system.topology.names
+    bodies, k = len(names), names.index(drive.b.body.name)
+    for name, components in (("q", 7), ("v", 6), ("a", 6)):
+        rows = [component * bodies + k for component in range(components)]
+        x, y = (getattr(m, name)[..., rows] for m in (motion, plain))
+        torch.testing.assert_close(x, y, rtol=0.0, atol=1e-13 * float(y.abs().max()))

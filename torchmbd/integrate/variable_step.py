@@ -70,7 +70,8 @@ def _solved(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, T
 
 def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """As of `_solved` from one estimate, and which lanes converged."""
-    K = H = None
+    K: Any = None
+    H: Any = None
     w, size = step.model.plain, torch.full((estimate.shape[-1],), torch.inf, dtype=torch.float64)
     # A system at rest has no other accelerations than what these make of the rounding of coordinates.
     rounding = _EPSILON * value(step.x.q).abs().amax((0, 1)) * w.inverse_scale[0]
@@ -87,7 +88,6 @@ def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Ten
         return change
 
     z, found = _iterated(correction, estimate, step.model.T.n_v, rounding)
-    assert K is not None
     return z, K, found
 
 
