@@ -1,6 +1,8 @@
-"""Gradients by the times at which phases end, `until` and `lasting`, through three phases with a lock between them."""
+"""Gradients by the times at which phases end, `until` and `lasting`, and by the duration, through three phases."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import pytest
 import torch
@@ -18,9 +20,9 @@ def phases(times: torch.Tensor) -> list[mbd.Phase]:
     return [mbd.Phase(until=times[0]), mbd.Phase(lasting=times[1], lock=[LOCKED]), mbd.Phase()]
 
 
-def numbers(system: mbd.System, times: torch.Tensor, **options) -> torch.Tensor:
+def numbers(system: mbd.System, times: torch.Tensor, duration: Any = 0.075, **options) -> torch.Tensor:
     """Numbers of the motion, its switches and its reactions, with weights that tell them apart."""
-    motion = mbd.simulate(system, 0.075, steps=30, phases=phases(times), **{**CAREFUL, **options})
+    motion = mbd.simulate(system, duration, steps=30, phases=phases(times), **{**CAREFUL, **options})
     first, second = motion.switches
     parts = [
         motion.q,
@@ -100,3 +102,51 @@ def test_modes_that_do_not_reach_a_time_refuse_it_by_name(system, options):
 def test_a_time_is_one_positive_float64_number(until):
     with pytest.raises(InputError, match="until of a phase is"):
         mbd.Phase(until=until)
+
+
+@pytest.fixture(scope="module", params=["free", "driven"])
+def mechanism(request) -> mbd.System:
+    """Where it is driven, a body of known motion and a force of time move with the grid."""
+    return pendulum(damping=1e-4) if request.param == "free" else crank()
+
+
+def crank() -> mbd.System:
+    free = pendulum(damping=1e-4)
+    arm, rod = free.body("arm"), free.body("rod")
+    hinge = free.joints[0]
+    motor = mbd.Drive(hinge.a, arm, axis="x", angle=lambda t: 0.2 * torch.sin(30.0 * t), name="motor")
+    pull = mbd.Force(rod.at("right"), lambda t: torch.stack([0.2 * t, 0.5 * torch.sin(40.0 * t), 0.3 + 0.0 * t]))
+    return mbd.System([arm, rod], [*free.joints, motor], [pull], gravity=(0.0, 0.0, -9.81))
+
+
+def through(system: mbd.System, duration: Any) -> torch.Tensor:
+    parts = [mbd.Phase(until=0.0213), mbd.Phase(lasting=0.0171, lock=["universal_arm_rod"]), mbd.Phase()]
+    motion = mbd.simulate(system, duration, steps=30, phases=parts, **CAREFUL)
+    last = motion.switches[1]
+    numbers = [
+        motion.q,
+        1e-2 * motion.v,
+        1e-4 * motion.a,
+        1e-3 * motion.lam,
+        last.t,
+        last.before.q,
+        1e-3 * last.before.lam,
+    ]
+    weights = torch.cos(torch.arange(sum(x.numel() for x in numbers), dtype=torch.float64))
+    return torch.cat([x.flatten() for x in numbers]) @ weights
+
+
+@pytest.mark.thorough
+def test_the_gradient_by_the_duration_is_that_of_differences(mechanism):
+    T = tensor(0.0752).squeeze()
+    leaf = T.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(through(mechanism, leaf), [leaf])
+
+    def difference(h: float) -> torch.Tensor:
+        return (through(mechanism, float(T) + h) - through(mechanism, float(T) - h)) / (2.0 * h)
+
+    with torch.no_grad():
+        differences = (4.0 * difference(2e-5) - difference(4e-5)) / 3.0
+    torch.testing.assert_close(slope, differences, rtol=1e-6, atol=0.0)
+    _, tangent = torch.func.jvp(lambda t: through(mechanism, t), (T,), (torch.ones_like(T),))
+    torch.testing.assert_close(tangent, slope, rtol=1e-9, atol=0.0)

@@ -67,16 +67,15 @@ def seconds_of(duration: Any) -> Any:
     return untransformed(duration).item() if isinstance(duration, Tensor) else duration
 
 
-def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
+def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator) -> bool:
     """Whether the motion is differentiated by its duration; InputError where this derivative does not exist."""
     if not isinstance(duration, Tensor) or not is_differentiated(duration):
         return False
     obstacle = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
-    obstacle = "phases are given" if phases else obstacle
-    if phases or not integrator.adjoint or gradients in ("forward", "none"):
+    if not integrator.adjoint or gradients in ("forward", "none"):
         methods = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
         raise InputError(
-            f"duration is being differentiated, but {obstacle}; allowed: method {methods} without phases with "
+            f"duration is being differentiated, but {obstacle}; allowed: method {methods} with "
             "gradients='auto' or 'reverse', which have both modes, or duration.detach()"
         )
     if duration.dtype != torch.float64:

@@ -35,6 +35,7 @@ from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
 from torchmbd.multibody.system.topology import Topology
 
+DURATION = "duration of the motion"  # among the data [1, 1], where the motion has a gradient by it
 MOST_LISTS = 8  # lists of phases whose segments a system keeps
 
 

@@ -41,7 +41,7 @@ from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.integrate.segment import segments_of, switching, times_of
+from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
@@ -135,7 +135,7 @@ def simulate(
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
         warn_static_truncation(system)
-        by_duration = duration_is_differentiated(duration, gradients, integrator, phases is not None)
+        by_duration = duration_is_differentiated(duration, gradients, integrator)
         if phases is not None:
             check_phase_times(phases, gradients, integrator)
             outside_transforms(lambda: segments_of(system, phases, seconds))
@@ -161,7 +161,8 @@ def simulate(
             )
             motion = _forward(integration, batch)
         elif phases is not None:
-            motion = _reverse_phases(system, batch, names, seconds, steps, integrator, backend, phases)
+            length = duration if by_duration else seconds
+            motion = _reverse_phases(system, batch, names, length, steps, integrator, backend, phases)
         else:
             motion = _reverse(system, batch, names, duration if by_duration else seconds, steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
@@ -271,18 +272,21 @@ def _reverse_phases(
     system: System,
     batch: dict[str, Tensor],
     names: list[str],
-    duration: float,
+    duration: float | Tensor,
     steps: int | None,
     integrator: OneStep,
     backend: str,
     phases: Sequence[Phase],
 ) -> Trajectory:
     """As `_reverse`, through phases."""
-    whole, phase_models = outside_transforms(lambda: segments_of(system, phases, duration))
+    seconds = seconds_of(duration)
+    whole, phase_models = outside_transforms(lambda: segments_of(system, phases, seconds))
     dynamics = whole.reduced(batch)
     data, model = dynamics.data | times_of(phase_models), replace(dynamics, data={})
+    if isinstance(duration, Tensor):
+        data[DURATION] = duration[None, None]
     integration = ReversePhaseIntegration(
-        whole, phase_models, model, tuple(data), tuple(batch), duration, steps, integrator, backend
+        whole, phase_models, model, tuple(data), tuple(batch), seconds, steps, integrator, backend
     )
     outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
     end = 5 + len(integration.output_data)
@@ -290,7 +294,7 @@ def _reverse_phases(
     motion = trajectory_of(whole, integration, outputs[:5], data, batch, entry_labels(system, names), names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
-    return motion
+    return _at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
 
 def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:

@@ -27,7 +27,8 @@ import torch
 from scipy.optimize.elementwise import find_root
 from torch import Tensor
 
-from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.integrator import Integrator, Stepper
+from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
@@ -82,7 +83,12 @@ class _PhaseLoop:
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
         """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
-        stepper, i, steps = self.integrator.stepper(self.condensed, self.h), int(self.first.min()), None
+        i, steps = int(self.first.min()), None
+        stepper: Stepper = (
+            MovingSteps(self.integrator, self.condensed, self._time)
+            if self.multiphase.duration_moves
+            else self.integrator.stepper(self.condensed, self.h)
+        )
         self._record_shortly_after()
         self._arrive()
         inside, indices = torch.zeros_like(self.alive), []
@@ -183,9 +189,14 @@ class _PhaseLoop:
         """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes]."""
         c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
         q, v, vd, lam = states.states
-        if c is not None:
+        if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
+            points = [State(*(Pair(x[k]) for x in (q, v, vd, vd, lam))) for k in range(len(times))]
+            points = [self.record.whole(x, self._time(first + k)) for k, x in enumerate(points)]
+            q, v, vd = History.of(points).states[:3]
+        elif c is not None:
             expansion = Expansion.of(c, self.dynamics.data, times)
             q, v, vd = (expansion.rows(order, x) for order, x in enumerate((q, v, vd)))
+        if c is not None:
             rows = [rows[k] for k in c.rows.tolist()]
         self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
 
@@ -210,7 +221,7 @@ class _PhaseLoop:
         if not lanes:
             return
         entry = PhaseExit(pick_lanes(self.entry.t, lanes), self.record.retained(pick_states(self.entry.x, lanes)))
-        end = entry.t * 0.0 + self.times[self.first[lanes]][None]
+        end = self.multiphase.grid_times(self.first[lanes], entry.t)
         x = self.integrator.step_of_size(lanes_of(self.condensed, lanes), entry.x, end - entry.t, end)
         self.record.arrival = put_states(self.record.arrival, lanes, x)
         self._fail(~_finite(x), lanes, "first", entry, value(end)[0])
@@ -327,8 +338,8 @@ class _PhaseLoop:
             record.exit = PhaseExit(put_lanes(record.exit.t, own, there.t), put_states(record.exit.x, own, there.x))
 
     def _time(self, i: int) -> Any:
-        """A time of the grid, which no design moves."""
-        return self.entry.t * 0.0 + float(self.times[i])
+        """A time of the grid, of all lanes."""
+        return self.multiphase.grid_times(torch.tensor(i), self.entry.t)
 
     def _located(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[PhaseExit, Tensor]:
         """Where the event's function of some lanes vanishes within `most` after their bases, and which lanes found it."""

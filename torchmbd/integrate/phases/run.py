@@ -26,7 +26,7 @@ from torchmbd.integrate.phases.switch import (
     jump,
     velocities_after_impact,
 )
-from torchmbd.integrate.segment import Segment
+from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system import equations, reactions
 from torchmbd.multibody.system.condensation import Condensation
@@ -124,7 +124,8 @@ class MultiphaseRun:
         self.begin_depends = [False]
         for phase_model in self.phase_models[:-1]:
             until = phase_model.phase.until
-            depends = isinstance(until, Event) or phase_model.time_name in self.whole.data
+            moves = DURATION in self.whole.data or phase_model.time_name in self.whole.data
+            depends = isinstance(until, Event) or moves
             self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
@@ -134,6 +135,18 @@ class MultiphaseRun:
         self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
         self.views = self.views.continuing(self.times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
+
+    @property
+    def duration_moves(self) -> bool:
+        """Whether tangents are those by the duration as well: points of the grid move with it."""
+        return isinstance(self.whole.data.get(DURATION), Pair)
+
+    def grid_times(self, points: Tensor, like: Any) -> Any:
+        """Times [1 + n, lanes] of points of the grid [lanes] or [], as numbers like others."""
+        t = like * 0.0 + self.times[points].expand_as(value(like))
+        if not self.duration_moves:
+            return t
+        return Pair.of(value(t), self.whole.data[DURATION].tangent * (points / self.steps).expand_as(value(like)))
 
     @property
     def history(self) -> History:
@@ -146,6 +159,7 @@ class MultiphaseRun:
         data   instead of those of the whole
         """
         lam, data = history.lam, data or self.whole.data
+        at = self.times if history.times is None else history.times
         for record, least in zip(self.records, self.least_norm, strict=True):
             in_phase = self.phase_number == record.number
             times = in_phase.any(1)
@@ -154,10 +168,10 @@ class MultiphaseRun:
             q, v, a, found = history.q[times], history.v[times], history.vd[times], lam[times]
             if (c := record.condensation) is not None:
                 rows = torch.tensor(self.phase_models[record.number].rows, dtype=torch.long)
-                of_phase = reactions.multipliers(c, data, self.times[times], q, v, a, found[:, rows[c.rows]])
+                of_phase = reactions.multipliers(c, data, at[times], q, v, a, found[:, rows[c.rows]])
                 found = torch.zeros_like(found).index_copy(1, rows, of_phase)
             if least is not None:
-                found = least.at_times(data, self.times[times], q, found)
+                found = least.at_times(data, at[times], q, found)
             lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], found, lam[times]))
         return lam
 
