@@ -9,6 +9,7 @@ import difflib
 import functools
 import inspect
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterable
 from types import ModuleType
@@ -99,6 +100,14 @@ def warn(text: str, category: type[Warning] = UserWarning) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
         frame, level = frame.f_back, level + 1
     warnings.warn(text, category, stacklevel=level)
+
+
+def user_line(error: BaseException) -> str:
+    """Return "file:line" where a function of a user raised an error, or called what did."""
+    frames = list(traceback.walk_tb(error.__traceback__))
+    outside = [x for x in frames if x[0].f_globals.get("__name__", "").partition(".")[0] not in _INSIDE]
+    frame, line = (outside or frames)[-1]
+    return f"{frame.f_code.co_filename}:{line}"
 
 
 @functools.cache

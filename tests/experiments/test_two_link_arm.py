@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -21,7 +22,8 @@ from torchmbd.tracking.store import open_store
 pytestmark = pytest.mark.usefixtures("compiled")
 
 VARIABLES = ["motor.size", "motor.duration"]
-COARSE = {"steps": 30, "spectral_radius": 0.7, "refresh": 0, "iterations": (5, 4)}
+# Fewer steps do not resolve what the latch excites: of 30 the integral of U is 17 % off, its peak 93 %.
+SETTINGS: dict[str, Any] = {"steps": 120, "spectral_radius": 0.7, "refresh": 0, "iterations": (5, 4)}
 FILE = Path(__file__).parents[2] / "configs" / "two_link_arm" / "swing.yaml"
 
 
@@ -31,7 +33,7 @@ def system() -> mbd.System:
 
 
 def run(system: mbd.System, **given) -> mbd.Trajectory:
-    return mbd.simulate(system, 0.6, phases=phases(), **(COARSE | given)).require_ok()
+    return mbd.simulate(system, 0.6, phases=phases(), **(SETTINGS | given)).require_ok()
 
 
 @pytest.mark.thorough
@@ -49,9 +51,16 @@ def test_it_swings_and_latches(system):
 
 @pytest.mark.thorough
 def test_where_the_iteration_fails_it_is_taken_again_carefully(system):
-    cured = run(system, refresh=1, iterations=(3, 1))
+    """With steps that are so long that it fails: they do not resolve the vibrations, but their equations are solved."""
+
+    def coarse(**given) -> mbd.Trajectory:
+        motion = mbd.simulate(system, 0.6, phases=phases(), **dict(SETTINGS, steps=30, **given))
+        assert motion.status[0].startswith("unresolved: the steps do not resolve the vibrations")
+        return motion
+
+    cured = coarse(refresh=1, iterations=(3, 1))
     assert cured.stats["renewed"] == [0]
-    assert torch.allclose(cured.q, run(system, iterations=(6, 1)).q, rtol=0, atol=1e-12)
+    assert torch.allclose(cured.q, coarse(iterations=(6, 1)).q, rtol=0, atol=1e-12)
 
 
 @pytest.mark.thorough
@@ -70,7 +79,7 @@ def test_gradients_by_the_drive(system):
 @pytest.mark.thorough
 def test_its_file_runs_for_two_iterations(tmp_path, empty_store):
     """Design variables of the drive beside ply angles; phases by name."""
-    small = ["options.cells=[4, 2]", "options.modes=2", "simulate.duration=0.5", "simulate.steps=25", "starts.count=1"]
+    small = ["options.cells=[4, 2]", "options.modes=2", "simulate.duration=0.5", "simulate.steps=100", "starts.count=1"]
     plan = load_study(FILE, [*small, "simulate.iterations=[6, 2]", "optimizer.max_iterations=2"])
     shutil.copy(empty_store, tmp_path / "runs.db")
     tracker = MlflowTracker("swing", f"sqlite:///{tmp_path / 'runs.db'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from fractions import Fraction
 from typing import Any
@@ -270,13 +271,71 @@ class Switch(nn.Module):
         return torch.where(x[:, 1:] < 1.25, 1.0, -1.0) * (1.0 + x[:, :1])
 
 
-def test_a_module_that_jumps_is_found():
+def controlled(module: nn.Module) -> mbd.System:
     body, hinge = rotor()
-    control = mbd.Controller(Switch(), [S.JointAngle(hinge), S.Time()], [S.JointTorque(hinge)], name="pd")
-    (text,) = texts(
-        lambda: mbd.simulate(mbd.System([body], [hinge], [control]), 2.0, steps=8, gradients="none", backend="eager")
-    )
+    control = mbd.Controller(module, [S.JointAngle(hinge), S.Time()], [S.JointTorque(hinge)], name="pd")
+    return mbd.System([body], [hinge], [control])
+
+
+def test_a_module_that_jumps_is_found():
+    (text,) = texts(lambda: mbd.simulate(controlled(Switch()), 2.0, steps=8, gradients="none", backend="eager"))
     assert "the module of the controller 'pd' jumps at t = 1.25 s" in text
+
+
+def _line(law) -> str:
+    return rf"in {re.escape(__file__)}:{law.__code__.co_firstlineno + 2}"
+
+
+def wrong_later(t: Tensor) -> Tensor:
+    if float(t) > 1.5:
+        return t + undefined  # pyright: ignore[reportUndefinedVariable]
+    return torch.sin(t)
+
+
+def wrong_away(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+    if float(s) > 0.3:
+        return torch.cat([s, rate[0]])  # torch refuses
+    return -s
+
+
+class WrongLater(nn.Module):
+    """A controller with a branch that the check at the door does not reach."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        if float(x[0, 1]) > 1.5:
+            return x.no_such_method()  # pyright: ignore[reportAttributeAccessIssue]
+        return x[:, :1]
+
+
+@pytest.mark.parametrize(
+    ("system", "words"),
+    [
+        (lambda: loaded(wrong_later), f"law of 'push' raises NameError.* {_line(wrong_later)}"),
+        (lambda: sprung(wrong_away), f"law of 'push' .*dimensions.* {_line(wrong_away)}"),
+        (
+            lambda: driven(wrong_later),
+            f"law of the drive 'motor' raises NameError.* {_line(wrong_later)}",
+        ),
+        (lambda: controlled(WrongLater()), f"'pd' raises AttributeError.* {_line(WrongLater.forward)}"),
+    ],
+)
+def test_a_law_that_raises_is_named_with_its_line(system, words):
+    with pytest.raises(InputError, match=words):
+        mbd.simulate(system(), 2.0, steps=8, gradients="none", backend="eager")
+
+
+@pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, AssertionError])
+def test_a_law_may_end_where_the_motion_does_not_go(error):
+    """As a table does that raises beyond its last point: the motion stays within 0.1 rad."""
+
+    def table(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        if float(s.detach().abs().max()) > 0.1:
+            raise error("beyond the table")
+        return -4.0 * s + 0.02
+
+    motion = mbd.simulate(sprung(table), 2.0, steps=80, gradients="none", backend="eager").require_ok()
+    frequency = (4.0 / INERTIA) ** 0.5
+    assert_close(turned(motion)[0, 0], 5e-3 * (1.0 - torch.cos(tensor(2.0 * frequency)[0])), rtol=2e-3, atol=1e-5)
 
 
 def driven(law, **options) -> mbd.System:

@@ -22,12 +22,13 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, user_line, warn
 from torchmbd.integrate.contacts import MOST_SUBSTEPS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.phase import Phase
 from torchmbd.math.jumps import distinct, jump_times
+from torchmbd.math.torch_law import OUT_OF_RANGE
 from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.feedback import Control
@@ -116,26 +117,52 @@ def warn_of_jumps(
                 _warn_of_force(force.name, [t for t in times if _acts(force.name, phases, t)])
         for number, phase in enumerate(phases or ()):
             for name, law in phase.laws.items():
-                f = [] if is_library_law(law) else [_at_a_state(law)]
-                times = [t for g in f for t in jump_times(g, duration)]
+                of_time = [] if is_library_law(law) else [_at_a_state(law)]
+                times = _sampled(f"law of {name!r}", of_time, duration)
                 _warn_of_force(name, [t for t in times if _within(phases or (), number, t)])
 
 
-def _jumps(element: Any, functions: Callable[[], list], duration: float, without: Sequence[float] = ()) -> list[float]:
-    """Times of the jumps of an element's functions of time, found once for a duration."""
-    found = _known.setdefault(element, {})
-    if duration not in found:
-        found[duration] = distinct((t for f in functions() for t in jump_times(f, duration, without)), duration)
-    return found[duration]
+def _jumps(
+    label: str, element: Any, functions: Callable[[], list], duration: float, without: Sequence[float] = ()
+) -> list[float]:
+    """Times of the jumps of an element's functions of time, sampled once for a duration; `label` names their law."""
+    times = _known.setdefault(element, {})
+    if duration not in times:
+        times[duration] = _sampled(label, functions(), duration, without)
+    return times[duration]
+
+
+def _sampled(
+    label: str, functions: Sequence[Callable[[Tensor], Tensor]], duration: float, without: Sequence[float] = ()
+) -> list[float]:
+    """Times of the jumps of functions of time; none of a law that ends before: the motion need not come to this state or time.
+
+    InputError names a law that raises anything else.
+    """
+    times: list[float] = []
+    for f in functions:
+        try:
+            times += jump_times(f, duration, without)
+        except InputError:
+            raise
+        except OUT_OF_RANGE:
+            continue
+        except Exception as error:  # a function of users may raise any error
+            raise InputError(
+                f"{label} raises {error!r} in {user_line(error)} for some time from 0 to {duration:.6g} s; allowed: a torch "
+                "function of all states and times, or one that raises a ValueError or an IndexError where it ends"
+            ) from error
+    return distinct(times, duration)
 
 
 def _jumps_of_force(force: Any, duration: float) -> list[float]:
-    return _jumps(force, lambda: _force_laws(force), duration)
+    return _jumps(f"law of {force.name!r}", force, lambda: _force_laws(force), duration)
 
 
 def _jumps_of_module(force: Controller, duration: float) -> list[float]:
     """Of a controller, without those of held values."""
-    return _jumps(force, lambda: [_of_time(force)], duration, held_times(force.control, duration))
+    label, held = force.control.label, held_times(force.control, duration)
+    return _jumps(label, force, lambda: [_of_time(force)], duration, held)
 
 
 def _refuse_jumps(system: Any, duration: float) -> None:
@@ -239,7 +266,7 @@ def _warn_of_drive(drive: Drive, duration: float) -> None:
         x, rate = torch.func.jvp(law, (t,), (torch.ones_like(t),))[:2]
         return torch.stack([x, rate] if drive.travels else [x.cos(), x.sin(), rate])
 
-    times = _jumps(drive, lambda: [of_time], duration)
+    times = _jumps(f"law of the drive {drive.name!r}", drive, lambda: [of_time], duration)
     if times:
         warn(
             f"the law of the drive {drive.name!r}, or its rate, jumps at {_shown(times)}: no body follows it without "

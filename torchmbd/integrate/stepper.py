@@ -108,7 +108,8 @@ class EagerStepper:
         """The state after step i."""
         reach(value(prescribed.t))
         first, step = self.H is None, self.model.step(x, prescribed)
-        z = self._values(step, torch.cat([value(x.vd), value(x.lam)]), self.refresh == 0 or i % self.refresh == 0)
+        start = torch.cat([value(x.vd), value(x.lam)]) if self.refresh else step.uniform()
+        z = self._values(step, start, self.refresh == 0 or i % self.refresh == 0)
         if not isinstance(x.q, Pair):
             return step.finish(z)
         dz = torch.cat([x.vd.tangent, x.lam.tangent])

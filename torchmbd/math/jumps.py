@@ -22,12 +22,9 @@ _BISECTIONS = 40  # to the rounding of time
 def jump_times(f: Callable[[Tensor], Tensor], duration: float, without: Sequence[float] = ()) -> list[float]:
     """Times at which a function of time [] -> [k] jumps, within the duration [s]; `without`: times that are passed over.
 
-    Where it raises or is not finite there are none: the motion reports that.
+    What it raises is raised. Where it is not finite, or not of one shape, there are none: the motion reports that.
     """
-    try:
-        return distinct(_located(f, duration, without), duration)
-    except Exception:  # a function of users may raise any error
-        return []
+    return distinct(_located(f, duration, without), duration)
 
 
 def _located(f: Callable[[Tensor], Tensor], duration: float, without: Sequence[float]) -> list[float]:
@@ -59,11 +56,13 @@ def _located(f: Callable[[Tensor], Tensor], duration: float, without: Sequence[f
 
 
 def _values(f: Callable[[Tensor], Tensor], times: Tensor) -> Tensor:
-    """f [n, k] at times [n]: at once, or one by one where it has branches in Python."""
+    """f [n, k] at times [n]: at once, or one by one where it has branches in Python; nan where its shape changes with time."""
     try:
         return torch.func.vmap(f)(times)
     except Exception:  # a function of users may raise any error; that of one time says which
-        return torch.stack([f(t) for t in times])
+        values = [f(t) for t in times]
+    same_shape = len({y.shape for y in values}) == 1
+    return torch.stack(values) if same_shape else torch.full((len(times), 1), torch.nan, dtype=torch.float64)
 
 
 def distinct(times: Iterable[float], duration: float) -> list[float]:

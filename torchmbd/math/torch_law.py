@@ -13,8 +13,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, user_line
 
+# What a law may raise where it ends, as a table does, at states and times that a motion need not come to.
+OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
 PLACES = (0.0, 0.013, 0.11, 0.57, 1.3)  # of the argument, where slopes are compared
 STEP = 1e-4
 SMOOTH = (
@@ -32,9 +34,11 @@ def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str
     for place in PLACES:
         try:
             before, here, after = (float(law(_number(place + k * STEP))) for k in (-1, 0, 1))
-            lost = _slope(what, law, place, allowed) == 0.0
-        except Exception:  # a law may end where its table ends
+        except OUT_OF_RANGE:
             continue
+        except Exception as error:  # a law may do anything
+            raise InputError(f"{what} raises {error!r} in {user_line(error)} near {place:.6g}; {allowed}") from error
+        lost = _slope(what, law, place, allowed) == 0.0
         change = after - before
         if lost and change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change):
             raise InputError(

@@ -15,7 +15,6 @@ import importlib
 import importlib.util
 import inspect
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +22,7 @@ from types import ModuleType
 from typing import Any, cast
 
 from torchmbd.design import History, Measure
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, nearest, user_line
 from torchmbd.integrate import Phase
 from torchmbd.multibody.system import System
 from torchmbd.process import file_of
@@ -140,8 +139,7 @@ def _user_code() -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        raise InputError(f"{type(error).__name__} in {last.filename}:{last.lineno}: {error}") from error
+        raise InputError(f"{type(error).__name__} in {user_line(error)}: {error}") from error
 
 
 def scenario_systems(

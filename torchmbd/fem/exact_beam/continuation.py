@@ -17,6 +17,7 @@ Checked in tests/fem/exact_beam/test_continuation.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -159,16 +160,11 @@ class Continuation:
                 break
             if settled:
                 new = _Equilibrium(at, x, R, f, K)
-                if not self._smooth(total, (at - old.factor) * rate, (at - old.factor) * self._rate(data, new)):
+                before, after = ((at - old.factor) * x for x in (rate, self._rate(data, new)))
+                if not agree_with_rates(self._size, total, before, after):
                     break
                 return (None, 2, total) if self._unstable(K) else (new, 0, total)
         return None, 3, total
-
-    def _smooth(self, total: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
-        """Whether an increment agrees with the rates at both ends."""
-        size = self._size(total)
-        apart = self._size(total - 0.5 * (before + after))
-        return self._size(total - before) <= START_RATE_TOLERANCE * size and apart <= MEAN_RATE_TOLERANCE * size
 
     def _rate(self, data: BeamData, state: _Equilibrium) -> np.ndarray:
         """Increment of all freedoms for an increase of the factor by 1."""
@@ -196,6 +192,17 @@ class Continuation:
         free = self.topology.free.numpy()
         negative = negative_pivots(K[free][:, free])
         return negative > 0 if self.topology.symmetric else negative % 2 == 1
+
+
+def agree_with_rates(size: Callable[[Any], float], total: Any, before: Any, after: Any) -> bool:
+    """Whether the increment of a step agrees with those of the rates at its ends.
+
+    size   norm of an increment. Below INCREMENT_TOLERANCE a difference is rounding: a straight shaft that turns does not move.
+    """
+    largest = size(total)
+    apart = size(total - before), size(total - 0.5 * (before + after))
+    allowed = START_RATE_TOLERANCE * largest, MEAN_RATE_TOLERANCE * largest
+    return all(x <= y + INCREMENT_TOLERANCE for x, y in zip(apart, allowed, strict=True))
 
 
 def negative_pivots(K: scipy.sparse.csc_array) -> int:

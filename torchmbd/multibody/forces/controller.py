@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, user_line
 from torchmbd.math.checked_numbers import list_of
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.variable import ParameterVector
@@ -129,7 +129,8 @@ def _called(control: Control, x: Tensor) -> Tensor:
         u = control.module(x)
     except Exception as error:  # a module of users may raise any error
         raise InputError(
-            f"{control.label} raises {error!r} for x {list(x.shape)}; allowed: x [lanes, inputs] -> [lanes, outputs]"
+            f"{control.label} raises {error!r} in {user_line(error)} for x {list(x.shape)}; "
+            "allowed: x [lanes, inputs] -> [lanes, outputs]"
         ) from error
     control.check(u, 1, 0.0)
     return u

@@ -25,7 +25,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, user_line
 from torchmbd.math.checked_numbers import reals, scalar
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.torch_law import require_differentiable
@@ -276,7 +276,9 @@ def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
         with torch.enable_grad():
             f = law(*at)
     except Exception as error:  # a function of users may raise any error
-        raise InputError(f"law of {name!r} raises {error!r}; allowed: a torch function of {len(at)} tensors") from error
+        raise InputError(
+            f"law of {name!r} raises {error!r} in {user_line(error)}; allowed: a torch function of {len(at)} tensors"
+        ) from error
     refuse_gradients(f"what the law of {name!r} returns", f, VARIABLES)
     return f
 

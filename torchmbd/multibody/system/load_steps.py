@@ -23,9 +23,8 @@ from torchmbd.fem.exact_beam.continuation import (
     ITERATIONS,
     LARGEST_TURN,
     LIMIT_POINT_RATE,
-    MEAN_RATE_TOLERANCE,
     SMALLEST_STEP,
-    START_RATE_TOLERANCE,
+    agree_with_rates,
 )
 from torchmbd.math.pair import Pair, matvec, matvec_t
 from torchmbd.math.rotation import rotation_matrix
@@ -126,8 +125,7 @@ class LoadSteps:
                 continue
             new = _Point(at, q, rest)
             before, after = ((at - old.factor) * x for x in (rate, self._rate(q, rest)))
-            size, difference = self._size(total), self._size(total - 0.5 * (before + after))
-            if self._size(total - before) > START_RATE_TOLERANCE * size or difference > MEAN_RATE_TOLERANCE * size:
+            if not agree_with_rates(self._size, total, before, after):
                 break
             return (None, _UNSTABLE, total) if _unstable(rest) else (new, "", total)
         return None, _FAILED, total
