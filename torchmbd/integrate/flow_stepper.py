@@ -11,7 +11,6 @@ Checked in tests/contracts/test_integrators.py, tests/integrate/phases/test_phas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -23,7 +22,7 @@ from torchmbd.integrate.phases.lanes import join_states, lane_numbers, lanes_of,
 from torchmbd.integrate.phases.switch import accelerations, at_time
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
 
@@ -41,7 +40,7 @@ class FlowStepper:
     def run(
         self,
         x: State,
-        schedule: Sequence[Prescribed],
+        schedule: Schedule,
         record: Record,
         first: int = 0,
         start: int = 1,

@@ -16,7 +16,7 @@ Checked in tests/contracts/test_integrators.py.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 
@@ -25,7 +25,7 @@ from torch import Tensor
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed, Topology
+from torchmbd.multibody.system.topology import Schedule, Topology
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
 
@@ -62,7 +62,7 @@ class Stepper(Protocol):
     def run(
         self,
         x: State,
-        schedule: Sequence[Prescribed],
+        schedule: Schedule,
         record: Record,
         first: int = 0,
         start: int = 1,

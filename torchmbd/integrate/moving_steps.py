@@ -7,14 +7,14 @@ Checked in tests/sensitivity/test_phase_times.py.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from torch import Tensor
 
 from torchmbd.math.pair import Pair, combine
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
 
@@ -29,7 +29,7 @@ class MovingSteps:
     def run(
         self,
         x: State,
-        schedule: Sequence[Prescribed],
+        schedule: Schedule,
         record: Record,
         first: int = 0,
         start: int = 1,

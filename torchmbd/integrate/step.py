@@ -126,6 +126,15 @@ class Step:
             return m.T, m.w, self.x.q, self._predicted, self.prescribed, m.data
         return m.T, m.plain, value(self.x.q), self._predicted_values, self._prescribed_values, m.values
 
+    def uniform(self) -> Any:
+        """Unknowns of a uniform motion, q1 = q0 o exp(h v0), with the multipliers of before: a start for the iteration.
+
+        The accelerations of the state say nothing of the step where they last for much less than it, as those of a node of a
+        beam that has just been let go: h^2 v' would be many times its elements.
+        """
+        w, x = self.model.plain, self.x.values()
+        return cat([(w.h * x.v - self._predicted_values.q) * w.inverse_scale, x.lam])
+
     def correct(self, H: Factored | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected unknowns, and their correction [n, 1, lanes]."""
         correction = apply(H, self.residual(z))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -20,7 +20,7 @@ from torchmbd.math.pair import Pair, combine, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Elimination, factored, pays
 from torchmbd.multibody.system.saddle_factors import regularized
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Prescribed, Schedule
 from torchmbd.progress import reach
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
@@ -85,7 +85,7 @@ class EagerStepper:
     def run(
         self,
         x: State,
-        schedule: Sequence[Prescribed],
+        schedule: Schedule,
         record: Record,
         first: int = 0,
         start: int = 1,
@@ -111,7 +111,8 @@ class EagerStepper:
         """The state after step i."""
         reach(value(prescribed.t))
         first, step = self.H is None, self.model.step(x, prescribed)
-        z = self._values(step, torch.cat([value(x.vd), value(x.lam)]), self.refresh == 0 or i % self.refresh == 0)
+        start = torch.cat([value(x.vd), value(x.lam)]) if self.refresh else step.uniform()
+        z = self._values(step, start, self.refresh == 0 or i % self.refresh == 0)
         if not isinstance(x.q, Pair):
             return step.finish(z)
         dz = torch.cat([x.vd.tangent, x.lam.tangent])
@@ -201,7 +202,7 @@ class EagerStepper:
         return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
 
 
-def resume(stepper: EagerStepper, x: State, schedule: Sequence[Prescribed], number: int) -> tuple[State, History]:
+def resume(stepper: EagerStepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
     """The last state of steps from x, the first of that number, and all states.
 
     The stepper starts without factors: so the steps can be made again as they were.

@@ -47,22 +47,22 @@ def step_of_size(
     step = model.step(x, at_own_times(dynamics.topology, t1, dynamics.data))
     start = x if near is None else near
     with torch.no_grad():
-        z, K = _solved(dynamics, step, torch.cat([value(start.vd), value(start.lam)]).detach())
+        z, K = _solved(dynamics, step, None if near is None else torch.cat([value(near.vd), value(near.lam)]).detach())
     if isinstance(x.q, Pair):
         like = start if isinstance(start.vd, Pair) else x
         return step.finish(z, converged(step, factored(K), z, torch.cat([like.vd.tangent, like.lam.tangent])))
     return step.finish(_implicit(step, factored(K.mT), z) if torch.is_grad_enabled() else z)
 
 
-def _solved(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor]:
+def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> tuple[Tensor, Tensor]:
     """The unknowns z [n, 1, lanes] of a step from an estimate, and the iteration matrices there; nan where none converge.
 
-    A node of a beam that has just been let go may accelerate by 1e5 m/s^2 for much less than a step: Newton's method does not
-    come back from there, but does from a step without accelerations and multipliers.
+    Without an estimate, or where it does not lead there, from a uniform motion (`Step.uniform`); then from none at all.
     """
-    z, K, found = _from(dynamics, step, estimate)
+    uniform = step.uniform().detach()
+    z, K, found = _from(dynamics, step, uniform if estimate is None else estimate)
     if not bool(found.all()):
-        other, K_other, others = _from(dynamics, step, torch.zeros_like(estimate))
+        other, K_other, others = _from(dynamics, step, torch.zeros_like(uniform) if estimate is None else uniform)
         z, K = torch.where(found, z, other), torch.where(found[:, None, None], K, K_other)
         found = found | others
     return torch.where(found, z, torch.nan), K

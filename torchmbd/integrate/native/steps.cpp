@@ -39,6 +39,14 @@ static void start(const Counts& c, const V* x, V* z) {
   std::memcpy((void*)(z + c.n_v), x + c.n_q + 3 * c.n_v, c.rows * sizeof(V));
 }
 
+// Those of a uniform motion, as Step.uniform in step.py; u: the numbers of the method, in the order of its Weights.
+static void start_uniformly(const Counts& c, const V* x, const double* u, V* z) {
+  start(c, x, z);
+  const V *vd = x + c.n_q + c.n_v, *a = vd + c.n_v;
+  const double by_vd = -u[5] * u[1] * u[10], by_a = -(u[4] + u[5] * u[2]) * u[10];
+  for (long n = 0; n < c.n_v; n++) z[n] = by_vd * vd[n] + by_a * a[n];
+}
+
 // The data that move, as they are at the end of a step.
 static void move(const Job& J, long step, long block) {
   if (!J.moving) return;
@@ -89,8 +97,11 @@ extern "C" long run_steps(const Job* job) {
       in.x = state;
       in.next = next;
       in.R = R;
-      start(c, state, z);
       const bool always = J.refresh == 0, due = always || (J.first + i) % J.refresh == 0;
+      if (always)
+        start_uniformly(c, state, in.u, z);
+      else
+        start(c, state, z);
       const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
       if (fresh) {
         if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;

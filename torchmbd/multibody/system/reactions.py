@@ -54,7 +54,7 @@ def in_chunks(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tenso
 def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
     n, lanes = len(times), motion[0].shape[-1]
     wide = {name: repeat_over_times(x, n, lanes) for name, x in data.items()}
-    given = as_lanes([c.whole.prescribed(t, data) for t in times], lanes)
+    given = as_lanes(c.whole.schedule(times, data), lanes)
     lam = _all_rows(c, wide, given, *(flatten_times(x) for x in motion))
     full = lam.full if isinstance(lam, Pair) else lam
     return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
