@@ -22,7 +22,7 @@ from rich.markup import escape
 
 from torchmbd import __version__
 from torchmbd.errors import InputError, MbdError
-from torchmbd.process import brief_warnings, use_one_thread
+from torchmbd.process import brief_warnings, imports, use_one_thread
 from torchmbd.progress import without_bars
 
 EXIT_INTERRUPTED = 130
@@ -56,11 +56,12 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
-    use_one_thread()
-    from torchmbd.study.figures import run_figures
-    from torchmbd.study.load import FiguresPlan, load
-    from torchmbd.study.overrides import combinations
-    from torchmbd.study.run import run_study
+    with imports():
+        use_one_thread()
+        from torchmbd.study.figures import run_figures
+        from torchmbd.study.load import FiguresPlan, load
+        from torchmbd.study.overrides import combinations
+        from torchmbd.study.run import run_study
 
     console = Console()
     plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
@@ -88,10 +89,11 @@ def check(file: Path, /, *assignments: str) -> int:
     assignments
         Overrides, as in run.
     """
-    use_one_thread()
-    from torchmbd.study.estimate import print_estimate
-    from torchmbd.study.load import load
-    from torchmbd.study.overrides import combinations
+    with imports():
+        use_one_thread()
+        from torchmbd.study.estimate import print_estimate
+        from torchmbd.study.load import load
+        from torchmbd.study.overrides import combinations
 
     console = Console()
     for plan in [load(file, chosen) for chosen in combinations(assignments)]:
@@ -264,8 +266,9 @@ def sync() -> int:
 
     They run once more with the evaluations that are on disk, and no others.
     """
-    use_one_thread()
-    from torchmbd.study.sync import send_unsent
+    with imports():
+        use_one_thread()
+        from torchmbd.study.sync import send_unsent
 
     return min(send_unsent(Console()), 1)
 

@@ -1,5 +1,7 @@
 """Progress bars of motions, optimizations and multistarts: in a terminal and in notebooks, on standard error.
 
+What else takes long, such as compiling, is told to whom wants to hear it (`stages_told`).
+
 Checked in tests/test_progress.py.
 """
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 DELAY = 3.0  # [s] of a motion before its bar appears: a motion that takes less has none
 _silent: ContextVar[bool] = ContextVar("silent", default=False)  # motions have no bars of their own
 _reached: ContextVar[Callable[[float], None] | None] = ContextVar("reached", default=None)
+_stage: ContextVar[Callable[[str], None] | None] = ContextVar("stage", default=None)
 
 
 def wanted(progress: bool | None) -> bool:
@@ -44,6 +47,23 @@ def say(text: str) -> None:
     """A line on standard error, where a motion has a bar of its own by default or on request."""
     if not _silent.get() and _reached.get() is not None:
         print(text, file=sys.stderr)
+
+
+@contextmanager
+def stages_told(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call `tell` with the name of every stage that begins inside."""
+    token = _stage.set(tell)
+    try:
+        yield
+    finally:
+        _stage.reset(token)
+
+
+def begin_stage(name: str) -> None:
+    """Tell that a stage begins."""
+    found = _stage.get()
+    if found is not None:
+        found(name)
 
 
 @contextmanager

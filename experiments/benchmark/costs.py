@@ -179,9 +179,9 @@ def memory(settings: Settings) -> Result:
     few, many = (2, 34) if settings.quick else (32, 160)
     steps = 50 if settings.quick else STEPS
     ready = compiled_ready(crank3().dynamics(few, gradients=True), build=not settings.quick)
-    flag = {"TORCHMBD_COMPILE": "1" if ready else "0"}
+    compiled = "1" if ready else "0"
     # The structure stage of a batch has memory of its own: here every lane is the same design.
-    mb = [fresh_process("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
+    mb = [fresh_process("memory", str(lanes), str(steps), TORCHMBD_COMPILE=compiled)["mb"] for lanes in (few, many)]
     figure = (mb[1] - mb[0]) / (many - few)
     rows = [[few, mb[0]], [many, mb[1]]]
     title = f"largest resident set, {steps} steps, 3 variables"

@@ -9,7 +9,7 @@ from tests.optimization.analytic import Analytic
 from tests.optimization.multistart.test_batched import Elsewhere, valley
 from torchmbd.errors import InputError
 from torchmbd.optimization import optimize_discrete, sobol
-from torchmbd.optimization.cache import MemoryCachedProblem
+from torchmbd.optimization.cache import CachedProblem, MemoryCachedProblem, MemoryStore
 
 X = np.array([[0.5, 0.5], [1.0, -1.0], [2.0, 0.0]])
 
@@ -30,6 +30,15 @@ def test_each_design_is_evaluated_once():
     assert problem.batches[2:] == [(1, True)]
     assert (cache.hits, cache.computed, cache.batches) == (3, 4, 3)
     assert len(cache.memory.entries) == 3
+
+
+def test_a_batch_is_told_before_it_is_evaluated():
+    told, problem = [], bowl()
+    cache = CachedProblem(problem, MemoryStore(), begun=lambda *batch: told.append((*batch, len(problem.batches))))
+    cache.evaluate(X[:2], True)
+    cache.evaluate(X[:2], True)  # nothing to evaluate
+    cache.evaluate(X, True)
+    assert told == [(1, 2, 0), (2, 1, 1)]
 
 
 def test_a_failure_is_remembered():

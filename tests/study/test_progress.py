@@ -10,9 +10,11 @@ import pytest
 from rich.console import Console
 
 from torchmbd.optimization.optimizer import Iterate, OptimizationResult
+from torchmbd.progress import begin_stage, stages_told
 from torchmbd.study.columns import Columns
 from torchmbd.study.progress import (
     ROWS,
+    Beginning,
     Progress,
     SearchCounter,
     drop_order,
@@ -69,6 +71,21 @@ def test_a_table_that_fits_is_whole():
 def test_headings_are_narrow():
     assert wrapped_heading("angle 1 [deg]") == "angle 1\n[deg]"
     assert wrapped_heading("integral of strain energy of rod [J s]") == "integral of\nstrain\nenergy of\nrod\n[J s]"
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_what_a_study_does_before_its_first_result_is_said_once(terminal):
+    target, output = console(terminal=terminal)
+    beginning = Beginning(target)
+    with stages_told(beginning.stage):
+        beginning.batch(1, 16)
+        begin_stage("compiling")
+        begin_stage("compiling")
+        beginning.batch(2, 16)
+    begin_stage("not heard")
+    lines = [line.split("s  ", 1) for line in output.getvalue().splitlines()]
+    assert [text for _, text in lines] == ["batch 1: 16 designs", "compiling"]
+    assert all(0.0 <= float(seconds) < 60.0 for seconds, _ in lines)
 
 
 def test_without_a_terminal_the_best_has_a_line_per_iteration():

@@ -38,7 +38,7 @@ from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import History, segments
 from torchmbd.results.state import State
 
@@ -265,7 +265,7 @@ class AdjointSolver:
             error = error.maximum(found.error)
         return Cotangents(by, torch.stack(laws[::-1]) if T.varying_primitives else None, y), error
 
-    def _schedule(self, steps: range) -> list[Prescribed]:
+    def _schedule(self, steps: range) -> Schedule:
         """Drives and bodies of known motion at the ends of steps."""
         return self.dynamics.topology.schedule(self.grid.times[steps.start + 1 : steps.stop + 1], self.dynamics.data)
 
@@ -284,7 +284,7 @@ class AdjointSolver:
             found.append(new + w.a_from_a ** len(steps) * found[-1])
         return found
 
-    def _history(self, number: int, schedule: Sequence[Prescribed]) -> tuple[History, Tensor]:
+    def _history(self, number: int, schedule: Schedule) -> tuple[History, Tensor]:
         """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
         h, steps, a = self.grid.history, self.segments[number], self.accelerations[number]
         if h.checkpoints is None:

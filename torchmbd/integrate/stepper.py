@@ -8,7 +8,7 @@ Checked in tests/integrate/.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -19,7 +19,7 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Elimination, factored, pays
 from torchmbd.multibody.system.saddle_factors import regularized
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Prescribed, Schedule
 from torchmbd.progress import reach
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
@@ -84,11 +84,11 @@ class EagerStepper:
     def step(self, i: int, x: State, prescribed: Prescribed, lanes: Tensor) -> State:
         """As of Stepper."""
         self.counts = lanes
-        x = self.run(x, [prescribed], Record(x, 2), i)
+        x = self.run(x, Schedule.of(prescribed), Record(x, 2), i)
         self.sizes[-1] = torch.where(lanes, self.sizes[-1], 0.0)
         return x
 
-    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, start: int = 1) -> State:
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """The last state of many steps, the first of number `first`; all go into the record, from time `start` on."""
         for i, prescribed in enumerate(schedule):
             x = self._step(first + i, x, prescribed)
@@ -186,7 +186,7 @@ class EagerStepper:
         return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
 
 
-def resume(stepper: EagerStepper, x: State, schedule: Sequence[Prescribed], number: int) -> tuple[State, History]:
+def resume(stepper: EagerStepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
     """The last state of steps from x, the first of that number, and all states.
 
     The stepper starts without factors: so the steps can be made again as they were.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -27,7 +28,7 @@ def quadratic_forms(
 ) -> Float[Tensor, "*lanes k a a"]:
     """Return the sums of all laws; a law is given by its `factors`."""
     a = d.shape[-1]
-    lanes = torch.broadcast_shapes(law.shape[:-3], d.shape[:-4])
+    lanes = np.broadcast_shapes(law.shape[:-3], d.shape[:-4])
     law, d = (x.expand(*lanes, *x.shape[-n:]).reshape(-1, *x.shape[-n:]) for x, n in ((law, 3), (d, 4)))
     sums: Any = _Forms.apply(law, d)
     return sums.reshape(*lanes, -1, a, a)

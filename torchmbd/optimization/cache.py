@@ -56,6 +56,7 @@ class CachedProblem(Generic[T]):
 
     evaluator  evaluates designs that are not in the store; None: the problem itself
     listener   called with the designs and evaluations of every batch, stored or new
+    begun      called with the number of a batch and how many designs it evaluates, before it does
 
     Counts the designs that were found (`hits`) and evaluated (`computed`), and the batches of the latter.
     """
@@ -66,11 +67,12 @@ class CachedProblem(Generic[T]):
         store: Store[T],
         evaluator: Any = None,
         listener: Callable[[np.ndarray, list[T]], None] = lambda X, evaluations: None,
+        begun: Callable[[int, int], None] = lambda number, designs: None,
     ) -> None:
         self.problem, self.store, self.evaluator = problem, store, problem if evaluator is None else evaluator
         self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
         self.hits = self.computed = self.batches = 0
-        self._listener = listener
+        self._listener, self._begun = listener, begun
 
     def __getattr__(self, name: str) -> Any:
         """Return what else the problem has: `equalities`, `period`, `motion`."""
@@ -94,6 +96,8 @@ class CachedProblem(Generic[T]):
         self.computed += len(rows)
         self.hits += len(X) - len(rows)
         self.batches += bool(rows)
+        if rows:
+            self._begun(self.batches, len(rows))
 
         def complete(computed: list[T]) -> list[T]:
             if len(computed) != len(rows):

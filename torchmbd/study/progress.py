@@ -32,6 +32,24 @@ ROWS = 40  # of a table on the terminal, about; a screen has no more
 _ROUNDING = 1e-12  # of constraints divided by their limits
 
 
+class Beginning:
+    """Says what a study does until it has results to show: compiling, the first batch."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._began, self._last = console, time.monotonic(), ""
+
+    def stage(self, name: str) -> None:
+        """Say that a stage begins, once where it comes in several parts."""
+        if name != self._last:
+            self._console.out(f"{time.monotonic() - self._began:7.1f} s  {name}", highlight=False)
+        self._last = name
+
+    def batch(self, number: int, designs: int) -> None:
+        """Say that the first batch begins."""
+        if number == 1:
+            self.stage(f"batch 1: {designs} design{'s' if designs > 1 else ''}")
+
+
 class Progress:
     """Shows every iterate of every start; a context manager."""
 

@@ -26,6 +26,7 @@ from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES, Workers
+from torchmbd.progress import stages_told
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import search_on_steps
 from torchmbd.study.evaluations import Evaluations
@@ -34,7 +35,7 @@ from torchmbd.study.journal import PARENT, Journal, percent
 from torchmbd.study.listing import print_links_of, study_links
 from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, gain_metric, without_group
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
-from torchmbd.study.progress import Progress
+from torchmbd.study.progress import Beginning, Progress
 from torchmbd.study.report import print_results, save_pictures
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
@@ -96,7 +97,9 @@ def run_study(
             evaluator, lanes = pool, pool.lanes
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         journal = Journal(study, tracker, folder)
-        cached = CachedProblem(problem, store, evaluator, journal.evaluated)
+        beginning = Beginning(console)
+        stack.enter_context(stages_told(beginning.stage))
+        cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch)
         status: Status = "FAILED"
         result: Any = None
         try:

@@ -1,7 +1,7 @@
-"""Runs in an MLflow store, written by a background thread: a study waits for the store only at its end.
+"""Runs in an MLflow store, written in the background: a study waits for the store only at its end.
 
-    study                                 thread
-    metrics("start_3", {...}, 7)    ->    every few seconds: MlflowClient.log_batch of what was logged of each run
+    study                                 thread                  process (store_process.py)
+    metrics("start_3", {...}, 7)    ->    every few seconds  ->   MlflowClient.log_batch of what was logged of each run
     close()                         ->    the rest; then the Record
 
     begin    open a run under a key ("study", "start_3"), perhaps as the child of another
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import threading
 import time
 import uuid
@@ -33,14 +34,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from torchmbd.process import utf8
+from torchmbd.tracking.run_process import process_tag
 from torchmbd.tracking.store import first_line, store_uri
+from torchmbd.tracking.store_process import StoreProcess
 from torchmbd.tracking.study_store import PendingRun, Point, StudyStore
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 from torchmbd.tracking.uri import StoreURI
 
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
-_INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that the thread takes at most
+_INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that writing takes at most
 _RETRY, _LAST_RETRY = (
     5.0,
     0.5,
@@ -63,7 +66,7 @@ class MlflowTracker:
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
         self._files: dict[str, set[str]] = {}  # names of the files of every run
         self._last = 0  # ms since 1970 of the last metric
-        self._store = StudyStore(experiment, self.uri, self.study)
+        self._store = self._new_store()
         self._closing, self._deadline = threading.Event(), float("inf")
         self._thread = threading.Thread(target=self._deliver, name="mlflow", daemon=True)
 
@@ -135,6 +138,7 @@ class MlflowTracker:
         self._deadline = time.monotonic() + float(os.environ.get(PATIENCE, "15"))
         self._closing.set()
         self._thread.join()
+        self._store.close()
         if self.trouble:
             raise TrackingError(self.trouble)
         if self._store.refused:
@@ -145,6 +149,12 @@ class MlflowTracker:
     def record(self) -> Record:
         """The runs that the store has so far."""
         return Record(self.uri, self._store.experiment_id, dict(self._store.ids))
+
+    def _new_store(self) -> StudyStore | StoreProcess:
+        """The store in this process where MLflow is imported already, else in one that takes no time of the search."""
+        if "mlflow" in sys.modules:
+            return StudyStore(self.experiment, self.uri, self.study, process_tag())
+        return StoreProcess(self.experiment, self.uri, self.study)
 
     def _require(self, run: str) -> None:
         if run not in self._open:
@@ -163,15 +173,12 @@ class MlflowTracker:
     def _deliver(self) -> None:
         """Write pending runs to the store until the tracker is closed: the loop of the thread."""
         pending: deque[tuple[str, PendingRun]] = deque()
-        self._closing.wait(
-            _INTERVAL
-        )  # importing MLflow takes seconds of the interpreter, which the study needs at first
         while True:
             closing = self._closing.is_set()
             pending = pending or self._take_pending()
             try:
                 self._store.opened()
-                began = time.thread_time()  # without the time to create the store
+                began = self._store.processor_time()  # without the time to create the store
                 while pending:
                     self._store.write(*pending[0])
                     pending.popleft()
@@ -186,7 +193,7 @@ class MlflowTracker:
                 self.trouble = None
                 if closing:
                     return
-                pause = max(_INTERVAL, (time.thread_time() - began) / _SHARE)
+                pause = max(_INTERVAL, (self._store.processor_time() - began) / _SHARE)
             if closing:
                 time.sleep(_LAST_RETRY)
             else:

@@ -1,4 +1,4 @@
-"""Write the runs of a study to an MLflow store by MlflowClient, for mlflow_tracker.py.
+"""Write the runs of a study to an MLflow store by MlflowClient, for mlflow_tracker.py, here or in store_process.py.
 
 To write the same again changes nothing in the store. Checked in tests/tracking/test_tracker.py.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from torchmbd.tracking.links import VIEW_TAG
-from torchmbd.tracking.run_process import PROCESS, process_tag
+from torchmbd.tracking.run_process import PROCESS
 from torchmbd.tracking.store import all_runs, experiment_id, first_line, open_store, own_files
 from torchmbd.tracking.tracker import Status
 from torchmbd.tracking.uri import StoreURI
@@ -55,10 +56,13 @@ class PendingRun:
 
 
 class StudyStore:
-    """One study in the store, by MlflowClient; all of it in the thread of the tracker."""
+    """One study in the store, by MlflowClient; all of it in one thread.
 
-    def __init__(self, experiment: str, uri: StoreURI, study: str) -> None:
-        self.experiment, self.uri, self.study = experiment, uri, study
+    process  tag of the process that runs the study
+    """
+
+    def __init__(self, experiment: str, uri: StoreURI, study: str, process: str) -> None:
+        self.experiment, self.uri, self.study, self.process = experiment, uri, study, process
         self.experiment_id = ""
         self.ids: dict[str, str] = {}  # of the runs, by their keys
         self.refused: list[str] = []
@@ -90,6 +94,13 @@ class StudyStore:
         if draft.ended is not None:
             client.set_terminated(id, *draft.ended)
 
+    def processor_time(self) -> float:
+        """Processor time of the thread that writes [s]."""
+        return time.thread_time()
+
+    def close(self) -> None:
+        """Nothing is left to end."""
+
     def opened(self) -> MlflowClient:
         """Return the client; TrackingError if the store cannot be opened."""
         if self._client is None:
@@ -104,10 +115,10 @@ class StudyStore:
             runs = all_runs(client, [self.experiment_id], f"tags.study_key = '{self.study}'")
             self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in runs}
         if run in self._earlier:
-            client.set_tag(self._earlier[run], PROCESS, process_tag())  # first: its process before was killed
+            client.set_tag(self._earlier[run], PROCESS, self.process)  # first: its process before was killed
             client.update_run(self._earlier[run], status="RUNNING")
             return self._earlier[run]
-        tags = draft.tags | {"study_key": self.study, "run_key": run, PROCESS: process_tag()}
+        tags = draft.tags | {"study_key": self.study, "run_key": run, PROCESS: self.process}
         if draft.parent is not None:
             tags["mlflow.parentRunId"] = self.ids[draft.parent]
         try:

@@ -15,6 +15,7 @@ import numpy as np
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.process import imports
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -179,7 +180,8 @@ def wrapped(text: str, width: int) -> str:
 
 def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
     """Return a figure of one column, in the style of all, with its axes."""
-    from matplotlib.figure import Figure  # half a second: imported when a figure is drawn
+    with imports():
+        from matplotlib.figure import Figure  # half a second: imported when a figure is drawn
 
     figure = Figure(figsize=(6.0, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]

@@ -5,6 +5,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchmbd.errors import InputError
+from torchmbd.fem.reduction import sparse_modes
 from torchmbd.fem.reduction.blocks import BlockFactor, storage
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import Diagonal, Sparse
@@ -90,6 +91,18 @@ def test_the_deflated_solve_satisfies_its_equation():
     left = K_form.multiply(K, Z) - M_form.multiply(M, Z) * values[:, None, :4]
     torch.testing.assert_close(left, F - M_psi @ (psi.mT @ F), rtol=0, atol=1e-10)
     assert (M_psi.mT @ Z).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("columns", [1, 3, 5])
+def test_a_deflated_solve_does_not_depend_on_how_many_columns_are_solved_at_a_time(monkeypatch, columns):
+    K_form, K, M_form, M = problem(False, False, "diagonal")
+    modes = SparseModes(K_form, M_form, K, M, 4)
+    F = torch.randn(LANES, N, columns, 4, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    found = []
+    for narrow in (False, True):
+        monkeypatch.setattr(sparse_modes, "NARROW", narrow)
+        found.append(modes.deflated_solve(F))
+    torch.testing.assert_close(*found, rtol=0, atol=1e-11 * float(found[0].abs().max()))
 
 
 class _LargestTensor(TorchDispatchMode):

@@ -10,7 +10,7 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from torchmbd.integrate.prepared import initial
 from torchmbd.multibody.system import Dynamics, equations
-from torchmbd.multibody.system.condensation import condense
+from torchmbd.multibody.system.condensation import _Poses, condense
 
 pytestmark = pytest.mark.usefixtures("compiled")
 GROUND = mbd.Ground()
@@ -118,6 +118,14 @@ def test_the_slider_crank_with_all_its_sensitivities(monkeypatch):
     _, pairs = compared(system, 0.02, 160, monkeypatch, gradients="forward")
     for x, expected in pairs:
         assert_close(x, expected, rtol=0, atol=1e-4 * float(expected.abs().max()))
+
+
+def test_the_jacobian_is_that_of_the_violations():
+    system = build(3, cells=(4, 2), modes=2)
+    T, poses = system.topology, _Poses(system.topology)
+    q = poses.moved(system.equations().initial.q, torch.linspace(-0.7, 0.9, T.n_v, dtype=torch.float64))
+    expected = torch.func.jacfwd(lambda step: poses.phi(poses.moved(q, step)))(q.new_zeros(T.n_v))
+    assert_close(poses.jacobian(q), expected, rtol=0, atol=1e-14)
 
 
 def test_bodies_that_a_joint_does_not_hold_simply_stay():

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -51,7 +52,7 @@ class BeamData(NamedTuple):
     @property
     def lanes(self) -> torch.Size:
         """Shape of the leading axes, broadcast over all fields."""
-        return torch.broadcast_shapes(*(x.shape[: x.dim() - k] for x, k in zip(self, RANKS, strict=True)))
+        return torch.Size(np.broadcast_shapes(*(x.shape[: x.dim() - k] for x, k in zip(self, RANKS, strict=True))))
 
     def split_lanes(self, lanes: torch.Size | None = None) -> list[BeamData]:
         """Return the data of each lane, expanded to `lanes` (default: its own)."""

@@ -19,6 +19,7 @@ Checked in tests/fem/exact_beam/test_forces.py.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -77,7 +78,7 @@ def residual(data: BeamData, topology: Topology, x: Tensor, R: Tensor, factor: T
     """Unbalanced forces and moments at the nodes, loads less element forces [*lanes, n, 6]."""
     outer = load_forces(data, x, R, factor)
     ends = element_forces(data, topology, x, R).unflatten(-1, (2, 6)).flatten(-3, -2)
-    lanes = torch.broadcast_shapes(outer.shape[:-2], ends.shape[:-2])
+    lanes = np.broadcast_shapes(outer.shape[:-2], ends.shape[:-2])
     return outer.expand(*lanes, -1, -1).index_add(-2, topology.elements.flatten(), -ends.expand(*lanes, -1, -1))
 
 

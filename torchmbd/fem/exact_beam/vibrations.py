@@ -87,7 +87,7 @@ class _Modes(torch.autograd.Function):
     def forward(search: Continuation, number: int, *given: Tensor) -> tuple[Tensor, ...]:
         *data, x, R = (y.detach() for y in given)
         own = BeamData(*data)
-        lanes = torch.broadcast_shapes(own.lanes, x.shape[:-2])
+        lanes = torch.Size(np.broadcast_shapes(own.lanes, x.shape[:-2]))
         x, R = (y.expand(*lanes, *y.shape[-k:]).reshape(-1, *y.shape[-k:]) for y, k in ((x, 2), (R, 3)))
         rows = [_modes(search, *one, number) for one in zip(own.split_lanes(lanes), x, R, strict=True)]
         return tuple(torch.stack(y).reshape((*lanes, *y[0].shape)) for y in zip(*rows, strict=True))

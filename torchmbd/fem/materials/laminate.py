@@ -32,6 +32,7 @@ import copy
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -284,7 +285,7 @@ class Laminate(nn.Module):
 def _constants_of(plies: Sequence[Ply]) -> Float[Tensor, "*lanes layers 14"]:
     """Stiffness in plane (9 numbers) and in transverse shear (4), and density of every ply."""
     rows = [(p.plane_stiffness().flatten(-2), p.shear_stiffness().flatten(-2), stacked([p.density])) for p in plies]
-    lanes = torch.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
+    lanes = np.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
     return torch.stack([torch.cat([x.expand(*lanes, -1) for x in row], -1) for row in rows], -2)
 
 

@@ -1,7 +1,9 @@
 """Call a Python function as one operator of torch.
 
 The batched gradients of torch.autograd (is_grads_batched, gradcheck) ignore the vmap rules of Functions and cannot batch loops
-and NumPy. An operator of torch is called for each slice of the batch instead. Checked in tests/sensitivity/test_spectral.py.
+and NumPy. An operator of torch is called for each slice of the batch instead. It is registered by its schema: the decorator
+torch.library.custom_op imports the compiler of torch at its first call, which takes seconds.
+Checked in tests/sensitivity/test_spectral.py.
 """
 
 from __future__ import annotations
@@ -24,11 +26,15 @@ def call_as_operator(
     number = next(_numbers)
     _functions[number] = function
     try:
-        return _call(number, a, b, c, d)
+        return torch.ops.torchmbd.call_as_operator(number, a, b, c, d)
     finally:
         del _functions[number]
 
 
-@torch.library.custom_op("torchmbd::call_as_operator", mutates_args=())
+_NAME = "torchmbd::call_as_operator"
+torch.library.define(_NAME, "(int number, Tensor a, Tensor? b, Tensor? c, Tensor? d) -> (Tensor, Tensor)")
+
+
+@torch.library.impl(_NAME, "cpu")
 def _call(number: int, a: Tensor, b: Tensor | None, c: Tensor | None, d: Tensor | None) -> tuple[Tensor, Tensor]:
     return _functions[number](a, b, c, d)

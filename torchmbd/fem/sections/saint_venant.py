@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -79,7 +80,7 @@ def compliance(
     problem: WarpingProblem, x: Float[Tensor, "*lanes e"], D: Float[Tensor, "*lanes layers 6 6"]
 ) -> Float[Tensor, "*lanes 6 6"]:
     """Return S of a section of dimensions x; differentiable once in x and D. Equal designs are computed once."""
-    lanes = torch.broadcast_shapes(x.shape[:-1], D.shape[:-3])
+    lanes = torch.Size(np.broadcast_shapes(x.shape[:-1], D.shape[:-3]))
     one_axis = (x.expand(*lanes, -1).reshape(lanes.numel(), -1), D.expand(*lanes, -1, 6, 6).reshape(-1, *D.shape[-3:]))
     return _Compliance.apply(problem, *one_axis).reshape(*lanes, 6, 6)
 

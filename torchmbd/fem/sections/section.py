@@ -27,6 +27,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -124,7 +125,7 @@ class Section(nn.Module):
         """Dimensions of the mesh that are parameters [m]."""
         given = [(getattr(self, name), x.dim()) for name, (x, _) in self.mesh.dimensions.items()]
         flat = [x.reshape(*x.shape[: x.dim() - own], -1) for x, own in given]
-        lanes = torch.broadcast_shapes(*(x.shape[:-1] for x in flat))
+        lanes = np.broadcast_shapes(*(x.shape[:-1] for x in flat))
         return torch.cat([self._constant.new_zeros(*lanes, 0), *(x.expand(*lanes, -1) for x in flat)], -1)
 
     @property
@@ -208,7 +209,7 @@ class Section(nn.Module):
 def _constants_of(solids: Sequence[Orthotropic]) -> Float[Tensor, "*lanes layers 37"]:
     """Stiffness (36 numbers) and density of every layer."""
     rows = [(solid.stiffness().flatten(-2), stacked([solid.density])) for solid in solids]
-    lanes = torch.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
+    lanes = np.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
     return torch.stack([torch.cat([x.expand(*lanes, -1) for x in row], -1) for row in rows], -2)
 
 

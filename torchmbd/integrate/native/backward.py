@@ -6,7 +6,6 @@ Checked in tests/sensitivity/test_adjoint.py.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from functools import cached_property
 
 import torch
@@ -23,10 +22,9 @@ from torchmbd.integrate.native.simd_layout import (
     lanes_out,
     uniform,
     varied_blocks,
-    without_varied,
 )
 from torchmbd.math.pair import value
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
@@ -68,15 +66,14 @@ class NativeAdjointSolver(AdjointSolver):
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
 
     @cached_property
-    def _known_at_first(self) -> tuple[Sequence[Prescribed], Tensor, Tensor]:
+    def _known_at_first(self) -> tuple[Schedule, Tensor, Tensor]:
         """`_known` of the first segment, kept: most motions are one segment."""
         return self._known(0)
 
-    def _known(self, number: int) -> tuple[Sequence[Prescribed], Tensor, Tensor]:
+    def _known(self, number: int) -> tuple[Schedule, Tensor, Tensor]:
         """Drives and known motions at the ends of the steps of a segment; those that all lanes share, and those that vary."""
         T, schedule = self.dynamics.topology, self._schedule(self.segments[number])
-        same = uniform(self.weights, without_varied(T, schedule))
-        return schedule, same, varied_blocks(T, schedule, len(self.grid.lanes), 0)
+        return schedule, uniform(T, self.weights, schedule), varied_blocks(T, schedule, len(self.grid.lanes), 0)
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
         if self.code is None:
@@ -115,7 +112,7 @@ class NativeAdjointSolver(AdjointSolver):
         by |= called.cotangents(_lanes(of_strengths, lanes)) if called else {}
         return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
 
-    def _called(self, job: _Job, schedule: Sequence[Prescribed]) -> tuple[FeedbackAdjoint, Tensor]:
+    def _called(self, job: _Job, schedule: Schedule) -> tuple[FeedbackAdjoint, Tensor]:
         """Laws that are called back, and an array for the cotangents of their strengths [steps, block, rows, n, LANES]."""
         assert self.code is not None
         laws, (steps, count, rows, lanes) = self.library.called, (job.steps, len(self.values), job.rows, job.lanes)
@@ -124,7 +121,7 @@ class NativeAdjointSolver(AdjointSolver):
         job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
         self.code.adjoint(ctypes.byref(job))
         job.rows, job.read = rows, 0
-        data, times = self.grid.dynamics.data, torch.stack([prescribed.t for prescribed in schedule])
+        data, times = self.grid.dynamics.data, schedule.t
         wanted = {name for name, x in data.items() if value(x).requires_grad}
         plain = {name: value(x).detach() for name, x in data.items()}
         found = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)

@@ -48,6 +48,7 @@ from torchmbd.multibody.forces.user_laws import native_law
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.process import cache_folder, require_cache_folder
+from torchmbd.progress import begin_stage
 
 _SOURCES = (
     "math",
@@ -178,6 +179,7 @@ def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
             _loaded[name] = code
     if not missing:
         return
+    begin_stage("compiling")
     texts = [functions.source(data.kind_of(dynamics), kind) for kind in missing]  # tracing is of one thread
     system = ", ".join(dynamics.topology.names)
     with ThreadPoolExecutor(len(missing)) as pool:

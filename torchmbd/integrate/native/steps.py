@@ -8,7 +8,7 @@ Checked in tests/integrate/native/test_steps.py.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import torch
@@ -22,13 +22,12 @@ from torchmbd.integrate.native.simd_layout import (
     lanes_out,
     uniform,
     varied_blocks,
-    without_varied,
 )
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import CHECK, EagerStepper, Record, check_intervals
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Schedule
 from torchmbd.progress import reach
 from torchmbd.results.state import State
 
@@ -80,19 +79,19 @@ class NativeStepper(EagerStepper):
         super().restart()
         self.fresh = 1
 
-    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, start: int = 1) -> State:
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         if self.code is None:
             return super().run(x, schedule, record, first, start)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
-        table = uniform(self.weights, without_varied(self.dynamics.topology, schedule))
+        table = uniform(self.dynamics.topology, self.weights, schedule)
         for part in check_intervals(len(schedule), first, self.n_b):
             done = part.start
             if self.feedback is not None:
-                self.feedback.times = torch.stack([prescribed.t for prescribed in schedule[part]])
+                self.feedback.times = schedule.t[part]
             if not self._run_part(state, table[part], moved[part], record, first + done, start + done):
                 return super().run(self._state(state), schedule[done:], record, first + done, start + done)
-            reach(value(schedule[part][-1].t))
+            reach(value(schedule.t[part][-1]))
         return self._state(state)
 
     def _run_part(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, start: int) -> bool:

@@ -29,6 +29,7 @@ import torch
 from torchmbd.errors import warn
 from torchmbd.math.codegen import build_cache
 from torchmbd.process import cache_folder, require_cache_folder
+from torchmbd.progress import begin_stage
 
 SUFFIX = ".so"
 OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
@@ -127,6 +128,7 @@ class Native:
 
     def _build(self) -> None:
         """Compile the source; the library gets its name when it is complete."""
+        begin_stage("compiling")
         with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
             output = Path(work) / "code.so"
             command = [compiler(), "-O3", *OPTIONS, "-o", str(output), str(PACKAGE / self.source)]

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -25,7 +26,7 @@ def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[Spar
     """Stiffness and mass of the free freedoms, with the same lanes; points: `assembly.masses()`, if it is known already."""
     K, M = assembly.stiffness(), assembly.mass(points)
     values = M if isinstance(M, Tensor) else M.values
-    lanes = torch.broadcast_shapes(K.values.shape[:-1], values.shape[:-1])
+    lanes = np.broadcast_shapes(K.values.shape[:-1], values.shape[:-1])
     K = replace(K, values=K.values.expand(*lanes, -1))
     return K, values.expand(*lanes, -1) if isinstance(M, Tensor) else M
 

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -101,7 +102,7 @@ def inertial_loads(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes point
     spin = 0.5 * torch.linalg.cross(eye[:, None].expand(3, 3, 3), eye[None].expand(3, 3, 3), dim=-1)  # [j, i, 3]
     spin = torch.cat([torch.zeros(3, 3, dtype=x.dtype), spin.flatten(0, 1).T], -1)
     moment = -points.rotary[..., None, None] * spin
-    lanes = torch.broadcast_shapes(force.shape[:-2], moment.shape[:-2])
+    lanes = np.broadcast_shapes(force.shape[:-2], moment.shape[:-2])
     return torch.cat([force.expand(*lanes, 3, INERTIAL), moment.expand(*lanes, 3, INERTIAL)], -2)
 
 

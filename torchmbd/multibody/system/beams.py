@@ -65,7 +65,7 @@ def beam_data(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
             for part in parts
         ]
         k = 1 + len(core)
-        lanes = torch.broadcast_shapes(*(x.shape[:-k] for x in given))
+        lanes = np.broadcast_shapes(*(x.shape[:-k] for x in given))
         x = torch.cat([x.expand(*lanes, *x.shape[-k:]) for x in given], -k)
         x = x.reshape(-1, *x.shape[-k:]).movedim(1, -1)  # [lanes, *core, n]
         data[name] = x.movedim(0, -1).unsqueeze(-2)

@@ -125,6 +125,9 @@ class _Poses:
 
     def phi(self, q: Tensor, angle: float = 0.0) -> Tensor:
         """Violations [rows] at q [n_q], with `angle` added to the values of all laws at t = 0."""
+        return equations.constraints(self.T, self._placement(q, angle))[:, 0, 0]
+
+    def _placement(self, q: Tensor, angle: float) -> equations.Placement:
         start = q.new_zeros(1)
 
         def drive(p: Primitive) -> tuple | None:
@@ -133,7 +136,7 @@ class _Poses:
 
         laws = [drive(p) for p in self.T.primitives]
         given = self.T.prescribed(start[0])._replace(laws=laws)
-        return equations.constraints(self.T, equations.placement(self.T, self.data, q[:, None, None], given))[:, 0, 0]
+        return equations.placement(self.T, self.data, q[:, None, None], given)
 
     def moved(self, q: Tensor, step: Tensor) -> Tensor:
         """q after an increment [n_v]."""
@@ -141,8 +144,9 @@ class _Poses:
 
     def jacobian(self, q: Tensor) -> Tensor:
         """Phi_q [rows, n_v] at q [n_q]."""
-        jacobian: Any = torch.func.jacfwd(lambda step: self.phi(self.moved(q, step)))
-        return jacobian(q.new_zeros(self.T.n_v))
+        unit = torch.eye(self.T.rows, dtype=q.dtype)[:, :, None]
+        forces = equations.constraint_forces(self.T, self.data, self._placement(q, 0.0), unit)  # of unit multipliers
+        return torch.cat([x.flatten(0, 1) for x in forces])[..., 0].T
 
     def columns(self, body: int) -> list[int]:
         """Columns of Phi_q of the rates of a body."""

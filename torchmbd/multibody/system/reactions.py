@@ -51,7 +51,7 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     T = c.whole
     names = (*equations.ATTACHED, "gravity", *INERTIA)
     wide = {name: repeat_over_times(data[name], n, lanes) for name in names if name in data}
-    given = as_lanes([T.prescribed(t, data) for t in times], lanes)
+    given = as_lanes(T.schedule(times, data), lanes)
     removed = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
     lam = _scatter_rows(retained, c.rows, T.rows)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system.topology import Prescribed, Topology
+from torchmbd.multibody.system.topology import Prescribed, Schedule, Topology
 
 
 def at_own_times(T: Topology, t: Any, data: Mapping[str, Any]) -> Prescribed:
@@ -44,18 +44,14 @@ def _moved(x: Jet, t: Pair) -> Pair:
     return Pair.of(value(x.value), moved + x.value.tangent if isinstance(x.value, Pair) else moved)
 
 
-def as_lanes(schedule: list[Prescribed], lanes: int = 1, lanes_first: bool = False) -> Prescribed:
+def as_lanes(schedule: Schedule, lanes: int = 1, lanes_first: bool = False) -> Prescribed:
     """Prescribed quantities of all times of a schedule for so many lanes: laws [..., times x lanes], or [..., lanes x times] if
     lanes_first, and t [times]."""
-    laws = [
-        None if kind[0] is None else tuple(_stack_times(part, lanes, lanes_first) for part in zip(*kind, strict=True))
-        for kind in zip(*(prescribed.laws for prescribed in schedule), strict=True)
-    ]
-    return schedule[0]._replace(laws=laws, t=torch.stack([prescribed.t for prescribed in schedule]))
 
+    def wide(x: Tensor) -> Tensor:
+        return x.expand(*x.shape[:-1], lanes).movedim(0, -1 if lanes_first else -2).flatten(-2)
 
-def _stack_times(parts: tuple[Any, ...], lanes: int, lanes_first: bool) -> Any:
-    full = [x.full if isinstance(x, Pair) else x for x in parts]
-    wide = [x.expand(*x.shape[:-1], lanes) for x in full]
-    stacked = torch.stack(wide, -1 if lanes_first else -2).flatten(-2)
-    return Pair(stacked) if isinstance(parts[0], Pair) else stacked
+    laws: list[tuple | None] = []
+    for law in schedule.laws:
+        laws.append(law and tuple(Pair(wide(x.full)) if isinstance(x, Pair) else wide(x) for x in law))
+    return Prescribed(laws, schedule.A[0], schedule.r[0], schedule.t)

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import torch
 from torch import Tensor
@@ -41,14 +41,42 @@ class Prescribed(NamedTuple):
     r: Tensor  # origins [3, known bodies, 1, 1]
     t: Any  # the time [1, 1] or []; [1, lanes] or [lanes] where each lane is at its own
 
-    def without_laws(self, kinds: Sequence[int]) -> Prescribed:
-        """The same without the laws of some kinds of primitives. Without those with design variables all lanes are equal."""
-        return self._replace(laws=[() if i in kinds else law for i, law in enumerate(self.laws)])
-
     def values(self) -> Prescribed:
         """The same without tangents."""
         laws = [None if law is None else tuple(value(x) for x in law) for law in self.laws]
         return self._replace(laws=laws, A=value(self.A), r=value(self.r), t=value(self.t))
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule(Sequence[Prescribed]):
+    """Prescribed quantities at n times, as of Prescribed with an axis of times in front; a sequence of those of each time."""
+
+    laws: list[tuple | None]
+    A: Tensor
+    r: Tensor
+    t: Any
+
+    @classmethod
+    def of(cls, at: Prescribed) -> Schedule:
+        """That of one time."""
+        laws = [None if law is None else tuple(linear(_at_one_time, x) for x in law) for law in at.laws]
+        return cls(laws, *(linear(_at_one_time, x) for x in at[1:]))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @overload
+    def __getitem__(self, i: int) -> Prescribed: ...
+    @overload
+    def __getitem__(self, i: slice) -> Schedule: ...
+    def __getitem__(self, i: int | slice) -> Prescribed | Schedule:
+        laws = [None if law is None else tuple(x[i] for x in law) for law in self.laws]
+        kind = Schedule if isinstance(i, slice) else Prescribed
+        return kind(laws, self.A[i], self.r[i], self.t[i])
+
+
+def _at_one_time(x: Tensor) -> Tensor:
+    return x.unsqueeze(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,13 +179,10 @@ class Topology:
         laws = [None if law is None else tuple(linear(_of_each_lane, x) for x in law) for law in at_times]
         return Prescribed(laws, A.movedim(0, -1)[..., 0, :], r.movedim(0, -1)[..., 0, :], t)
 
-    def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
+    def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> Schedule:
         """Prescribed quantities at each of the times [n]; data as of `law_jets`."""
-        n = len(times)
         laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
-        A, r = self.poses(times)
-        at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
-        return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
+        return Schedule(laws, *self.poses(times), times)
 
     def poses(self, times: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations [n, 3, 3, known bodies, 1, 1] and origins [n, 3, known bodies, 1, 1] of the known bodies at times [n]."""
