@@ -15,7 +15,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from torchmbd.design import fatigue, history
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
-from torchmbd.design.rainflow import rainflow
+from torchmbd.design.rainflow import Cycles, rainflow
 from torchmbd.design.spline import Spline
 from torchmbd.fem.materials import SNCurve
 
@@ -304,3 +304,23 @@ def test_many_histories_at_once_take_no_longer_than_they_should():
     cycles = rainflow(y)
     assert cycles.range.shape == (300, 59)
     assert bool((cycles.count.sum(1) > 10.0).all())
+
+
+def test_cycles_are_counted_for_each_second_of_the_window():
+    """Four cycles of range 2 in the four seconds from peak to peak, which begin after four."""
+    t = torch.linspace(0.0, 10.0, 401, dtype=torch.float64)
+    curve = Spline.of(t, torch.cos(2.0 * math.pi * t), (4.0, 8.0))
+    load = EquivalentLoad(mbd.Position("bob", "x"), (4.0, 8.0), exponent=3.0)
+    assert_close(load.reduce(curve), torch.tensor(2.0, dtype=torch.float64), rtol=1e-4, atol=0.0)
+
+
+@pytest.mark.parametrize(("component", "name"), [(0, "11"), (1, "22")])
+def test_each_component_has_its_strengths_in_tension_and_compression(component, name):
+    """The constant-life triangle from -C to T: T - mean on the side of tension, C + mean on that of compression."""
+    strength = torch.full((8,), 1e9, dtype=torch.float64)
+    strength[2 * component], strength[2 * component + 1] = 40.0, 160.0
+    rule = FatigueDamage("rod", exponent={name: 3.0})
+    for mean, allowable in ((20.0, 20.0), (-100.0, 60.0)):
+        cycles = Cycles(*(torch.tensor([x], dtype=torch.float64) for x in (20.0, mean, 1.0)))
+        damage = rule.of_cycles(cycles, component, strength)
+        assert float(damage) == pytest.approx((10.0 / allowable) ** 3, rel=1e-12)

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import INERTIA, box, pendulum, plate, tensor, turned
+from tests.mechanisms import INERTIA, SOFT, box, laminate, pendulum, plate, tensor, turned
 from torchmbd.errors import InputError
 from torchmbd.results.reaction import frame_axes, frame_point
 
@@ -151,3 +151,27 @@ def test_a_locked_joint_transmits_the_moment_of_the_lock(gradients):
     assert float(other(motion)) == pytest.approx(-10.0, rel=1e-9)
     if gradients != "none":
         assert float(measure.value_and_gradient(motion)[1]) == pytest.approx(5.0, rel=1e-8)
+
+
+def test_axes_on_a_bent_body_turn_with_its_nodes():
+    """A load on the end of a soft plate: its joint keeps both frames parallel, but for squares of the angle by which the end
+    turns, since attached axes turn to first order; those of the rigid load are known."""
+    ground, rod = mbd.Ground(), plate("rod", made_of=laminate((20.0, -50.0), 3e-3, SOFT))
+    load = box("load", position=(0.3, 0.0, 0.0))
+    turn = turned(0.4, -0.2, 0.3)
+    joints = [
+        mbd.Fixed(ground.at(), rod.at("left"), name="root"),
+        mbd.Fixed(rod.at("right", axes=turn), load.at(axes=turn), name="hook"),
+    ]
+    motion = mbd.simulate(mbd.System([rod, load], joints, gravity=GRAVITY), 0.05, steps=50).require_ok()
+    view = motion.body("load")
+    force, _ = inertia_of(motion, "load")
+    angle = (view.A[0] - torch.eye(3, dtype=torch.float64)).abs().amax()
+    assert 0.01 < float(angle) < 0.1
+    axes = view.A[0] @ load.at(axes=turn).axes
+    assert_close(
+        motion.reaction("hook").force[0],
+        torch.einsum("tij,ti->tj", axes, force),
+        rtol=0,
+        atol=float(force.abs().amax() * angle**2),
+    )
