@@ -73,3 +73,20 @@ def test_the_duration_has_its_gradient_with_one_phase():
         motion = mbd.simulate(pendulum(damping=1e-4), T, steps=10, phases=phases)
         slopes += torch.autograd.grad(motion.q[:, -1].sum(), [T])
     assert torch.equal(*slopes)
+
+
+@pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.0093), mbd.Phase(lasting=0.0111), mbd.Phase()]])
+def test_a_body_that_a_drive_moves_has_its_exact_motion_in_every_segment(phases):
+    """It is none of the unknowns: steps of any size leave no error, on both sides of switches, which begin anew."""
+    from experiments.slider_crank import build
+
+    system = build(6)
+    motion = mbd.simulate(system, 0.04, steps=40, phases=phases, gradients="none")
+    drive = next(joint for joint in system.joints if isinstance(joint, mbd.Drive))
+    plain = mbd.simulate(system, 0.04, steps=40, gradients="none")
+    names = system.topology.names
+    bodies, k = len(names), names.index(drive.b.body.name)
+    for name, components in (("q", 7), ("v", 6), ("a", 6)):
+        rows = [component * bodies + k for component in range(components)]
+        x, y = (getattr(m, name)[..., rows] for m in (motion, plain))
+        torch.testing.assert_close(x, y, rtol=0.0, atol=1e-13 * float(y.abs().max()))

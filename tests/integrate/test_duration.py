@@ -158,7 +158,6 @@ def test_what_is_no_duration_or_would_be_lost_is_refused():
     T = torch.tensor(0.01, dtype=torch.float64, requires_grad=True)
     for options, found in (
         ({"method": "rk4"}, "method is 'rk4'"),
-        ({"phases": [mbd.Phase(until=0.005), mbd.Phase()]}, "phases are given"),
         ({"gradients": "forward"}, "gradients is 'forward'"),
     ):
         with pytest.raises(InputError, match=rf"duration is being differentiated, but {found}; allowed: method"):

@@ -17,6 +17,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.native.library import BACKENDS
+from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed
@@ -66,21 +67,33 @@ def seconds_of(duration: Any) -> Any:
     return untransformed(duration).item() if isinstance(duration, Tensor) else duration
 
 
-def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
+def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator) -> bool:
     """Whether the motion is differentiated by its duration; InputError where this derivative does not exist."""
     if not isinstance(duration, Tensor) or not is_differentiated(duration):
         return False
     obstacle = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
-    obstacle = "phases are given" if phases else obstacle
-    if phases or not integrator.adjoint or gradients in ("forward", "none"):
+    if not integrator.adjoint or gradients in ("forward", "none"):
         methods = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
         raise InputError(
-            f"duration is being differentiated, but {obstacle}; allowed: method {methods} without phases with "
+            f"duration is being differentiated, but {obstacle}; allowed: method {methods} with "
             "gradients='auto' or 'reverse', which have both modes, or duration.detach()"
         )
     if duration.dtype != torch.float64:
         raise InputError(f"duration is {duration.dtype}; allowed: torch.float64")
     return True
+
+
+def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> None:
+    """InputError where the time of a phase is differentiated, but the gradients of the motion do not reach it."""
+    if gradients == "none" or (gradients != "forward" and integrator.adjoint):
+        return
+    for number, phase in enumerate(phases if isinstance(phases, (list, tuple)) else (), 1):
+        if isinstance(phase, Phase) and phase.time is not None:
+            key, x = ("until", phase.until) if phase.lasting is None else ("lasting", phase.lasting)
+            raise InputError(
+                f"{key} of phase {phase.name or number!r} is being differentiated, {x!r}, which tangents do not carry; "
+                f"allowed: gradients='reverse' or 'auto' of a one-step method, which have both modes, or {key}.detach()"
+            )
 
 
 def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:

@@ -18,12 +18,12 @@ from torch import Tensor
 
 from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
-from torchmbd.integrate.phases.lanes import join_states, lanes_of, pick_lanes
+from torchmbd.integrate.phases.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.phases.switch import accelerations, at_time
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed
-from torchmbd.results.history import History
+from torchmbd.multibody.system.topology import Schedule
+from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
 
 _SAME = 1e-15  # of a time: times that are equal
@@ -37,14 +37,32 @@ class FlowStepper:
         self.failed: dict[int, str] = {}
         self._rates: dict[int, RightHandSide] = {}
 
-    def step(self, i: int, x: State, prescribed: Prescribed, lanes: Tensor) -> State:
-        """As of Stepper."""
-        del prescribed  # the right-hand side evaluates laws itself
-        full = [_full(y).clone() for y in x]
-        for lane in torch.nonzero(lanes)[:, 0].tolist():
-            for part, y in zip(full, self._lane(i, lane, x), strict=True):
-                part[..., lane] = y[..., 0]
-        return State(*(Pair(y) if isinstance(x.q, Pair) else y for y in full))
+    def run(
+        self,
+        x: State,
+        schedule: Schedule,
+        record: Record,
+        first: int = 0,
+        start: int = 1,
+        lanes: Tensor | None = None,
+    ) -> State:
+        """As of Stepper; the right-hand side evaluates laws itself."""
+        moving = lane_numbers(torch.ones(x.q.shape[-1], dtype=torch.bool) if lanes is None else lanes)
+        for k in range(len(schedule)):
+            full = [_full(y).clone() for y in x]
+            for lane in moving:
+                for part, y in zip(full, self._lane(first + k, lane, x), strict=True):
+                    part[..., lane] = y[..., 0]
+            x = State(*(Pair(y) if isinstance(x.q, Pair) else y for y in full))
+            record.put(start + k, x)
+        return x
+
+    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+        """As of Stepper: they are the true ones."""
+        return [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
+
+    def count_only(self, lanes: Tensor) -> None:
+        """As of Stepper: there are no errors."""
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
         own = [_full(pick_lanes(y, [lane])) for y in x]

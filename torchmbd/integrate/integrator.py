@@ -25,8 +25,8 @@ from torch import Tensor
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed, Topology
-from torchmbd.results.history import History
+from torchmbd.multibody.system.topology import Schedule, Topology
+from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
 
 
@@ -59,12 +59,29 @@ class Stepper(Protocol):
 
     failed: dict[int, str]
 
-    def step(self, i: int, x: State, prescribed: Prescribed, lanes: Tensor) -> State:
-        """The state at time i of the grid; with tangents, the exact derivative of the discrete step, where x has them.
+    def run(
+        self,
+        x: State,
+        schedule: Schedule,
+        record: Record,
+        first: int = 0,
+        start: int = 1,
+        lanes: Tensor | None = None,
+    ) -> State:
+        """The last state of many steps, the first of number `first`; with tangents, the exact derivative of the steps.
 
-        prescribed   drives and bodies of known motion at its end
-        lanes        mask of the lanes that have a motion; the others come out with any numbers
+        schedule   drives and bodies of known motion at the ends of the steps
+        record     takes all states, from time `start` on
+        lanes      mask of the lanes that have a motion; the others come out with any numbers; None: as before
         """
+        ...
+
+    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+        """Algorithmic accelerations at all times of true ones vd [times, n_v, pair, lanes], the first being a."""
+        ...
+
+    def count_only(self, lanes: Tensor) -> None:
+        """Of the last steps, only those of the lanes of a mask [steps, lanes] count in the errors."""
         ...
 
     def restart(self) -> None:
@@ -82,6 +99,7 @@ class Integrator(ABC):
 
     native_kind     kind of native code that makes its steps: "step", "rates"; None: there is none
     adjoint         whether its steps have a pullback: reverse mode
+    condenses       whether its regular steps are those of the condensed system
     shortest_step   size of the shortest step that it makes, relative to a regular one
     not_in_phases   options that have no effect where there are phases
     """
@@ -89,6 +107,7 @@ class Integrator(ABC):
     name: str
     native_kind: ClassVar[str | None]
     adjoint: ClassVar[bool]
+    condenses: ClassVar[bool] = False
     shortest_step: ClassVar[float] = 0.0
     not_in_phases: ClassVar[tuple[str, ...]] = ()
 

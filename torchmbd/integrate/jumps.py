@@ -211,9 +211,9 @@ def _within(phases: Sequence[Phase], number: int, t: float) -> bool:
     """Whether a phase may last to, or from, time t: where it begins and ends is known of times, not of events."""
     begin: float | None = 0.0
     for k, phase in enumerate(phases):
-        end = phase.until if isinstance(phase.until, (int, float)) else None
-        if phase.lasting is not None and begin is not None:
-            end = begin + phase.lasting
+        end = phase.end_time
+        if phase.length is not None and begin is not None:
+            end = begin + phase.length
         if k == number:
             after = begin is None or t >= begin * (1.0 + _SAME)  # a law that changes where it begins has its new value
             return after and (end is None or t <= end * (1.0 + _SAME))
@@ -226,7 +226,7 @@ def _warn_of_held(
 ) -> None:
     """Of held values whose changes are no ends of the steps, a multiple of `count`; None: of no number of steps."""
     held = held_times(force.control, duration)
-    ends = [phase.until for phase in phases if isinstance(phase.until, (int, float))]
+    ends = [phase.end_time for phase in phases if phase.end_time is not None]
     within = [t for t in held if not any(abs(t - end) <= _SAME * duration for end in ends)]
     fitting = steps_at(within, duration)
     if within and (count is None or fitting is None or count % fitting):

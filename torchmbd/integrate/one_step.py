@@ -73,6 +73,7 @@ class OneStep(Integrator):
     checkpoint: int = 1
     native_kind: ClassVar[str | None] = "step"
     adjoint: ClassVar[bool] = True
+    condenses: ClassVar[bool] = True
     shortest_step: ClassVar[float] = 0.05  # index-3 equations do not bear much less
     not_in_phases: ClassVar[tuple[str, ...]] = ("halvings", "checkpoint")
 

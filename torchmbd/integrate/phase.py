@@ -12,9 +12,11 @@ phase begins (multibody/joints/lock.py). segment.py makes a part of the motion o
 A law of a force that jumps, such as eq. (39), is a phase for each of its continuous pieces: its jumps are located, not
 smoothed.
 Gradients through switches, forward and reverse, are those of the discrete map: of steps, sizes of the last and first step
-of a phase, times of events, jumps. Where a switch passes a point of the grid that map jumps by O(h^2): gradients are those of
-one side. One-step methods have both modes (phases/adjoint.py), methods of torchdiffeq forward tangents only.
-Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_laws_that_jump.py, test_phase_adjoint.py.
+of a phase, times of events, `until` and `lasting`, jumps. Where a switch passes a point of the grid that map jumps by O(h^2):
+gradients are those of one side. One-step methods have both modes (phases/adjoint.py), methods of torchdiffeq forward tangents
+only.
+Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_laws_that_jump.py, test_phase_adjoint.py,
+test_phase_times.py.
 """
 
 from __future__ import annotations
@@ -24,10 +26,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from torchmbd.errors import InputError
 from torchmbd.integrate.phases.events import Event
 from torchmbd.math.checked_numbers import is_real
-from torchmbd.math.gradients import refuse_lost_gradients
+from torchmbd.math.gradients import is_differentiated, refuse_lost_gradients, untransformed
 from torchmbd.multibody.forces.action import Law
 from torchmbd.multibody.joints import Joint
 
@@ -38,6 +43,7 @@ class Phase:
 
     until    when it ends: a time [s], or an Event; None: with the simulation (the last phase only)
     lasting  how long it lasts [s], instead of `until`
+             (times may be tensors [] that are being differentiated: the motion has gradients by them)
     lock     joints, or their names, that are held where they are when the phase begins
     release  joints, or their names, that do not act
     laws     names of force elements of one action each -> laws that act in their places
@@ -54,8 +60,8 @@ class Phase:
     -0.1962
     """
 
-    until: float | Event | None = None
-    lasting: float | None = None
+    until: float | Tensor | Event | None = None
+    lasting: float | Tensor | None = None
     lock: Sequence[Joint | str] = ()
     release: Sequence[Joint | str] = ()
     laws: Mapping[str, Law] = field(default_factory=dict)
@@ -69,7 +75,7 @@ class Phase:
             x = getattr(self, key)
             if x is not None and not isinstance(x, Event) and not _positive(x):
                 allowed = "a positive time, or an Event" if key == "until" else "a positive time"
-                raise InputError(f"{key} of a phase is {x!r} s; allowed: {allowed}")
+                raise InputError(f"{key} of a phase is {x!r} s; allowed: {allowed}; a tensor is one float64 number")
         for key in ("lock", "release"):
             x = getattr(self, key)
             if isinstance(x, str) or not isinstance(x, Sequence) or not all(isinstance(j, (str, Joint)) for j in x):
@@ -85,6 +91,28 @@ class Phase:
         if self.impact is not None and not callable(self.impact) and not number:
             raise InputError(f"impact of a phase is {self.impact!r}; allowed: from 0 to 1, or a map of the velocities")
 
+    @property
+    def end_time(self) -> float | None:
+        """`until` as a number [s]; None where it is an event, or none."""
+        return None if self.until is None or isinstance(self.until, Event) else _number(self.until)
+
+    @property
+    def length(self) -> float | None:
+        """`lasting` as a number [s]."""
+        return None if self.lasting is None else _number(self.lasting)
+
+    @property
+    def time(self) -> Tensor | None:
+        """`until` or `lasting` where it is a tensor that is being differentiated."""
+        x = self.until if self.lasting is None else self.lasting
+        return x if isinstance(x, Tensor) and is_differentiated(x) else None
+
+
+def _number(x: float | Tensor) -> float:
+    return untransformed(x).item() if isinstance(x, Tensor) else float(x)
+
 
 def _positive(x: Any) -> bool:
+    if isinstance(x, Tensor):
+        x = _number(x) if x.dtype == torch.float64 and not untransformed(x).dim() else math.nan
     return isinstance(x, (int, float)) and not isinstance(x, bool) and 0.0 < x < math.inf

@@ -3,7 +3,7 @@
     state before --entry--> state --regular steps--> state --exit--> state at the switch
 
     entry    marks of locks, jump, impact, consistent accelerations (phases/switch.py); of the first one the initial state
-    steps    equal ones (phases/loop.py)
+    steps    equal ones, of the condensed system of the segment (phases/loop.py)
     exit     a last step, whose size is solved for (phases/loop.py); the last segment has none
 
 Bodies, structure stage and attached vectors are those of one whole system with all joints and all locks; a segment has some
@@ -19,6 +19,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from torch import Tensor
+
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate.phase import Phase
 from torchmbd.multibody.forces.action import Action, Law
@@ -27,11 +29,13 @@ from torchmbd.multibody.joints import Drive, Joint
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.condensation import Condensation, condense
 from torchmbd.multibody.system.initial import InitialConditions
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
 from torchmbd.multibody.system.topology import Topology
 
+DURATION = "duration of the motion"  # among the data [1, 1], where the motion has a gradient by it
 MOST_LISTS = 8  # lists of phases whose segments a system keeps
 
 
@@ -43,6 +47,7 @@ class Segment:
     topology, saddle  its joints and locks;  rows: its constraint rows among those of the whole
     closing           the joints that close the mechanism before the locks take hold, and their saddle point
     initial           initial conditions of these joints: of the first segment
+    condensation      of the joints to the ground; None: nothing is condensed
     """
 
     number: int
@@ -54,13 +59,24 @@ class Segment:
     locks: list[Lock]
     closing: tuple[Topology, Saddle]
     initial: InitialConditions
+    condensation: Condensation | None
+
+    @property
+    def time_name(self) -> str:
+        """The name among the data of the time at which it ends, or that it lasts, where the motion has gradients by it."""
+        return f"end of phase {self.name}"
 
     @classmethod
     def of(cls, dynamics: Dynamics, phase: Phase, number: int) -> Segment:
         """A segment in which all joints act and none is locked."""
         T, saddle, initial = dynamics.topology, dynamics.saddle, dynamics.initial
         name, rows = phase.name or str(number + 1), list(range(T.rows))
-        return cls(number, phase, name, T, saddle, rows, [], (T, saddle), initial)
+        return cls(number, phase, name, T, saddle, rows, [], (T, saddle), initial, initial.condensed)
+
+    @property
+    def starts_assembled(self) -> bool:
+        """Whether it begins in the state of the assembled mechanism: the first segment, without locks."""
+        return self.number == 0 and not self.locks
 
 
 def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
@@ -68,7 +84,8 @@ def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
     if not isinstance(phases, (list, tuple)) or len(phases) != 1 or not isinstance(phases[0], Phase):
         return phases
     [phase] = phases
-    changes = phase.lock or phase.release or phase.laws or phase.until or phase.lasting or phase.impact
+    changes = phase.lock or phase.release or phase.laws or phase.impact
+    changes = changes or phase.until is not None or phase.lasting is not None
     return phases if changes else None
 
 
@@ -89,6 +106,11 @@ def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tup
     return found
 
 
+def times_of(segments: Sequence[Segment]) -> dict[str, Tensor]:
+    """Times of phases that are being differentiated, as data [1, 1]."""
+    return {part.time_name: part.phase.time[None, None] for part in segments if part.phase.time is not None}
+
+
 def _segments(system: System, phases: Sequence[Phase], names: Sequence[str]) -> tuple[System, list[Segment]]:
     locked = [_joints_named(system, name, phase.lock, "lock") for name, phase in zip(names, phases, strict=True)]
     released = [
@@ -104,7 +126,7 @@ def _segments(system: System, phases: Sequence[Phase], names: Sequence[str]) -> 
     result: list[Segment] = []
     for k, phase in enumerate(phases):
         acting = {joint.name for joint in system.joints} - {joint.name for joint in released[k]}
-        result.append(_segment(whole, k, names[k], phase, acting, locks[k]))
+        result.append(_segment(whole, k, names[k], phase, acting, locks[k], result))
     return whole, result
 
 
@@ -115,6 +137,7 @@ def _segment(
     phase: Phase,
     acting: set[str],
     locks: list[Lock],
+    before: Sequence[Segment],
 ) -> Segment:
     """The segment of a phase in which the joints `acting` and `locks` act."""
     model = whole.equations()
@@ -131,7 +154,10 @@ def _segment(
         of_joints = replace(selected(T, closing_rows), actions=actions)
         closing = of_joints, Saddle(of_joints)
     initial = replace(initial, topology=closing[0])
-    return Segment(number, phase, name, topology, saddle, rows, locks, closing, initial)
+    always = set(rows).intersection(*(segment.rows for segment in before))
+    constant = [i for i, row in enumerate(rows) if row in always]
+    condensation = condense(topology, initial.q, constant, [lock.name for lock in locks]) if topology.rows else None
+    return Segment(number, phase, name, topology, saddle, rows, locks, closing, initial, condensation)
 
 
 def _check_names(system: System, names: Sequence[str]) -> None:
@@ -178,7 +204,7 @@ def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float)
             f"phase {names[-1]!r} is the last and has an end of its own; allowed: the last phase lasts until the "
             f"duration of the simulation (add mbd.Phase() after it)"
         )
-    times = [0.0, *(p.until for p in phases if isinstance(p.until, (int, float))), duration]
+    times = [0.0, *(p.end_time for p in phases if p.end_time is not None), duration]
     if any(a >= b for a, b in itertools.pairwise(times)):
         raise InputError(
             f"until of the phases is {times[1:-1]} s; allowed: increasing times before duration={duration:g} s"

@@ -22,6 +22,7 @@ from torchmbd.errors import InputError, argument_names
 from torchmbd.integrate.arguments import (
     check_backend,
     check_gradients,
+    check_phase_times,
     check_start,
     checked_designs,
     checked_integrator,
@@ -40,7 +41,7 @@ from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.integrate.segment import segments_of, switching
+from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
@@ -134,11 +135,13 @@ def simulate(
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
         warn_static_truncation(system)
-        by_duration = duration_is_differentiated(duration, gradients, integrator, phases is not None)
+        by_duration = duration_is_differentiated(duration, gradients, integrator)
         if phases is not None:
+            check_phase_times(phases, gradients, integrator)
             outside_transforms(lambda: segments_of(system, phases, seconds))
         warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
-        names = variable_names(system, given, gradients, variables, by_duration)
+        by_times = by_duration or any(phase.time is not None for phase in phases or ())
+        names = variable_names(system, given, gradients, variables, by_times)
         check_start(initial, gradients, integrator)
         if gradients != "none":
             _refuse_other_designs(names, given)
@@ -158,12 +161,13 @@ def simulate(
             )
             motion = _forward(integration, batch)
         elif phases is not None:
-            motion = _reverse_phases(system, batch, names, seconds, steps, integrator, backend, phases)
+            length = duration if by_duration else seconds
+            motion = _reverse_phases(system, batch, names, length, steps, integrator, backend, phases)
         else:
             motion = _reverse(system, batch, names, duration if by_duration else seconds, steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
         mode = "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
-        motion.stats["gradients"] = mode if names or by_duration or initial.is_differentiated else "none"
+        motion.stats["gradients"] = mode if names or by_times or initial.is_differentiated else "none"
         with torch.no_grad():
             if phases is None:
                 report_singular_positions(plain(motion))
@@ -190,11 +194,11 @@ def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
 
 
 def variable_names(
-    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, by_duration: bool
+    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, by_times: bool
 ) -> list[str]:
     """Names of the parameters by which the motion is differentiated.
 
-    by_duration: whether it is differentiated by its duration as well
+    by_times: whether it is differentiated by its duration or times of its phases as well
     """
     if gradients == "none":
         return []
@@ -204,7 +208,7 @@ def variable_names(
     if gradients == "auto":
         return [name for name, x in own.items() if is_differentiated(given.get(name, x))]
     names = [name for name, x in own.items() if x.requires_grad or is_differentiated(given.get(name, x))]
-    if not names and not by_duration:
+    if not names and not by_times:
         raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
     return names
 
@@ -268,18 +272,21 @@ def _reverse_phases(
     system: System,
     batch: dict[str, Tensor],
     names: list[str],
-    duration: float,
+    duration: float | Tensor,
     steps: int | None,
     integrator: OneStep,
     backend: str,
     phases: Sequence[Phase],
 ) -> Trajectory:
     """As `_reverse`, through phases."""
-    whole, phase_models = outside_transforms(lambda: segments_of(system, phases, duration))
+    seconds = seconds_of(duration)
+    whole, phase_models = outside_transforms(lambda: segments_of(system, phases, seconds))
     dynamics = whole.reduced(batch)
-    data, model = dynamics.data, replace(dynamics, data={})
+    data, model = dynamics.data | times_of(phase_models), replace(dynamics, data={})
+    if isinstance(duration, Tensor):
+        data[DURATION] = duration[None, None]
     integration = ReversePhaseIntegration(
-        whole, phase_models, model, tuple(data), tuple(batch), duration, steps, integrator, backend
+        whole, phase_models, model, tuple(data), tuple(batch), seconds, steps, integrator, backend
     )
     outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
     end = 5 + len(integration.output_data)
@@ -287,7 +294,7 @@ def _reverse_phases(
     motion = trajectory_of(whole, integration, outputs[:5], data, batch, entry_labels(system, names), names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
-    return motion
+    return _at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
 
 def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:

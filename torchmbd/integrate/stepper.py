@@ -7,6 +7,7 @@ Checked in tests/integrate/.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -15,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.pullback import PulledBack, StepPullback
-from torchmbd.math.pair import Pair, value
+from torchmbd.math.pair import Pair, combine, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Elimination, factored, pays
 from torchmbd.multibody.system.saddle_factors import regularized
@@ -81,15 +82,17 @@ class EagerStepper:
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
 
-    def step(self, i: int, x: State, prescribed: Prescribed, lanes: Tensor) -> State:
+    def run(
+        self,
+        x: State,
+        schedule: Schedule,
+        record: Record,
+        first: int = 0,
+        start: int = 1,
+        lanes: Tensor | None = None,
+    ) -> State:
         """As of Stepper."""
-        self.counts = lanes
-        x = self.run(x, Schedule.of(prescribed), Record(x, 2), i)
-        self.sizes[-1] = torch.where(lanes, self.sizes[-1], 0.0)
-        return x
-
-    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
-        """The last state of many steps, the first of number `first`; all go into the record, from time `start` on."""
+        self.counts = self.counts if lanes is None else lanes
         for i, prescribed in enumerate(schedule):
             x = self._step(first + i, x, prescribed)
             record.put(start + i, x)
@@ -168,6 +171,19 @@ class EagerStepper:
         share = error.nan_to_num(0.0, 0.5).clamp(TANGENT_ERROR, 0.5).log() / math.log(TANGENT_ERROR)
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
         self.most = int(self.passes.max())
+
+    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+        """As of Stepper: a1 = w(v0', v1') + c a0."""
+        w, found = self.model.w, [a]
+        vds = [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
+        for before, after in itertools.pairwise(vds):
+            found.append(combine(combine(w.a_from_vd * before, w.a_from_a, found[-1]), w.share, after))
+        return found
+
+    def count_only(self, lanes: Tensor) -> None:
+        """As of Stepper."""
+        for k, counted in enumerate(lanes, len(self.sizes) - len(lanes)):
+            self.sizes[k] = torch.where(counted, self.sizes[k], 0.0)
 
     def take_errors(self) -> Tensor:
         """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten."""

@@ -19,6 +19,7 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored
+from torchmbd.multibody.system.reactions import multipliers_at
 from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
@@ -26,6 +27,9 @@ from torchmbd.results.state import State
 _MOST = 40  # corrections
 _ROUNDING = 1e-13  # relative
 _STALLED = 1e-6  # relative: a correction below it that is not half of the one before is rounding
+_NEAR = 1e-3  # relative: after a correction below it the matrix is kept, which then leaves about this share of an error
+_SLOW = 0.1  # of the correction before: a larger one calls for a new matrix
+_TINY = torch.finfo(torch.float64).tiny
 _EPSILON = 1e-14  # rounding of coordinates, with what equations and factors add to it
 
 
@@ -66,18 +70,24 @@ def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> tuple[Te
 
 def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """As of `_solved` from one estimate, and which lanes converged."""
-    K, w = None, step.model.plain
+    K: Any = None
+    H: Any = None
+    w, size = step.model.plain, torch.full((estimate.shape[-1],), torch.inf, dtype=torch.float64)
     # A system at rest has no other accelerations than what these make of the rounding of coordinates.
     rounding = _EPSILON * value(step.x.q).abs().amax((0, 1)) * w.inverse_scale[0]
 
     def correction(z: Tensor, active: Tensor) -> Tensor:
-        nonlocal K
-        at_z = dynamics.regularize(step.matrix(z))
-        K = at_z if K is None else torch.where(active[:, None, None], at_z, K)
-        return step.correct(factored(K), z)[1]
+        nonlocal K, H, size
+        if bool((active & (size > _NEAR)).any()):  # a lane that is near keeps its matrix
+            at_z = dynamics.regularize(step.matrix(z))
+            K = at_z if K is None else torch.where((active & (size > _NEAR))[:, None, None], at_z, K)
+            H = factored(K)
+        change = step.correct(H, z)[1]
+        before, size = size, _sizes(change, step.model.T.n_v) / _sizes(z, None).clamp_min(_TINY)
+        size = torch.where(size > _SLOW * before, torch.inf, size)
+        return change
 
     z, found = _iterated(correction, estimate, step.model.T.n_v, rounding)
-    assert K is not None
     return z, K, found
 
 
@@ -124,7 +134,7 @@ def _iterated(
     for _ in range(_MOST):
         change = correction(x, active)
         x = torch.where(active, x - change, x)
-        size, scale = (y.abs().flatten(0, 1).amax(0) for y in (change[:n_v], x[:of]))
+        size, scale = _sizes(change, n_v), _sizes(x, of)
         small = (size <= _STALLED * scale) | (size <= rounding)
         done = (size <= _ROUNDING * scale) | (small & (size > 0.5 * before))
         found = torch.where(active, small, found)
@@ -135,10 +145,21 @@ def _iterated(
     return x, found
 
 
-def least_norm_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
-    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm."""
+def _sizes(x: Tensor, rows: int | None) -> Tensor:
+    """Largest of the first rows of x [n, pair, lanes] in each lane."""
+    return x[:rows].abs().flatten(0, 1).amax(0)
+
+
+def all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
+    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm.
+
+    x   with those of all rows, or of the rows that condensation retains
+    """
+    lam, c = x.lam, dynamics.initial.condensed
+    if len(value(lam)) < dynamics.topology.rows:
+        lam = multipliers_at(c, dynamics.data, t, x.q, x.v, x.vd, lam)
     least = dynamics.least_norm
-    return x.lam if least is None else least.at_varying_time(dynamics.data, t, x.q, x.lam)
+    return lam if least is None else least.at_varying_time(dynamics.data, t, x.q, lam)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:

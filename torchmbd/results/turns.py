@@ -29,14 +29,15 @@ class AngleBefore(NamedTuple):
 
 
 def turns_between(motion: Any, angle: Tensor, rate: Tensor, before: AngleBefore | None = None) -> Tensor:
-    """Turns to be added to angles [lanes, times] of a motion with these rates."""
+    """Turns to be added to angles [lanes, times] of a motion with these rates; before: of its first time."""
+    first = torch.zeros_like(angle[:, :1])
     if before is not None:
-        return _turns(before.angle, before.rate, before.t, angle[:, 0], rate[:, 0], before.now)[:, None]
+        first = _turns(before.angle, before.rate, before.t, angle[:, 0], rate[:, 0], before.now)[:, None]
+    if angle.shape[1] < 2:
+        return first.expand_as(angle)
     t = motion.t.detach()
-    if len(t) < 2:
-        return torch.zeros_like(angle)
     steps = _turns(angle[:, :-1], rate[:, :-1], t[:-1], angle[:, 1:], rate[:, 1:], t[1:])
-    return torch.nn.functional.pad(steps, (1, 0)).cumsum(-1)
+    return first + torch.nn.functional.pad(steps, (1, 0)).cumsum(-1)
 
 
 def _turns(a0: Tensor, w0: Tensor, t0: Tensor, a1: Tensor, w1: Tensor, t1: Tensor) -> Tensor:

@@ -136,7 +136,8 @@ class PhaseAdjoint:
     def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:
         """From where lanes left a phase to the bases of their last steps."""
         entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
-        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, start)
+        base, c = pick_states(record.base, so_far.lanes), record.condensation
+        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, base)
         own = [i for i, lane in enumerate(so_far.lanes) if record.left[lane]]  # counted among those of so_far
         if not own:
             return
@@ -145,13 +146,14 @@ class PhaseAdjoint:
         k, there = record.base_point[lanes], record.exit.lanes(lanes)
         with torch.enable_grad():
             leaves = LaneLeaves(self.multiphase.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
-            t, base = leaf(entry[:, own]), pick_states(record.base, lanes).map(leaf)
+            dynamics = _condensed(record, leaves.dynamics)
+            t, base = leaf(entry[:, own]), pick_states(base, own).map(leaf)
             begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
             size = leaf(there.t - begin)
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
-            end = begin + size if event is not None else self.multiphase.end_times(phase_model, t)
+            end = begin + size if event is not None else self.multiphase.end_times(phase_model, t, leaves.dynamics.data)
             of_size = size if event is not None else end - begin
-            y = self.integrator.step_of_size(leaves.dynamics, base, of_size, end, there.x)
+            y = record.whole(self.integrator.step_of_size(dynamics, base, of_size, end, record.retained(there.x)), end)
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
         kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
@@ -164,9 +166,12 @@ class PhaseAdjoint:
         so_far.start[0][..., own] += by_t
         for key, cotangent in zip(keys, found[2 + len(base) :], strict=True):
             so_far.add(key, own, cotangent)
-        for at_start, at_end, cotangent in zip(so_far.start[1:], so_far.end, by_state, strict=True):
-            at_start[..., own] += torch.where(k < 0, cotangent, 0.0)
+        for at_end, cotangent in zip(so_far.end, by_state, strict=True):
             at_end[..., own] += torch.where(k < 0, 0.0, cotangent)
+        of_start = [torch.where(k < 0, cotangent, 0.0) for cotangent in by_state]
+        of_start = of_start if c is None else c.of_retained_state(of_start)
+        for at_start, cotangent in zip(so_far.start[1:], of_start, strict=True):
+            at_start[..., own] += cotangent
 
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
@@ -192,16 +197,20 @@ class PhaseAdjoint:
         """As `_steps`, for lanes with the same first and last point of the grid."""
         multiphase, lanes = self.multiphase, [so_far.lanes[i] for i in group]
         at, phase_model = slice(points.start, points.stop), multiphase.phase_models[record.number]
-        h = multiphase.history
-        q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, phase_model.rows]))
+        h, c = multiphase.history, record.condensation
+        rows_of_steps = phase_model.rows if c is None else [phase_model.rows[k] for k in c.rows.tolist()]
+        q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, rows_of_steps]))
+        if c is not None:
+            q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
         history = History(q, v, vd, lam)
         in_phase = (multiphase.phase_number[at, lanes] == record.number)[:, None, None]
-        of_states = [
-            torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64)
-            if x is None
-            else torch.where(in_phase, (x[:, phase_model.rows] if i == 3 else x)[at, :, :, lanes], 0.0)
-            for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True))
-        ]
+        of_states = []
+        for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True)):
+            if x is None:
+                of_states.append(torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64))
+                continue
+            of_points = torch.where(in_phase, (x[:, rows_of_steps] if i == 3 else x)[at, :, :, lanes], 0.0)
+            of_states.append(of_points if c is None or i == 3 else c.of_whole(i, of_points))
         by_a = torch.zeros_like(of_states[2][0])
         for i, (one, lane) in enumerate(zip(group, lanes, strict=True)):
             k = int(record.base_point[lane]) - points.start
@@ -247,7 +256,9 @@ class PhaseAdjoint:
         dynamics = record.dynamics.select_lanes(lanes)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
-        dynamics = replace(dynamics, data={**dynamics.data, **leaves})
+        dynamics = dynamics.with_data({**dynamics.data, **leaves})
+        with torch.enable_grad():
+            dynamics = _condensed(record, dynamics)
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
         times = self.multiphase.times[points.start : points.stop]
         corrections = self.integrator.counts(dynamics)[1]
@@ -278,7 +289,7 @@ class PhaseAdjoint:
             if number:
                 outputs.append(t)
                 for side, y in ((number - 1, x), (number, after)):
-                    outputs += [y.q, y.v, y.vd, multiphase.all_multipliers(side, data, t, y.q, y.lam)]
+                    outputs += [y.q, y.v, y.vd, multiphase.all_multipliers(side, data, t, y)]
                 by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in cotangents.switches[number - 1]]
                 of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
         for name in MARKED if phase_model.locks else ():
@@ -307,14 +318,15 @@ class PhaseAdjoint:
         first, on_grid = record.first[lanes], record.on_grid[lanes]
         direct = lane_numbers(on_grid)
         if direct:
-            outputs += pick_states(after, direct)
+            outputs += record.retained(pick_states(after, direct))
             of_outputs += [x[..., direct] for x in so_far.arrival]
         own = lane_numbers(~on_grid & (first < len(multiphase.times)))
         if own:
             end, begin = multiphase.times[first[own]][None], t[:, own]
             near = pick_states(record.arrival, [lanes[i] for i in own])
-            some = lanes_of(dynamics, own)
-            outputs += self.integrator.step_of_size(some, pick_states(after, own), end - begin, end, near)
+            some = _condensed(record, lanes_of(dynamics, own))
+            x = record.retained(pick_states(after, own))
+            outputs += self.integrator.step_of_size(some, x, end - begin, end, near)
             of_outputs += [x[..., own] for x in so_far.arrival]
         between = multiphase.phase_number[:, lanes] == record.number
         between &= torch.arange(len(between))[:, None] < first
@@ -326,3 +338,8 @@ class PhaseAdjoint:
                     x = rows_first((cotangent[:, phase_model.rows] if i == 3 else cotangent)[k], lanes)
                     of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs
+
+
+def _condensed(record: PhaseRecord, dynamics: Dynamics) -> Dynamics:
+    """The dynamics of the steps of a phase, of some lanes of it with other data."""
+    return dynamics if record.condensation is None else dynamics.condensed().share_rank(record.condensed)

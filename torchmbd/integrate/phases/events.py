@@ -21,15 +21,16 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.phases.lanes import expanded, join_lanes, lanes_of, pick_lanes
-from torchmbd.integrate.variable_step import least_norm_multipliers
+from torchmbd.integrate.variable_step import all_multipliers
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, SomeLanes, shape_tangents
 from torchmbd.results.motion_data import OK
 from torchmbd.results.state import State
-from torchmbd.results.time_rows import Rows, Signals, TensorSignals
+from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, TensorSignals
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.results.turns import Turns
 
@@ -116,7 +117,7 @@ class Instant(Signals):
 
     @cached_property
     def _lam(self) -> Any:
-        return least_norm_multipliers(self.dynamics, self.t, self.x)
+        return all_multipliers(self.dynamics, self.t, self.x)
 
 
 class Leaves:
@@ -166,6 +167,18 @@ class Leaves:
         return torch.stack([x.movedim(lane_axis, -1).reshape(-1, self.lanes) for x in parts])
 
 
+@dataclass(frozen=True)
+class _Multipliers:
+    """Gives all multipliers of states of dynamics, of redundant rows those of least norm."""
+
+    dynamics: Dynamics
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        times = history.times
+        assert times is not None
+        return history.least_norm_multipliers(self.dynamics.least_norm, float(times[-1]), data)
+
+
 @dataclass
 class Views:
     """Makes motions of one time, the arguments of functions of the motion.
@@ -201,10 +214,11 @@ class Views:
         )
         return cls(whole, directions or {})
 
-    def values(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
-        """The function at time t [] of all lanes [lanes]."""
-        motion = self._motion(self.whole, dynamics, t[None, None], x.values())
-        return event.of(motion)[:, 0]
+    def along(self, event: Event, dynamics: Dynamics, times: Tensor, history: History) -> Tensor:
+        """The function of all lanes at several times [lanes, times], the states at which are a history of these dynamics."""
+        signals = IntegratedSignals(history, _Multipliers(dynamics), dynamics.data)
+        turns = None if self.whole.turns is None else self.whole.turns.at(times[:1])
+        return event.of(replace(self.whole, t=times, signals=signals, dynamics=dynamics, known=None, turns=turns))
 
     def value(self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> Tensor:
         """The function of some lanes [lanes], each at its own time."""

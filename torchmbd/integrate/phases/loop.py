@@ -3,12 +3,14 @@
     h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
     t_k - t*                        the first step of the next one, back to the grid
 
-An integrator makes regular steps by its stepper, and those of other sizes by `Integrator.step_of_size`. The steps
+All steps are those of the condensed system of the segment: regular ones by the stepper of the integrator, many at a time, those
+of other sizes by `Integrator.step_of_size`. They
 are differentiated as they stand: sizes are numbers with design tangents, and h*, while it is iterated, is one more.
 What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
 a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
 terms of the Taylor series from the switch.
 
+Over 300 lines: entering, stepping and leaving share what is known of each lane.
 All lanes are stepped together through one phase; the numbers of those that left it, or have not entered it yet, are not used.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
@@ -16,25 +18,32 @@ Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.p
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 import torch
+from scipy.optimize.elementwise import find_root
 from torch import Tensor
 
-from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.integrator import Integrator, Stepper
+from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
-from torchmbd.math.pair import value
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.results.history import SEGMENT, History, Record
 from torchmbd.results.state import State
 
+_BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the phase: those after it are lost
 _SAME = 1e-9  # of a regular step: times that are equal
 _ROUND = 1e-13  # of the size
-_MOST = 40  # iterations for the size of a last step
-_BRACKET = 1e-9  # of the size: two that enclose a zero which is a jump
+_MOST = 100  # iterations for the size of a last step: a function that jumps takes about 50
 
 
 def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
@@ -56,13 +65,14 @@ class _PhaseLoop:
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(integrator.shortest_step, _SAME)
         self.dynamics, x = multiphase.enter(number, entry)
-        self.ends = multiphase.end_times(self.phase_model, entry.t)
+        self.ends = multiphase.end_times(self.phase_model, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
-        self.record = PhaseRecord(number, self.dynamics, entry, x, self.first, on_grid)
+        self.condensed = self.dynamics.condensed() if integrator.condenses else self.dynamics
+        self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
         self.g = self._start_values()
         self.base_time = entry.t  # of lanes that leave, where their last step begins
         # Sizes of their last step: two that enclose it, an estimate, and the event's function at the lower one.
@@ -72,40 +82,123 @@ class _PhaseLoop:
 
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
         """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
-        d, x, record = self.dynamics, self.entry.x, self.record
-        stepper = self.integrator.stepper(d, self.h)
+        record, x, last = self.record, self.record.base, len(self.times) - 1
+        i, steps = int(self.first.min()), None
+        stepper: Stepper = (
+            MovingSteps(self.integrator, self.condensed, self._time)
+            if self.multiphase.duration_moves
+            else self.integrator.stepper(self.condensed, self.h)
+        )
         self._record_shortly_after()
         self._arrive()
-        schedule = d.topology.schedule(self.times, d.data)
-        alive, inside = self.alive, torch.zeros_like(self.alive)
-        older, recent, indices = x, x, []
-        for i in range(int(self.first.min()), len(self.times)):
-            if bool(inside.any()):
-                older, recent, x = recent, x, stepper.step(i, x, schedule[i], inside)
-                indices.append(i)
-            arriving = lane_numbers(alive & (self.first == i))
+        inside, indices = torch.zeros_like(self.alive), []
+        while i <= last:
+            arriving = lane_numbers(self.alive & (self.first == i))
             if arriving:
                 x = put_states(x, arriving, pick_states(record.arrival, arriving))
                 stepper.restart()
-                inside[arriving] = True
-            passed, g = self._passed(i, x, inside)
-            short = self._short_events(i, recent, x, inside & ~passed, g)
-            passed = passed if short is None else passed | short.found
-            self.multiphase.record(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
-            for lane in lane_numbers(passed):
-                self._note_base(lane, i, (recent, older), g, short)
-            self.change = torch.where(inside & (self.first < i), (g - self.g).abs(), self.change)
-            self.g = torch.where(inside, g, self.g)
-            inside, alive = inside & ~passed, alive & ~passed
-            if not bool(alive.any()):
+                inside |= self._arrived(i, arriving, x)
+            if i == last or not bool(self.alive.any()):
                 break
+            j = self._boundary(i, last)
+            if bool(inside.any()):
+                steps = _Steps(self, stepper, i, j, x, inside, steps)
+                x, indices = steps.end, [*indices, *range(i + 1, j + 1)]
+                inside = self._left_behind(steps, inside)
+            i = j
         errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, indices) if indices else {}
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
-        self.multiphase.never_left(self.phase_model, alive)
+        self.multiphase.never_left(self.phase_model, self.alive)
         if bool(record.left.any()):
             self._leave(lane_numbers(record.left))
         return record.exit, errors
+
+    def _boundary(self, i: int, last: int) -> int:
+        """The point at which the steps from the point i are interrupted: where lanes arrive, and for events."""
+        later = [k for k in self.first.tolist() if i < k]
+        return min([last, i + (SEGMENT if self.event is None else _BETWEEN_EVENTS), *later])
+
+    def _arrived(self, i: int, lanes: list[int], x: State) -> Tensor:
+        """Record lanes at their first point i of the grid, where all have the condensed states x; which stay in the phase."""
+        new = torch.zeros_like(self.alive)
+        new[lanes] = True
+        history = History.of([x])
+        g = self.g if self.event is None else self._event_values(i, history)[:, 0]
+        passed = self._passed(i, new, g)
+        short = self._short_events(i, x, x, new & ~passed, g)
+        passed = passed if short is None else passed | short.found
+        self._record(i, history, (new & ~(passed & self._beyond(i)))[None])
+        for lane in lane_numbers(passed):
+            self._note_base(lane, i, (x, x), g, short)
+        self.g = torch.where(new, g, self.g)
+        self.alive = self.alive & ~passed
+        return new & ~passed
+
+    def _left_behind(self, steps: _Steps, inside: Tensor) -> Tensor:
+        """Record steps of the lanes `inside`, and let those leave that pass the end of the phase; which stay."""
+        i, history = steps.first, steps.states
+        g = self.g[:, None].expand(-1, len(history.q))
+        if self.event is not None:
+            g = torch.cat([self.g[:, None], self._event_values(i + 1, history.at(slice(1, None)))], 1)
+        change = torch.cat([self.change[:, None], (g[:, 1:] - g[:, :-1]).abs()], 1)
+        counted = torch.zeros(len(history.q), self.lanes, dtype=torch.bool)
+        stepped = counted.clone()
+        candidates = self._may_leave(i, g, change)
+        for k in range(1, len(history.q)):
+            counted[k] = stepped[k] = inside
+            if not bool((candidates[k] & inside).any()):
+                continue
+            p, self.g, self.change = i + k, g[:, k - 1], change[:, k - 1]
+            passed = self._passed(p, inside, g[:, k])
+            short = None
+            if bool((inside & ~passed).any()) and self.event is not None:
+                short = self._short_events(p, steps.state(p - 1), steps.state(p), inside & ~passed, g[:, k])
+            passed = passed if short is None else passed | short.found
+            for lane in lane_numbers(passed):
+                self._note_base(lane, p, (steps.state(p - 1), steps.state(p - 2)), g[:, k], short)
+            counted[k] = inside & ~(passed & self._beyond(p))
+            inside, self.alive = inside & ~passed, self.alive & ~passed
+        steps.stepper.count_only(stepped[1:])
+        self._record(i + 1, history.at(slice(1, None)), counted[1:])
+        self.g, self.change = g[:, -1], change[:, -1]
+        return inside
+
+    def _may_leave(self, i: int, g: Tensor, change: Tensor) -> Tensor:
+        """Where lanes may leave, at the point i and those after it [points, lanes]; g and change [lanes, points]."""
+        points = torch.arange(i, i + g.shape[1])
+        if self.event is None:
+            if self.ends is None:
+                return torch.zeros(len(points), self.lanes, dtype=torch.bool)
+            return self.times[points, None] > value(self.ends)[0] - self.short * self.h
+        before, after = g[:, :-1], g[:, 1:]
+        near = torch.minimum(before.abs(), after.abs()) <= FAR * (after - before).abs().maximum(change[:, :-1])
+        return torch.nn.functional.pad(self.event.passed(before, after) | near, (1, 0)).T
+
+    def _event_values(self, first: int, states: History) -> Tensor:
+        """The event's function [lanes, points] of condensed states at the point `first` of the grid and those after it."""
+        assert self.event is not None
+        times, dynamics = self.times[first : first + len(states.q)], self.dynamics.values()
+        q, v, vd, lam = (x[:, :, :1] for x in states.states)
+        history = History(q, v, vd, lam, times=times)
+        if self.record.condensation is not None:
+            history = replace(history, expansion=Expansion.of(self.record.condensation, dynamics.data, times))
+        return self.multiphase.views.along(self.event, dynamics, times, history)
+
+    def _record(self, first: int, states: History, counted: Tensor) -> None:
+        """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes]."""
+        c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
+        q, v, vd, lam = states.states
+        if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
+            points = [State(*(Pair(x[k]) for x in (q, v, vd, vd, lam))) for k in range(len(times))]
+            points = [self.record.whole(x, self._time(first + k)) for k, x in enumerate(points)]
+            q, v, vd = History.of(points).states[:3]
+        elif c is not None:
+            expansion = Expansion.of(c, self.dynamics.data, times)
+            q, v, vd = (expansion.rows(order, x) for order, x in enumerate((q, v, vd)))
+        if c is not None:
+            rows = [rows[k] for k in c.rows.tolist()]
+        self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""
@@ -127,9 +220,9 @@ class _PhaseLoop:
         lanes = lane_numbers(self.alive & (self.first < len(self.times)) & ~self.record.on_grid)
         if not lanes:
             return
-        entry = self.entry.lanes(lanes)
-        end = entry.t * 0.0 + self.times[self.first[lanes]][None]
-        x = self.integrator.step_of_size(lanes_of(self.dynamics, lanes), entry.x, end - entry.t, end)
+        entry = PhaseExit(pick_lanes(self.entry.t, lanes), self.record.retained(pick_states(self.entry.x, lanes)))
+        end = self.multiphase.grid_times(self.first[lanes], entry.t)
+        x = self.integrator.step_of_size(lanes_of(self.condensed, lanes), entry.x, end - entry.t, end)
         self.record.arrival = put_states(self.record.arrival, lanes, x)
         self._fail(~_finite(x), lanes, "first", entry, value(end)[0])
         self.alive[lanes] = self.alive[lanes] & _finite(x)
@@ -151,7 +244,8 @@ class _PhaseLoop:
         for k in lane_numbers(between.any(1)):
             h = self._time(k) - self.entry.t
             x = shortly_after(self.dynamics.topology, self.entry.x, h)
-            self.multiphase.record(self.phase_model, k, between[k], x)
+            states = History.of([x]).states
+            self.multiphase.record(self.number, k, between[k][None], states, self.phase_model.rows)
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""
@@ -161,14 +255,13 @@ class _PhaseLoop:
             g[lanes] = self.multiphase.views.value(self.event, lanes, lanes_of(self.dynamics, lanes), *entry)
         return g
 
-    def _passed(self, i: int, x: State, inside: Tensor) -> tuple[Tensor, Tensor]:
-        """Which lanes leave the phase before, or little after, a point of the grid; and the event's function there."""
+    def _passed(self, i: int, inside: Tensor, g: Tensor) -> Tensor:
+        """Which lanes leave the phase before, or little after, the point i of the grid; g: the event's function there."""
         if self.event is not None:
-            g = self.multiphase.views.values(self.event, self.dynamics, self.times[i], x)
-            return inside & self.event.passed(self.g, g), g
+            return inside & self.event.passed(self.g, g)
         if self.ends is None:
-            return torch.zeros_like(inside), self.g
-        return inside & (self.times[i] > value(self.ends)[0] - self.short * self.h), self.g
+            return torch.zeros_like(inside)
+        return inside & (self.times[i] > value(self.ends)[0] - self.short * self.h)
 
     def _beyond(self, i: int) -> Tensor:
         """Which of the leaving lanes had left before a point of the grid."""
@@ -185,20 +278,20 @@ class _PhaseLoop:
         if not own:
             return None
         event, views = self.event, self.multiphase.views
-        dynamics = lanes_of(self.dynamics, own).values()
-        start = put_states(
-            recent, lane_numbers(self.first == i), pick_states(self.entry.x, lane_numbers(self.first == i))
-        )
-        before, after = (pick_states(y, own).values() for y in (start, x))
+        dynamics, condensed = (lanes_of(d, own).values() for d in (self.dynamics, self.condensed))
+        entering, whole = lane_numbers(self.first == i), self.record.whole
+        start = put_states(recent, entering, self.record.retained(pick_states(self.entry.x, entering)))
+        at_start, at_end = (pick_states(y, own).values() for y in (start, x))
         t = torch.where(self.first == i, value(self.entry.t), self.times[i - 1])[:, own]
         h = self.times[i] - t
+        before, after = whole(at_start, t), whole(at_end, t + h)
 
         def slopes(y: State) -> State:
             accelerate, press = ((b - a) / h for a, b in ((before.vd, after.vd), (before.lam, after.lam)))
             return State(equations.coordinate_rates(dynamics.topology, y.q, y.v), y.vd, accelerate, accelerate, press)
 
         def look(size: Tensor) -> tuple[Tensor, Tensor]:
-            y = self.integrator.step_of_size(dynamics, before, size[None], t + size)
+            y = whole(self.integrator.step_of_size(condensed, at_start, size[None], t + size), t + size)
             return views.rates(event, own, dynamics, t + size, y, slopes(y))
 
         ends = [views.rates(event, own, dynamics, s, y, slopes(y))[1] for s, y in ((t, before), (t + h, after))]
@@ -219,7 +312,8 @@ class _PhaseLoop:
         # Steps that are too short for the integrator begin one point earlier.
         skipped = self.event is not None and size < self.integrator.shortest_step * self.h and bool(points)
         k = [*points, -1][int(skipped)]
-        t, x = self.entry if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
+        start = PhaseExit(self.entry.t, record.start_of_steps)
+        t, x = start if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
         t, x = pick_lanes(t, [lane]), pick_states(x, [lane])
         record.left[lane], record.base_point[lane] = True, k
         record.base, self.base_time = put_states(record.base, [lane], x), put_lanes(self.base_time, [lane], t)
@@ -233,8 +327,8 @@ class _PhaseLoop:
         base = PhaseExit(pick_lanes(self.base_time, lanes), pick_states(record.base, lanes))
         if self.event is None:
             end = pick_lanes(self.ends, lanes)
-            y = self.integrator.step_of_size(lanes_of(self.dynamics, lanes), base.x, end - base.t, end)
-            there, found = PhaseExit(end, y), _finite(y)
+            y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), base.x, end - base.t, end)
+            there, found = PhaseExit(end, record.whole(y, end)), _finite(y)
         else:
             there, found = self._located(self.event, lanes, base)
         self._fail(~found, lanes, "last", base, value(base.t)[0] + most)
@@ -244,40 +338,89 @@ class _PhaseLoop:
             record.exit = PhaseExit(put_lanes(record.exit.t, own, there.t), put_states(record.exit.x, own, there.x))
 
     def _time(self, i: int) -> Any:
-        """A time of the grid, which no design moves."""
-        return self.entry.t * 0.0 + float(self.times[i])
+        """A time of the grid, of all lanes."""
+        return self.multiphase.grid_times(torch.tensor(i), self.entry.t)
 
     def _located(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[PhaseExit, Tensor]:
         """Where the event's function of some lanes vanishes within `most` after their bases, and which lanes found it."""
-        wide = widened_data(lanes_of(self.dynamics, lanes))
-        x, t = base.x.map(widened), widened(base.t)
-        one = widened(torch.zeros(1, len(lanes), dtype=torch.float64), t.shape[0] - 1)
-        one.full[-1] = 1.0
-        low, high, h, sign = self.low[lanes], self.most[lanes], self.size[lanes], self.g_low[lanes].sign()
-        most = high
-        active = torch.ones(len(lanes), dtype=torch.bool)
-        y = slope = None
-        for _ in range(_MOST):
-            size = one + h[None]
-            there = self.integrator.step_of_size(wide, x, size, t + size, y)
-            g, slope_there = self.multiphase.views.slopes(event, lanes, wide, t + size, there)
-            # What a lane gets depends on no other: it stays as it was when it was found.
-            own = lane_numbers(active)
-            y = there if y is None else put_states(y, own, pick_states(there, own))
-            slope = slope_there if slope is None else torch.where(active, slope_there, slope)
-            above = g * sign > 0.0
-            low, high = torch.where(active & above, h, low), torch.where(active & ~above, h, high)
-            better = h - g / slope[-1]
-            active = active & ((better - h).abs() > _ROUND * most) & torch.isfinite(g)
-            if not bool(active.any()):
-                break
-            better = torch.where((low < better) & (better < high), better, 0.5 * (low + high))
-            h = torch.where(active, better, h)
-        assert y is not None
-        assert slope is not None
-        found = _finite(y) & (~active | (high - low <= _BRACKET * most))
+        size, found, near = self._sizes_of_last_steps(event, lanes, base)
+        wide, condensed = (widened_data(lanes_of(d, lanes)) for d in (self.dynamics, self.condensed))
+        h = widened(widened(size[None], base.t.shape[0] - 1) if isinstance(base.t, Pair) else size[None])
+        h.full[-1] = 1.0
+        x, end = base.x.map(widened), widened(base.t) + h
+        y = self.integrator.step_of_size(condensed, x, h, end, near)
+        _, slope = self.multiphase.views.slopes(event, lanes, wide, end, self.record.whole(y, end))
         rate = -slope[:-1] / slope[-1]
-        return PhaseExit(narrowed(t + (one + h[None]), rate), y.map(lambda z: narrowed(z, rate))), found
+        end = narrowed(end, rate)
+        return PhaseExit(end, self.record.whole(y.map(lambda z: narrowed(z, rate)), end)), found & _finite(y)
+
+    def _sizes_of_last_steps(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[Tensor, Tensor, State]:
+        """Sizes of the last steps [lanes] at which the event's function vanishes, which were found, and states there."""
+        start, whole, condensed = (
+            base.x.values(),
+            lanes_of(self.dynamics, lanes).values(),
+            lanes_of(self.condensed, lanes),
+        )
+        condensed, t, views = condensed.values(), value(base.t), self.multiphase.views
+        low, most, g_low = (x[lanes] for x in (self.low, self.most, self.g_low))
+        near, sign = start, g_low.sign()
+
+        def function(size: np.ndarray, lane: np.ndarray) -> np.ndarray:
+            nonlocal near
+            own, h = lane.astype(int).tolist(), torch.from_numpy(np.array(size))
+            result, inner = g_low[own].clone(), h > low[own]
+            if bool(inner.any()):
+                own, h = [k for k, there in zip(own, inner.tolist(), strict=True) if there], h[inner]
+                end = t[:, own] + h
+                x, guess = pick_states(start, own), pick_states(near, own)
+                y = self.integrator.step_of_size(lanes_of(condensed, own), x, h[None], end, guess)
+                near = put_states(near, own, y)
+                every = [lanes[k] for k in own]
+                g = views.value(event, every, lanes_of(whole, own), end, self.record.whole(y, end))
+                # At the end of the regular step it has passed zero, but for rounding.
+                beyond = (h >= most[own]) & (g * sign[own] > 0.0)
+                result[inner] = torch.where(beyond, 0.0, g)
+            return result.numpy()
+
+        numbers = np.arange(len(lanes), dtype=float)
+        tolerances = {"xatol": 0.0, "xrtol": _ROUND, "fatol": 0.0, "frtol": 0.0}
+        bracket = (low.numpy(), most.numpy())
+        root = find_root(function, bracket, args=(numbers,), tolerances=tolerances, maxiter=_MOST)
+        return torch.from_numpy(np.array(root.x)), torch.from_numpy(np.array(root.success)), near
+
+
+class _Steps:
+    """Regular steps of lanes from a point of the grid to another.
+
+    first          the point at which they begin, in the condensed states x;  states: condensed ones at all points
+    end            the last one
+    before         the steps before these
+    """
+
+    def __init__(
+        self, loop: _PhaseLoop, stepper: Any, first: int, last: int, x: State, inside: Tensor, before: _Steps | None
+    ):
+        self.loop, self.stepper, self.first, self.x = loop, stepper, first, x
+        self.before = before
+        if before is not None:
+            before.before = None  # of what was, the last point but one is asked for at most
+        d, record = loop.condensed, Record(x, last - first + 1)
+        record.put(0, x)
+        schedule = d.topology.schedule(loop.times[first + 1 : last + 1], d.data)
+        self.end = stepper.run(x, schedule, record, first + 1, 1, inside)
+        self.states = record.history()
+
+    @cached_property
+    def _accelerations(self) -> list[Any]:
+        """Algorithmic ones at all points."""
+        return self.stepper.algorithmic(self.x.a, self.states.vd)
+
+    def state(self, k: int) -> State:
+        """The condensed state at the point k of the grid, or at the one before the first."""
+        if k < self.first:
+            return self.state(self.first) if self.before is None else self.before.state(k)
+        q, v, vd, lam = (Pair(x[k - self.first]) if x.shape[-2] > 1 else x[k - self.first] for x in self.states.states)
+        return State(q, v, vd, self._accelerations[k - self.first], lam)
 
 
 def _finite(x: State) -> Tensor:

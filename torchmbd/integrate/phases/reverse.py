@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -29,7 +30,7 @@ from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lane_leaves import Key
 from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, steps_of_phases, switch_numbers, switches_with
 from torchmbd.integrate.phases.run import MultiphaseRun
-from torchmbd.integrate.segment import Segment
+from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
@@ -119,7 +120,8 @@ class ReversePhaseIntegration:
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         rows = next(x.shape[-2] for x in outputs if x is not None)
-        names = [name for name, one in zip(self.names, needs_grad, strict=False) if one]
+        wanted = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
+        names = [name for name in wanted if name != DURATION]
         marks = 5 + len(self.output_data)
         switches = [outputs[i : i + NUMBERS] for i in range(marks, len(outputs), NUMBERS)]
         lanes, found = self._adjoint(names)(
@@ -129,8 +131,17 @@ class ReversePhaseIntegration:
             name: self._of_data(lanes, found.get(("data", name)), self._multiphase.data_without_marks[name], rows)
             for name in names
         }
+        if DURATION in wanted:
+            pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
+            data[DURATION] = torch.stack([(y * dx).flatten(0, -3).sum(0) for y, dx in pairs]).sum(0)
         designs = self._of_designs(lanes, found, rows) if any(needs_grad[len(self.names) :]) else {}
         return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
+
+    @cached_property
+    def _by_duration(self) -> list[Tensor]:
+        """Tangents of all outputs by the duration."""
+        inputs = [*self.names, *self.designs]
+        return self.tangents([torch.ones(1, 1, dtype=torch.float64) if x == DURATION else None for x in inputs])
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """As of ReverseIntegration."""

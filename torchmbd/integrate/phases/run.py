@@ -26,9 +26,10 @@ from torchmbd.integrate.phases.switch import (
     jump,
     velocities_after_impact,
 )
-from torchmbd.integrate.segment import Segment
+from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.pair import Pair, linear, value
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.system import equations, reactions
+from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
@@ -55,17 +56,20 @@ class PhaseExit(NamedTuple):
 class PhaseRecord:
     """The steps of all lanes in one phase, for the adjoint (adjoint.py).
 
-    dynamics    of the phase, with the marks of its locks
+    dynamics    of the phase, with the marks of its locks;  condensed: of its regular steps
     entry       time and state before the switch that begins the phase;  start: the state after it
     first       the first point of the grid that a lane steps to [lanes]
     on_grid     whether the state there is `start` itself [lanes]
-    arrival     the state there, of lanes that get there
-    exit        where lanes left the phase;  left: which did [lanes]
-    base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes];  base: the state there
+    start_of_steps  `start` as a condensed state
+    arrival     the condensed state there, of lanes that get there
+    exit        where lanes left the phase, with the multipliers of retained rows;  left: which did [lanes]
+    base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
+    base        the condensed state there
     """
 
     number: int
     dynamics: Dynamics
+    condensed: Dynamics
     entry: PhaseExit
     start: State
     first: Tensor
@@ -75,11 +79,24 @@ class PhaseRecord:
     base: State = field(init=False)
 
     def __post_init__(self) -> None:
-        self.arrival = self.base = self.start
+        self.start_of_steps = self.arrival = self.base = self.retained(self.start)
         never = linear(torch.zeros_like, self.entry.t)
-        self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start)
+        self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start._replace(lam=self.base.lam))
         self.left = torch.zeros_like(self.on_grid)
         self.base_point = torch.full_like(self.first, -1)
+
+    @property
+    def condensation(self) -> Condensation | None:
+        """Of the regular steps; None: they are those of the whole system."""
+        return None if self.condensed is self.dynamics else self.condensed.initial.condensation
+
+    def retained(self, x: State) -> State:
+        """The state of the condensed system, out of that of the whole one."""
+        return x if self.condensation is None else self.condensation.retained_state(x)
+
+    def whole(self, x: State, t: Any) -> State:
+        """The state of the whole system at t [s] (Condensation.whole_state), out of that of the condensed one."""
+        return x if self.condensation is None else self.condensation.whole_state(x, t)
 
 
 @dataclass
@@ -107,7 +124,9 @@ class MultiphaseRun:
         self.begin_depends = [False]
         for phase_model in self.phase_models[:-1]:
             until = phase_model.phase.until
-            self.begin_depends.append(isinstance(until, Event) or (until is None and self.begin_depends[-1]))
+            moves = DURATION in self.whole.data or phase_model.time_name in self.whole.data
+            depends = isinstance(until, Event) or moves
+            self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
         def not_recorded(rows: int) -> Tensor:
@@ -116,6 +135,18 @@ class MultiphaseRun:
         self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
         self.views = self.views.continuing(self.times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
+
+    @property
+    def duration_moves(self) -> bool:
+        """Whether tangents are those by the duration as well: points of the grid move with it."""
+        return isinstance(self.whole.data.get(DURATION), Pair)
+
+    def grid_times(self, points: Tensor, like: Any) -> Any:
+        """Times [1 + n, lanes] of points of the grid [lanes] or [], as numbers like others."""
+        t = like * 0.0 + self.times[points].expand_as(value(like))
+        if not self.duration_moves:
+            return t
+        return Pair.of(value(t), self.whole.data[DURATION].tangent * (points / self.steps).expand_as(value(like)))
 
     @property
     def history(self) -> History:
@@ -127,13 +158,21 @@ class MultiphaseRun:
 
         data   instead of those of the whole
         """
-        lam = history.lam
-        for number, least in enumerate(self.least_norm):
-            in_phase = self.phase_number == number
+        lam, data = history.lam, data or self.whole.data
+        at = self.times if history.times is None else history.times
+        for record, least in zip(self.records, self.least_norm, strict=True):
+            in_phase = self.phase_number == record.number
             times = in_phase.any(1)
-            if least is not None and bool(times.any()):
-                least_lam = least.at_times(data or self.whole.data, self.times[times], history.q[times], lam[times])
-                lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], least_lam, lam[times]))
+            if (least is None and record.condensation is None) or not bool(times.any()):
+                continue
+            q, v, a, found = history.q[times], history.v[times], history.vd[times], lam[times]
+            if (c := record.condensation) is not None:
+                rows = torch.tensor(self.phase_models[record.number].rows, dtype=torch.long)
+                of_phase = reactions.multipliers(c, data, at[times], q, v, a, found[:, rows[c.rows]])
+                found = torch.zeros_like(found).index_copy(1, rows, of_phase)
+            if least is not None:
+                found = least.at_times(data, at[times], q, found)
+            lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], found, lam[times]))
         return lam
 
     def recorded(self) -> History:
@@ -183,7 +222,7 @@ class MultiphaseRun:
         data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
         self.whole = replace(self.whole, data=data)
         dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
-        self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, phase_model.rows))
+        self.least_norm.append(_least_norm(self.whole, phase_model, dynamics))
         state = self._state_after(number, dynamics, phase_exit)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
@@ -192,7 +231,8 @@ class MultiphaseRun:
     def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
         """The dynamics of a phase, with the data of the whole."""
         phase_model = self.phase_models[number]
-        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=self.initial_state)
+        initial = replace(self.initial_state, condensed=phase_model.condensation)
+        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=initial)
 
     def _switch(self, number: int, phase_exit: PhaseExit, after: State) -> Switch:
         t = phase_exit.t
@@ -206,21 +246,21 @@ class MultiphaseRun:
 
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
         """Multipliers of all rows [rows, ...] on one side of a switch, of redundant ones those of least norm."""
-        lanes = lane_numbers(torch.isfinite(value(t)[0]))
-        lam = self._with_all_rows(number, x.lam)
-        if not lanes or self.least_norm[number] is None:
+        lanes, lam = lane_numbers(torch.isfinite(value(t)[0])), x.v[:1] * 0.0
+        lam = linear(lambda y: y.new_full((self.whole.topology.rows, *y.shape[1:]), torch.nan), lam)
+        if not lanes:
             return lam
-        own = (pick_lanes(y, lanes) for y in (t, x.q, x.lam))
-        return put_lanes(lam, lanes, self.all_multipliers(number, lanes_of(self.whole, lanes).data, *own))
+        data = lanes_of(self.whole, lanes).data
+        return put_lanes(lam, lanes, self.all_multipliers(number, data, pick_lanes(t, lanes), pick_states(x, lanes)))
 
-    def all_multipliers(self, number: int, data: equations.Data, t: Any, q: Any, lam: Any) -> Any:
-        """Multipliers of all rows from those of a phase, of redundant ones those of least norm."""
-        least, lam = self.least_norm[number], self._with_all_rows(number, lam)
-        return lam if least is None else least.at_varying_time(data, t, q, lam)
-
-    def _with_all_rows(self, number: int, lam: Any) -> Any:
+    def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
+        """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
+        least, c, lam = self.least_norm[number], self.phase_models[number].condensation, x.lam
+        if c is not None and len(value(lam)) < c.whole.rows:
+            lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, lam)
         n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
-        return linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
+        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
+        return lam if least is None else least.at_varying_time(data, t, x.q, lam)
 
     def _state_after(self, number: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
         """The state of all lanes after the switch into a phase; nan where they do not get there."""
@@ -243,7 +283,9 @@ class MultiphaseRun:
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.phase_models[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
-            v = velocities_after_impact(ended.impact, ended.until, views, lanes, dynamics, t, x._replace(v=v))
+            unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
+            before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
+            v = velocities_after_impact(ended.impact, ended.until, views, lanes, dynamics, t, before)
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
@@ -269,20 +311,21 @@ class MultiphaseRun:
         good = torch.tensor([status == OK for status in self.status])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end_times(self, phase_model: Segment, t: Any) -> Any:
+    def end_times(self, phase_model: Segment, t: Any, data: equations.Data) -> Any:
         """Times [1 + n_b, lanes] at which a phase that begins at t ends; None where an event or the simulation ends it."""
-        phase = phase_model.phase
-        if phase.lasting is not None:
-            return t + torch.full_like(value(t), float(phase.lasting))
-        if not isinstance(phase.until, (int, float)):
+        length, until = phase_model.phase.length, phase_model.phase.end_time
+        number = length if until is None else until
+        if number is None:
             return None
-        until = float(phase.until)
+        time = data.get(phase_model.time_name, torch.full_like(value(t), number))
+        if until is None:
+            return t + time
         for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
             begins = float(value(t)[0, lane])
             self.fail(
                 lane, f"phase {phase_model.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s"
             )
-        return t * 0.0 + torch.full_like(value(t), until)
+        return t * 0.0 + time
 
     def fail(self, lane: int, reason: str) -> None:
         """Note the first reason why a lane failed."""
@@ -305,22 +348,34 @@ class MultiphaseRun:
             reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
         self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
 
-    def record(self, phase_model: Segment, i: int, lanes: Tensor, x: State) -> None:
-        """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
-        full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
-        q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
-        for states, y in ((self.q, q), (self.v, v), (self.vd, vd)):
-            states[i, ..., lanes] = y[..., lanes]
-        rows = torch.zeros_like(self.lam[i])
-        rows[phase_model.rows] = lam
-        self.lam[i, ..., lanes] = rows[..., lanes]
-        self.phase_number[i, lanes] = self.phase_models.index(phase_model)
+    def record(self, number: int, first: int, counted: Tensor, states: Sequence[Tensor], rows: Sequence[int]) -> None:
+        """Record states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
+
+        states   q, v, a [points, n, pair, lanes] of the whole system, and multipliers of some rows of it
+        """
+        at, index = slice(first, first + len(counted)), torch.tensor(list(rows), dtype=torch.long)
+        *motion, lam = states
+        for of_all, x in zip((self.q, self.v, self.vd), motion, strict=True):
+            of_all[at] = torch.where(counted[:, None, None], x, of_all[at])
+        new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
+        self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
+        self.phase_number[at] = torch.where(counted, number, self.phase_number[at])
 
     def never_left(self, phase_model: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
         for lane in lane_numbers(staying):
             if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
                 self.never_ends(phase_model, lane)
+
+
+def _least_norm(whole: Dynamics, phase_model: Segment, dynamics: Dynamics) -> LeastNorm | None:
+    """Projection of the multipliers of a phase, among all rows of the whole; None if all are determined."""
+    least = dynamics.least_norm
+    if least is None:
+        return None
+    rows = torch.tensor(phase_model.rows, dtype=torch.long)
+    acting = torch.zeros(whole.topology.rows, dtype=torch.float64).index_copy(0, rows, least.acting)
+    return LeastNorm(whole.saddle, acting, least.rank)
 
 
 def _moment(x: State, lam: Any) -> Moment:

@@ -29,6 +29,7 @@ from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
@@ -41,7 +42,7 @@ class InitialState:
 
     q: Tensor
     v: Tensor
-    condensed: None = None
+    condensed: Condensation | None = None
 
     def shared_start(self, dynamics: Dynamics) -> None:
         """Nothing is shared with other simulations."""

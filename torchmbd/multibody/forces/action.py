@@ -190,10 +190,14 @@ def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
         return linear(torch.zeros_like, s)
     if isinstance(law, Scaled):
         return _force(law.law, s, rate, t) * law.factor
-    if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):
+    if not (hasattr(law, "slopes") and isinstance(s, Pair)):
         return apply_elementwise(law, s, rate, t)
-    by_s, by_rate = law_slopes(law, value(s), value(rate), t)
-    return Pair.of(law(value(s), value(rate), t), by_s * s.tangent + by_rate * rate.tangent)
+    at = value(s), value(rate), value(t)
+    by_s, by_rate = law_slopes(law, *at)
+    tangents = by_s * s.tangent + by_rate * rate.tangent
+    if isinstance(t, Pair):
+        tangents = tangents + partial_derivatives(lambda now: law(*at[:2], now), at[2])[0] * t.tangent
+    return Pair.of(law(*at), tangents)
 
 
 def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:

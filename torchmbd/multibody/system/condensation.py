@@ -4,22 +4,26 @@
                  a prescribed body like the ground
     guided       the joints to the ground leave it a constant subspace N of rates, v = N u (a slider on a prismatic joint, a
                  wheel that turns about its origin): their rows are removed, and the independent rates u replace v
+    held         a lock holds it where it is, by the design: as guided, without any rates
 
 Exact: the condensed system has the same motion with fewer unknowns; the slider-crank has 22 of 44. That a subspace, or the turn
 of a drive, satisfies the joints at all poses and not only at the start is tested at poses far from it.
 Coordinates of the whole system, and multipliers of removed rows, follow on demand (expansion.py, reactions.py).
-Over 300 lines: both kinds of bodies are found by the same trial poses.
+Over 300 lines: all kinds of bodies are found by the same rows, and the first two by the same trial poses.
 Checked in tests/multibody/system/test_condensation.py: against the same system with nothing condensed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchmbd.math.pair import linear, value
 from torchmbd.math.rotation import rotation_matrix, skew
 from torchmbd.multibody.joints.primitive import Primitive, values_at
 from torchmbd.multibody.system import equations
@@ -49,6 +53,11 @@ class Condensation:
     rows: Tensor
     independent: Tensor
 
+    @cached_property
+    def whole_saddle(self) -> Saddle:
+        """Of the whole topology."""
+        return Saddle(self.whole)
+
     def data(self, data: equations.Data) -> equations.Data:
         """Data of the condensed system, out of those of the whole."""
         flexible = [i for i in self.vectors if i < self.whole.attached_flexible]
@@ -66,11 +75,67 @@ class Condensation:
         """Coordinates [n_q, ...] and independent rates [n_v, ...] of the condensed system, out of those of the whole."""
         return q.index_select(0, component_rows(self.whole, self.bodies, 7)), v.index_select(0, self.independent)
 
+    def whole_state(self, x: Any, t: Any) -> Any:
+        """The state of the whole system at t [s] (a number, or a pair [1 + n, lanes or 1]), out of that of the condensed one.
+
+        Multipliers stay those of the retained rows; `reactions.multipliers_at` gives all.
+        """
+        known = [(self.whole.names.index(body.name), body.motion_at(t)) for body in self.topology.prescribed_bodies]
+        spread = self.topology.spread
+
+        def whole(y: Any, order: int) -> Any:
+            components = 6 if order else 7
+            rows = component_rows(self.whole, self.bodies, components)
+            z = linear(lambda u: _scattered(_spread(spread if order else None, u), rows, self._size(components)), y)
+            for number, motion in known:
+                own = torch.arange(components) * self.whole.bodies + number
+                z = z + linear(lambda u, own=own: _scattered(u, own, self._size(components)), motion[order])
+            return z
+
+        return type(x)(whole(x.q, 0), whole(x.v, 1), whole(x.vd, 2), whole(x.a, 2), x.lam)
+
+    def _size(self, components: int) -> int:
+        """Coordinates (7 components of a body) or rates (6) of the whole system."""
+        return components * self.whole.bodies + self.whole.modes * self.whole.flexible
+
+    def of_whole(self, order: int, x: Tensor) -> Tensor:
+        """Cotangents of q (order 0), v (1) or a (2) [times, k, rows, lanes] of the condensed system, of those of the whole."""
+        y = x.index_select(1, component_rows(self.whole, self.bodies, 6 if order else 7))
+        gather = self.topology.gather if order else None
+        if gather is None:
+            return y
+        flat = gather(y.transpose(0, 1).flatten(1, 2))
+        return flat.unflatten(1, (y.shape[0], y.shape[2])).transpose(0, 1)
+
+    @property
+    def coordinates(self) -> Tensor:
+        """Rows of q of the whole system that are those of the condensed one."""
+        return component_rows(self.whole, self.bodies, 7)
+
+    def of_retained_state(self, x: Sequence[Tensor]) -> list[Tensor]:
+        """Cotangents [rows, n, 1, lanes] of the parts of a whole state, from those of the condensed one (`retained_state`)."""
+        rows = [
+            (self.coordinates, self._size(7)),
+            *[(self.independent, self._size(6))] * 3,
+            (self.rows, self.whole.rows),
+        ]
+        return [_scattered(y.movedim(0, 1), *at).movedim(1, 0) for y, at in zip(x, rows, strict=True)]
+
     def retained_state(self, x: Any) -> Any:
-        """The state (results/state.py) of the condensed system, out of that of the whole."""
+        """The state (results/state.py) of the condensed system, out of that of the whole; multipliers of retained rows stay."""
         q, v = self.retained(x.q, x.v)
         vd, a = (y.index_select(0, self.independent) for y in (x.vd, x.a))
-        return type(x)(q, v, vd, a, x.lam.index_select(0, self.rows))
+        return type(x)(q, v, vd, a, x.lam if len(value(x.lam)) == len(self.rows) else x.lam.index_select(0, self.rows))
+
+
+def _spread(spread: Any, x: Tensor) -> Tensor:
+    """Rates of the retained bodies from independent ones [n, pair, lanes]; others as they are."""
+    return x if spread is None else spread(x)
+
+
+def _scattered(x: Tensor, rows: Tensor, size: int) -> Tensor:
+    """[size, ...] with x [k, ...] in k rows, else zero."""
+    return x.new_zeros(size, *x.shape[1:]).index_copy(0, rows, x)
 
 
 def component_rows(T: Topology, bodies: list[int], components: int) -> Tensor:
@@ -81,20 +146,21 @@ def component_rows(T: Topology, bodies: list[int], components: int) -> Tensor:
 
 @dataclass
 class _GroundJoints:
-    """The joints between one rigid body and the ground: rows without a law, driven rows, and their laws."""
+    """The joints between one rigid body and the ground: rows without a law, driven rows and their laws, rows of locks."""
 
     body: int
     rows: list[int]
     driven: list[int]
     laws: list[Any]
+    locks: list[int]
 
 
-def _ground_joints(T: Topology) -> list[_GroundJoints]:
-    """The ground joints of all bodies that may be condensed."""
+def _ground_joints(T: Topology, locks: Collection[str]) -> list[_GroundJoints]:
+    """The ground joints of all bodies that may be condensed; locks: names of these."""
     # A body with applied forces keeps its equations of motion: the forces may depend on its rates.
     loaded = set() if T.action_vectors is None else set(T.vector_body[T.action_vectors].tolist())
     loaded |= set() if T.beams is None else set(T.beams.bodies)
-    candidates = {b: _GroundJoints(b, [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
+    candidates = {b: _GroundJoints(b, [], [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
     varying = T.varying_vectors  # with these the pose of the body depends on the design
     for primitive, rows in T.row_slices():
         n = len(primitive.members[0])
@@ -107,7 +173,9 @@ def _ground_joints(T: Topology) -> list[_GroundJoints]:
                 del candidates[min(moving)]
                 continue
             equations_of = [rows.start + c * n + j for c in range(primitive.rows)]
-            if primitive.driven:
+            if T.row_joints[equations_of[0]] in locks:
+                joints.locks += equations_of
+            elif primitive.driven:
                 joints.driven += equations_of
                 joints.laws.append(primitive.data[j])
             else:
@@ -167,17 +235,26 @@ class _Poses:
 
 
 @torch.no_grad()  # poses of condensed bodies do not depend on the design
-def condense(T: Topology, q: Tensor) -> Condensation | None:
-    """The condensation of a topology with approximate initial positions q [n_q]; None if no joint can be removed."""
-    ground_joints = _ground_joints(T)
-    if not ground_joints:
-        return None
-    poses = _Poses(T)
-    q = poses.closed(q, ground_joints)
-    J = poses.jacobian(q)
+def condense(
+    T: Topology, q: Tensor, constant: Collection[int] | None = None, locks: Collection[str] = ()
+) -> Condensation | None:
+    """The condensation of a topology with approximate initial positions q [n_q]; None if no joint can be removed.
+
+    constant  rows that have acted since the start, whose poses follow from q; None: all
+    locks     names of the locks, which hold poses that follow from the motion
+    """
+    ground_joints = _ground_joints(T, locks)
+    guided: dict[int, Tensor] = {joints.body: q.new_zeros(6, 0) for joints in ground_joints if joints.locks}
+    removed = {row for joints in ground_joints if joints.locks for row in joints.rows + joints.locks}
+    ground_joints = [
+        joints
+        for joints in ground_joints
+        if not joints.locks and (constant is None or set(joints.rows + joints.driven).issubset(constant))
+    ]
     prescribed_bodies: dict[int, PrescribedBody] = {}
-    guided: dict[int, Tensor] = {}
-    removed: set[int] = set()
+    poses = _Poses(T)
+    q = poses.closed(q, ground_joints) if ground_joints else q
+    J = poses.jacobian(q) if ground_joints else q
     for joints in ground_joints:
         if float(poses.phi(q)[joints.rows + joints.driven].abs().max()) > _ZERO:
             continue  # cannot close; InitialConditions raises the error
@@ -193,7 +270,8 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
             guided[joints.body] = free
             removed |= set(joints.rows)
     # A system whose whole motion is known keeps its bodies: an integrator needs unknowns.
-    some_left = len(prescribed_bodies) < T.bodies
+    at_rest = sum(not free.shape[1] for free in guided.values())
+    some_left = len(prescribed_bodies) + at_rest < T.bodies
     return _condensation(T, prescribed_bodies, guided, removed) if removed and some_left else None
 
 
@@ -310,7 +388,8 @@ def _rates(T: Topology, bodies: list[int], guided: dict[int, Tensor]) -> tuple[T
             int(torch.nonzero((free == torch.eye(free.shape[1], dtype=free.dtype)[j]).all(1))[0])
             for j in range(free.shape[1])
         ]
-        N[columns[:, None], columns[unit]] = free
+        if unit:  # a body that is held has none
+            N[columns[:, None], columns[unit]] = free
         dependent += columns[[k for k in range(6) if k not in unit]].tolist()
     kept = [i for i in range(len(rows)) if i not in dependent]
     return N[:, kept], rows[kept]

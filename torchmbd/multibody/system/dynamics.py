@@ -176,7 +176,7 @@ class Dynamics:
         if condensed is not self and rank.redundant:  # the steps leave out rows of the condensed system
             rows = self.initial.condensed.rows[list(condensed.rank.left_out)]
             rank = replace(rank, left_out=tuple(rows.tolist()))
-        return LeastNorm.of(self.topology, rank)
+        return LeastNorm.of(self.saddle, rank)
 
     def diagonal(self, everywhere: bool = False) -> Diagonal | None:
         """Regularization of the saddle-point matrix: row_mask [n], factors 1 or 0 of rows and columns, and diagonal_shift [n],

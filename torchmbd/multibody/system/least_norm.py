@@ -24,7 +24,8 @@ from torchmbd.math.pair import Pair, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
-from torchmbd.multibody.system.reactions import flatten_times, in_chunks, repeat_over_times, unit_constraint_forces
+from torchmbd.multibody.system.reactions import flatten_times, in_chunks, repeat_over_times, values_of_jacobian
+from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.times_as_lanes import as_lanes, at_own_times
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
@@ -39,19 +40,24 @@ class LeastNorm:
     rank    number of independent rows among the acting ones
     """
 
-    T: Topology
+    saddle: Saddle
     acting: Tensor
     rank: int
 
+    @property
+    def T(self) -> Topology:
+        """Of the constraints."""
+        return self.saddle.T
+
     @classmethod
-    def of(cls, T: Topology, rank: Rank, rows: list[int] | None = None) -> LeastNorm | None:
-        """For the rank of some rows of T (None: of all); None if the multipliers are determined."""
-        rows = list(range(T.rows)) if rows is None else rows
+    def of(cls, saddle: Saddle, rank: Rank) -> LeastNorm | None:
+        """For the rank of all rows; None if the multipliers are determined."""
+        T, rows = saddle.T, range(saddle.T.rows)
         if not rank.redundant:
             return None
         acting = torch.zeros(T.rows, dtype=torch.float64)
         acting[[row for i, row in enumerate(rows) if i not in rank.left_out]] = 1.0
-        return cls(T, acting, rank.rank)
+        return cls(saddle, acting, rank.rank)
 
     def at_times(self, data: Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
         """Multipliers of least norm with the forces of lam [times, rows, pair, lanes], along q [times, n_q, pair, lanes]."""
@@ -59,7 +65,7 @@ class LeastNorm:
 
     def _chunk(self, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
         n, lanes = len(times), motion[0].shape[-1]
-        wide = {name: repeat_over_times(data[name], n, lanes) for name in equations.ATTACHED if name in data}
+        wide = {name: repeat_over_times(x, n, lanes) for name, x in data.items()}
         lam = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(flatten_times(x) for x in motion))
         full = lam.full if isinstance(lam, Pair) else lam
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
@@ -88,8 +94,7 @@ class LeastNorm:
 
     def _inverses(self, data: Data, at: Placement) -> tuple[Tensor, Tensor]:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
-        parts = [x.detach() for x in unit_constraint_forces(self.T, data, at, torch.arange(self.T.rows))]
-        J = torch.cat([x.flatten(0, 1) for x in parts]).permute(2, 1, 0) * self.acting[:, None]
+        J = values_of_jacobian(self.saddle, data, at) * self.acting[:, None]
         failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes whose multipliers become nan
         U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)
         kept = s > _APART * s[:, :1]

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import euler_parameters, quaternion_product
 from torchmbd.multibody.joints.primitive import slopes_at, values_at
 
@@ -67,6 +68,15 @@ class PrescribedBody:
             torch.cat([rate * arm, rate * omega], 1),
             torch.cat([rdd, acceleration * omega], 1),
         )
+
+    def motion_at(self, t: Any) -> tuple[Any, Any, Any]:
+        """The same [components, 1, lanes] at a time [s], or at those of lanes [1 + n, lanes]; pairs if these are."""
+        times = value(t)[0] if isinstance(t, Pair) else torch.as_tensor(t, dtype=torch.float64).reshape(-1)
+        if not isinstance(t, Pair):
+            return tuple(x.T[:, None] for x in self.motion(times))  # pyright: ignore[reportReturnType]
+        found, rates = torch.func.jvp(self.motion, (times,), (torch.ones_like(times),))[:2]
+        moved = zip(found, rates, strict=True)
+        return tuple(Pair.of(x.T[:, None], rate.T[:, None] * t.tangent) for x, rate in moved)  # pyright: ignore[reportReturnType]
 
 
 def _axis(spin: Tensor) -> Tensor:

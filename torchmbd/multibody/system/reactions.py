@@ -20,8 +20,9 @@ from torchmbd.math.pair import Pair, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import INERTIA, Data, Placement
-from torchmbd.multibody.system.times_as_lanes import as_lanes
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.times_as_lanes import as_lanes, at_own_times
+from torchmbd.multibody.system.topology import Prescribed, Topology
 
 _CHUNK = 2048  # times x lanes in one evaluation
 
@@ -38,6 +39,11 @@ def multipliers(
     return in_chunks(lambda *x: _chunk(c, data, *x), times, q, v, a, retained)
 
 
+def multipliers_at(c: Condensation, data: Data, t: Any, q: Any, v: Any, a: Any, retained: Any) -> Any:
+    """All multipliers [rows, ...] of lanes at times t [1 + n, lanes] of their own, out of numbers [k, 1 + n, lanes]."""
+    return _all_rows(c, data, at_own_times(c.whole, t, data), q, v, a, retained)
+
+
 def in_chunks(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tensor:
     """f(times, *motion) [times, ...], evaluated for some of the times at once; motion [times, component, pair, lanes]."""
     count = max(1, _CHUNK // motion[0].shape[-1])
@@ -47,26 +53,30 @@ def in_chunks(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tenso
 
 def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
     n, lanes = len(times), motion[0].shape[-1]
-    q, v, a, retained = (flatten_times(x) for x in motion)
-    T = c.whole
-    names = (*equations.ATTACHED, "gravity", *INERTIA)
-    wide = {name: repeat_over_times(data[name], n, lanes) for name in names if name in data}
-    given = as_lanes(T.schedule(times, data), lanes)
-    removed = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
-    at = equations.placement(T, wide, q, given)
-    lam = _scatter_rows(retained, c.rows, T.rows)
-    with torch.no_grad():
-        forces = [x.detach() for x in unit_constraint_forces(T, wide, at, removed)[:2]]
-        B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in forces]).permute(2, 0, 1)
-        finite = torch.where(torch.isfinite(B), B, 0.0)  # in a lane that failed R is nan, and so the multipliers
-        inverse = torch.linalg.pinv(finite, rtol=1e-9)
-        lam_removed = -_times(inverse, value(_residual(T, wide, at, v, a, lam)).detach())
-    lam = lam + _scatter_rows(lam_removed, removed, T.rows)
-    if isinstance(q, Pair) or torch.is_grad_enabled():
-        slopes = _scatter_rows(-_times(inverse, variation(_residual(T, wide, at, v, a, lam))), removed, T.rows)
-        lam = lam + (Pair.of(torch.zeros_like(value(lam)), slopes) if isinstance(q, Pair) else slopes)
+    wide = {name: repeat_over_times(x, n, lanes) for name, x in data.items()}
+    given = as_lanes(c.whole.schedule(times, data), lanes)
+    lam = _all_rows(c, wide, given, *(flatten_times(x) for x in motion))
     full = lam.full if isinstance(lam, Pair) else lam
     return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
+
+
+def _all_rows(c: Condensation, data: Data, given: Prescribed, q: Any, v: Any, a: Any, retained: Any) -> Any:
+    """All multipliers [rows, ...] of numbers [k, ...] with what is prescribed."""
+    T = c.whole
+    removed = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
+    at = equations.placement(T, data, q, given)
+    lam = _scatter_rows(retained, c.rows, T.rows)
+    with torch.no_grad():
+        rigid = torch.tensor([k * T.bodies + b for k in range(6) for b in range(T.flexible, T.bodies)])
+        B = values_of_jacobian(c.whole_saddle, data, at)[:, removed][:, :, rigid].mT
+        finite = torch.where(torch.isfinite(B), B, 0.0)  # in a lane that failed R is nan, and so the multipliers
+        inverse = torch.linalg.pinv(finite, rtol=1e-9)
+        lam_removed = -_times(inverse, value(_residual(T, data, at, v, a, lam)).detach())
+    lam = lam + _scatter_rows(lam_removed, removed, T.rows)
+    if isinstance(q, Pair) or torch.is_grad_enabled():
+        slopes = _scatter_rows(-_times(inverse, variation(_residual(T, data, at, v, a, lam))), removed, T.rows)
+        lam = lam + (Pair.of(torch.zeros_like(value(lam)), slopes) if isinstance(q, Pair) else slopes)
+    return lam
 
 
 def flatten_times(x: Tensor) -> Any:
@@ -86,14 +96,11 @@ def repeat_over_times(x: Any, times: int, lanes: int) -> Any:
     return x if x.shape[-1] == 1 else wide(x)
 
 
-def unit_constraint_forces(T: Topology, data: Data, at: Placement, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Generalized forces [component, bodies, rows, lanes] of unit multipliers of some rows: ground forces, body torques, modal
-    forces. Values only."""
-    lanes = value(at.g).shape[-1]
-    unit = torch.eye(T.rows, dtype=torch.float64)[:, rows, None].expand(-1, -1, lanes)
-    plain = at.values()
-    force = equations.force_on_vectors(T, plain, unit)
-    return equations.generalized_forces(T, {name: value(x) for name, x in data.items()}, plain, force)
+def values_of_jacobian(saddle: Saddle, data: Data, at: Placement) -> Tensor:
+    """Phi_q [lanes, rows, n_v] without a graph of torch."""
+    data = {name: value(x).detach() for name, x in data.items()}
+    J = saddle.jacobian(data, at.map(lambda y: value(y).detach()))
+    return J.expand(value(at.g).shape[-1], -1, -1)
 
 
 def _residual(T: Topology, data: Data, at: Placement, v: Any, a: Any, lam: Any) -> Any:

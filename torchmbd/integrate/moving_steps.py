@@ -1,0 +1,60 @@
+"""Regular steps whose size moves with the duration T of the motion: h = T / n, t_i = i T / n, each a number with tangents.
+
+They are steps of their own sizes (`Integrator.step_of_size`), iterated to rounding.
+Checked in tests/sensitivity/test_phase_times.py.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+from torch import Tensor
+
+from torchmbd.math.pair import Pair, combine
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.topology import Schedule
+from torchmbd.results.history import History, Record
+from torchmbd.results.state import State
+
+
+class MovingSteps:
+    """As of Stepper; time(i): the time [1 + n, lanes] of the point i of the grid."""
+
+    def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
+        self.integrator, self.dynamics, self.time = integrator, dynamics, time
+        self.failed: dict[int, str] = {}
+
+    def run(
+        self,
+        x: State,
+        schedule: Schedule,
+        record: Record,
+        first: int = 0,
+        start: int = 1,
+        lanes: Tensor | None = None,
+    ) -> State:
+        """As of Stepper; laws are evaluated at times that move."""
+        for k in range(len(schedule)):
+            begin, end = self.time(first + k - 1), self.time(first + k)
+            x = self.integrator.step_of_size(self.dynamics, x, end - begin, end)
+            record.put(start + k, x)
+        return x
+
+    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+        """As of Stepper; the weights of accelerations do not depend on the size of a step."""
+        w, found = self.integrator.weights(1.0), [a]
+        for before, after in itertools.pairwise(Pair(x) for x in vd):
+            found.append(combine(combine(w.a_from_vd * before, w.a_from_a, found[-1]), w.share, after))
+        return found
+
+    def restart(self) -> None:
+        """As of Stepper: nothing is kept."""
+
+    def count_only(self, lanes: Tensor) -> None:
+        """As of Stepper: there are no errors."""
+
+    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
+        """As of Stepper: there are none."""
+        return {}
