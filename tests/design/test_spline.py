@@ -313,3 +313,12 @@ def test_slopes_of_samples_at_unequal_times():
     assert_close(slopes(t, second, begins), slope, rtol=0, atol=1e-13)
     fourth = torch.where(begins.cumsum(-1) > 0, 7.0, t**4)
     assert_close(slopes(t, fourth, begins)[:, [2, 3]], 4.0 * t[:, [2, 3]] ** 3, rtol=0, atol=1e-13)
+
+
+def test_a_kink_at_a_switch_is_a_peak_where_the_curve_falls_from_it_alone():
+    """Straight pieces with equal values on both sides; what is no peak comes after the peaks, from the lowest up."""
+    t = torch.tensor([0.0, 1.0, 2.0, 2.0, 3.0, 4.0], dtype=torch.float64)
+    begins = t.diff(prepend=t[:1] - 1.0) == 0.0
+    for y, peaks in (([0.0, 1.0, 2.0, 2.0, 1.0, 0.0], [2.0, 1.0]), ([0.0, 1.0, 2.0, 2.0, 3.0, 4.0], [4.0, 1.0])):
+        curve = Spline.of(t, torch.tensor(y, dtype=torch.float64), begins=begins)
+        assert curve.peaks(2).tolist() == pytest.approx(peaks, abs=1e-12)

@@ -174,3 +174,23 @@ def test_multipliers_of_a_motion_that_failed():
     assert "not finite from t = 0.06 s on" in motion.status[0]
     assert bool(torch.isfinite(motion.lam[0, :6]).all())
     assert bool(torch.isnan(motion.lam[0, 6:]).any(1).all())
+
+
+def test_removed_rows_of_each_lane_have_its_inertia():
+    """A driven arm of two masses, whose hinge is removed: the hinge carries m (a - g) of its own lane at every time."""
+    ground, speed, radius = mbd.Ground(), 3.0, 0.2
+    driven = mbd.RigidBody("driven", mbd.variable(1.0), (1e-3,) * 3, position=(radius, 0.0, 0.0))
+    bob = mbd.RigidBody("bob", 1.0, (1e-3,) * 3, position=(0.5, 0.0, 0.0))
+    joints = [
+        mbd.Revolute(ground.at(), driven.at(-radius, 0.0, 0.0), axis="z", name="hinge"),
+        mbd.Drive(ground, driven, axis="z", speed=speed),
+        mbd.Revolute(ground.at(0.3, 0.0, 0.0), bob.at(-0.2, 0.0, 0.0), axis="z", name="other"),
+    ]
+    system = mbd.System([driven, bob], joints, gravity=(0.0, -9.81, 0.0))
+    mass = torch.tensor([1.0, 3.0], dtype=torch.float64)
+    motion = mbd.simulate(system, 0.5, steps=20, designs={"driven.mass": mass}, gradients="none").require_ok()
+    angle = speed * motion.t
+    acceleration = -(speed**2) * radius * torch.stack([angle.cos(), angle.sin(), 0.0 * angle], -1)
+    weight = torch.tensor([0.0, -9.81, 0.0], dtype=torch.float64)
+    expected = mass[:, None, None] * (acceleration - weight)
+    assert_close(motion.reaction("hinge").force, expected, rtol=0, atol=1e-9)
