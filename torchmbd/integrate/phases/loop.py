@@ -1,13 +1,12 @@
 """The loop through the phases of a simulation: regular steps of all lanes, steps of other sizes at switches.
 
-    h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
+    h* : g(t + h*, x(h*)) = 0       the last step of a phase (last_steps.py)
     t_k - t*                        the first step of the next one, back to the grid
 
-All steps are those of the condensed system of the segment: regular ones by the stepper of the integrator, many at a time, those
-of other sizes by `Integrator.step_of_size`. They
-are differentiated as they stand: sizes are numbers with design tangents, and h*, while it is iterated, is one more.
-What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
-a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
+All steps are those of the condensed system of the segment: regular ones by the stepper of the integrator, many at a time
+(regular_steps.py), those of other sizes by `Integrator.step_of_size`. They are differentiated as they stand: sizes are numbers
+with design tangents. What the adjoint needs is recorded (`PhaseRecord`).
+Steps that are too short for the integrator are not made: the last step of a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
 terms of the Taylor series from the switch.
 
 Over 300 lines: entering, stepping and leaving share what is known of each lane.
@@ -19,31 +18,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
-import numpy as np
 import torch
-from scipy.optimize.elementwise import find_root
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator, Stepper
 from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
+from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
+from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
-from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
+from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.results.history import SEGMENT, History, Record
+from torchmbd.results.history import SEGMENT, History
 from torchmbd.results.state import State
 
 _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the phase: those after it are lost
 _SAME = 1e-9  # of a regular step: times that are equal
-_ROUND = 1e-13  # of the size
-_MOST = 100  # iterations for the size of a last step: a function that jumps takes about 50
 
 
 def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
@@ -75,8 +71,8 @@ class _PhaseLoop:
         self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
         self.g = self._start_values()
         self.base_time = entry.t  # of lanes that leave, where their last step begins
-        # Sizes of their last step: two that enclose it, an estimate, and the event's function at the lower one.
-        self.low, self.most, self.size, self.g_low = (torch.zeros(self.lanes, dtype=torch.float64) for _ in range(4))
+        # Sizes of their last step that enclose it, and the event's function at the lower one.
+        self.low, self.most, self.g_low = (torch.zeros(self.lanes, dtype=torch.float64) for _ in range(3))
         self.change = torch.full_like(self.g, torch.inf)  # of the event's function in the step before
         multiphase.records.append(self.record)
 
@@ -102,7 +98,7 @@ class _PhaseLoop:
                 break
             j = self._boundary(i, last)
             if bool(inside.any()):
-                steps = _Steps(self, stepper, i, j, x, inside, steps)
+                steps = RegularSteps(stepper, self.condensed, self.times, i, j, x, inside, steps)
                 x, indices = steps.end, [*indices, *range(i + 1, j + 1)]
                 inside = self._left_behind(steps, inside)
             i = j
@@ -135,7 +131,7 @@ class _PhaseLoop:
         self.alive = self.alive & ~passed
         return new & ~passed
 
-    def _left_behind(self, steps: _Steps, inside: Tensor) -> Tensor:
+    def _left_behind(self, steps: RegularSteps, inside: Tensor) -> Tensor:
         """Record steps of the lanes `inside`, and let those leave that pass the end of the phase; which stay."""
         i, history = steps.first, steps.states
         g = self.g[:, None].expand(-1, len(history.q))
@@ -224,15 +220,15 @@ class _PhaseLoop:
         end = self.multiphase.grid_times(self.first[lanes], entry.t)
         x = self.integrator.step_of_size(lanes_of(self.condensed, lanes), entry.x, end - entry.t, end)
         self.record.arrival = put_states(self.record.arrival, lanes, x)
-        self._fail(~_finite(x), lanes, "first", entry, value(end)[0])
-        self.alive[lanes] = self.alive[lanes] & _finite(x)
+        self._fail(~finite_lanes(x), lanes, "first", entry, value(end)[0])
+        self.alive[lanes] = self.alive[lanes] & finite_lanes(x)
 
     def _fail(self, failed: Tensor, lanes: list[int], which: str, start: PhaseExit, end: Tensor) -> None:
         """Note that the first or the last step of a phase, from `start` to times `end`, does not converge in some lanes."""
         for i in lane_numbers(failed):
             begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.phase_model.name!r}"
             reason = f"{step}, from t = {begin:.6g} s to t = {float(end[i]):.6g} s, does not converge; more steps help"
-            if not bool(_finite(start.x)[i]):
+            if not bool(finite_lanes(start.x)[i]):
                 reason = f"the motion is not finite where {step} begins, at t = {begin:.6g} s"
             self.multiphase.fail(lanes[i], reason)
 
@@ -318,8 +314,7 @@ class _PhaseLoop:
         record.left[lane], record.base_point[lane] = True, k
         record.base, self.base_time = put_states(record.base, [lane], x), put_lanes(self.base_time, [lane], t)
         earlier = begin - float(value(t)[0, 0])
-        self.low[lane], self.most[lane], self.size[lane] = low + earlier, high + earlier, size + earlier
-        self.g_low[lane] = g_low
+        self.low[lane], self.most[lane], self.g_low[lane] = low + earlier, high + earlier, g_low
 
     def _leave(self, lanes: list[int]) -> None:
         """Make the last steps of the lanes that left the phase."""
@@ -328,9 +323,10 @@ class _PhaseLoop:
         if self.event is None:
             end = pick_lanes(self.ends, lanes)
             y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), base.x, end - base.t, end)
-            there, found = PhaseExit(end, record.whole(y, end)), _finite(y)
+            there, found = PhaseExit(end, record.whole(y, end)), finite_lanes(y)
         else:
-            there, found = self._located(self.event, lanes, base)
+            bracket = Bracket(*(x[lanes] for x in (self.low, self.most, self.g_low)))
+            there, found = located(self.event, lanes, base, bracket, record, self.integrator, self.multiphase.views)
         self._fail(~found, lanes, "last", base, value(base.t)[0] + most)
         good = lane_numbers(found)
         if good:
@@ -340,89 +336,3 @@ class _PhaseLoop:
     def _time(self, i: int) -> Any:
         """A time of the grid, of all lanes."""
         return self.multiphase.grid_times(torch.tensor(i), self.entry.t)
-
-    def _located(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[PhaseExit, Tensor]:
-        """Where the event's function of some lanes vanishes within `most` after their bases, and which lanes found it."""
-        size, found, near = self._sizes_of_last_steps(event, lanes, base)
-        wide, condensed = (widened_data(lanes_of(d, lanes)) for d in (self.dynamics, self.condensed))
-        h = widened(widened(size[None], base.t.shape[0] - 1) if isinstance(base.t, Pair) else size[None])
-        h.full[-1] = 1.0
-        x, end = base.x.map(widened), widened(base.t) + h
-        y = self.integrator.step_of_size(condensed, x, h, end, near)
-        _, slope = self.multiphase.views.slopes(event, lanes, wide, end, self.record.whole(y, end))
-        rate = -slope[:-1] / slope[-1]
-        end = narrowed(end, rate)
-        return PhaseExit(end, self.record.whole(y.map(lambda z: narrowed(z, rate)), end)), found & _finite(y)
-
-    def _sizes_of_last_steps(self, event: Event, lanes: list[int], base: PhaseExit) -> tuple[Tensor, Tensor, State]:
-        """Sizes of the last steps [lanes] at which the event's function vanishes, which were found, and states there."""
-        start, whole, condensed = (
-            base.x.values(),
-            lanes_of(self.dynamics, lanes).values(),
-            lanes_of(self.condensed, lanes),
-        )
-        condensed, t, views = condensed.values(), value(base.t), self.multiphase.views
-        low, most, g_low = (x[lanes] for x in (self.low, self.most, self.g_low))
-        near, sign = start, g_low.sign()
-
-        def function(size: np.ndarray, lane: np.ndarray) -> np.ndarray:
-            nonlocal near
-            own, h = lane.astype(int).tolist(), torch.from_numpy(np.array(size))
-            result, inner = g_low[own].clone(), h > low[own]
-            if bool(inner.any()):
-                own, h = [k for k, there in zip(own, inner.tolist(), strict=True) if there], h[inner]
-                end = t[:, own] + h
-                x, guess = pick_states(start, own), pick_states(near, own)
-                y = self.integrator.step_of_size(lanes_of(condensed, own), x, h[None], end, guess)
-                near = put_states(near, own, y)
-                every = [lanes[k] for k in own]
-                g = views.value(event, every, lanes_of(whole, own), end, self.record.whole(y, end))
-                # At the end of the regular step it has passed zero, but for rounding.
-                beyond = (h >= most[own]) & (g * sign[own] > 0.0)
-                result[inner] = torch.where(beyond, 0.0, g)
-            return result.numpy()
-
-        numbers = np.arange(len(lanes), dtype=float)
-        tolerances = {"xatol": 0.0, "xrtol": _ROUND, "fatol": 0.0, "frtol": 0.0}
-        bracket = (low.numpy(), most.numpy())
-        root = find_root(function, bracket, args=(numbers,), tolerances=tolerances, maxiter=_MOST)
-        return torch.from_numpy(np.array(root.x)), torch.from_numpy(np.array(root.success)), near
-
-
-class _Steps:
-    """Regular steps of lanes from a point of the grid to another.
-
-    first          the point at which they begin, in the condensed states x;  states: condensed ones at all points
-    end            the last one
-    before         the steps before these
-    """
-
-    def __init__(
-        self, loop: _PhaseLoop, stepper: Any, first: int, last: int, x: State, inside: Tensor, before: _Steps | None
-    ):
-        self.loop, self.stepper, self.first, self.x = loop, stepper, first, x
-        self.before = before
-        if before is not None:
-            before.before = None  # of what was, the last point but one is asked for at most
-        d, record = loop.condensed, Record(x, last - first + 1)
-        record.put(0, x)
-        schedule = d.topology.schedule(loop.times[first + 1 : last + 1], d.data)
-        self.end = stepper.run(x, schedule, record, first + 1, 1, inside)
-        self.states = record.history()
-
-    @cached_property
-    def _accelerations(self) -> list[Any]:
-        """Algorithmic ones at all points."""
-        return self.stepper.algorithmic(self.x.a, self.states.vd)
-
-    def state(self, k: int) -> State:
-        """The condensed state at the point k of the grid, or at the one before the first."""
-        if k < self.first:
-            return self.state(self.first) if self.before is None else self.before.state(k)
-        q, v, vd, lam = (Pair(x[k - self.first]) if x.shape[-2] > 1 else x[k - self.first] for x in self.states.states)
-        return State(q, v, vd, self._accelerations[k - self.first], lam)
-
-
-def _finite(x: State) -> Tensor:
-    """Which lanes of a state are finite [lanes]."""
-    return torch.isfinite(value(x.vd)).flatten(0, 1).all(0)
