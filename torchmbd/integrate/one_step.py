@@ -60,8 +60,8 @@ class OneStep(Integrator):
 
     iterations  corrections of values, and the least number of corrections of tangents, in every step; None: 3 and 1, or 4 and
                 2 with elements of beams, whose forces turn far in a step
-    refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction, and corrections that
-                begin with a uniform motion: they converge where the accelerations of before say nothing of the step
+    refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction; with elements of
+                beams these begin with a uniform motion, and converge where the accelerations of before say nothing of a step
     halvings    how many times the step of lanes that fail may be halved
     checkpoint  steps between two states that are kept: the motion has these times alone, and its memory falls so many times.
                 Reverse mode makes the steps between them again
@@ -174,7 +174,7 @@ class OneStep(Integrator):
         """First with a new matrix for every correction, and more of these; then with half the step.
 
         The matrix of the step before does not suit one near a singular position: there its inverse grows without bound. Nor do
-        the accelerations of before where they last for much less than a step (`Step.uniform`).
+        the accelerations of the nodes of beams before, where they last for much less than a step (`Step.uniform`).
         """
         if self.refresh:
             values, tangents = self.iterations or _OF_BEAMS

@@ -75,7 +75,9 @@ class Phase:
             x = getattr(self, key)
             if x is not None and not isinstance(x, Event) and not _positive(x):
                 allowed = "a positive time, or an Event" if key == "until" else "a positive time"
-                raise InputError(f"{key} of a phase is {x!r} s; allowed: {allowed}; a tensor is one float64 number")
+                raise InputError(
+                    f"{key} of a phase is {x!r} s; allowed: {allowed}, also as a float64 tensor [] that is no Parameter"
+                )
         for key in ("lock", "release"):
             x = getattr(self, key)
             if isinstance(x, str) or not isinstance(x, Sequence) or not all(isinstance(j, (str, Joint)) for j in x):
@@ -114,5 +116,7 @@ def _number(x: float | Tensor) -> float:
 
 def _positive(x: Any) -> bool:
     if isinstance(x, Tensor):
-        x = _number(x) if x.dtype == torch.float64 and not untransformed(x).dim() else math.nan
+        # A Parameter would be taken for a design variable: those of a phase are none of the system's.
+        number = x.dtype == torch.float64 and not untransformed(x).dim() and not isinstance(x, torch.nn.Parameter)
+        x = _number(x) if number else math.nan
     return isinstance(x, (int, float)) and not isinstance(x, bool) and 0.0 < x < math.inf

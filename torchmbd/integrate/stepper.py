@@ -74,6 +74,8 @@ class EagerStepper:
         self.passes, self.most = mass.new_full((dynamics.lanes,), float(passes)), passes
         self.negligible = negligible(dynamics)
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
+        # A node of a beam that is let go accelerates for much less than a step; other accelerations are good estimates.
+        self.begins_uniformly = refresh == 0 and dynamics.topology.beams is not None
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.failed: dict[int, str] = {}  # none: a lane that fails is nan
         self.H: Any = None
@@ -111,7 +113,7 @@ class EagerStepper:
         """The state after step i."""
         reach(value(prescribed.t))
         first, step = self.H is None, self.model.step(x, prescribed)
-        start = torch.cat([value(x.vd), value(x.lam)]) if self.refresh else step.uniform()
+        start = step.uniform() if self.begins_uniformly else torch.cat([value(x.vd), value(x.lam)])
         z = self._values(step, start, self.refresh == 0 or i % self.refresh == 0)
         if not isinstance(x.q, Pair):
             return step.finish(z)

@@ -9,7 +9,7 @@ constexpr int MOST = 4;  // as in stepper.py
 
 struct Job {
   long lanes, n_b, data, data_tangents, uniform;                 // numbers of each
-  long first, steps, corrections, most, refresh, check, fresh;  // check: factors and tangents; fresh: no factors yet
+  long first, steps, corrections, most, refresh, check, fresh;  // refresh: -1 as 0, from a uniform motion; check: factors and tangents; fresh: no factors yet
   long moving;                                                   // the last of the data, which change from step to step
   const double *shared;                                          // [steps][uniform]
   double *state;                                                 // [block][1 + n_b][N_X][LANES], in and out
@@ -97,8 +97,8 @@ extern "C" long run_steps(const Job* job) {
       in.x = state;
       in.next = next;
       in.R = R;
-      const bool always = J.refresh == 0, due = always || (J.first + i) % J.refresh == 0;
-      if (always)
+      const bool always = J.refresh <= 0, due = always || (J.first + i) % J.refresh == 0;
+      if (J.refresh < 0)
         start_uniformly(c, state, in.u, z);
       else
         start(c, state, z);

@@ -115,7 +115,7 @@ class NativeStepper(EagerStepper):
             len(table),
             self.corrections,
             int(self.passes.max()),
-            self.refresh,
+            -1 if self.begins_uniformly else self.refresh,
             check,
             self.fresh,
             moved.shape[3],
