@@ -47,8 +47,12 @@ def identical(method: str, gradients: str, **options: Any) -> None:
         assert rest == [status, stats, said]
 
 
+# The others take minutes together.
+SOME = ("rk4", "dopri5", *(method for method in METHODS if INTEGRATORS[method].adjoint))
+
+
 @pytest.mark.thorough
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [x if x in SOME else pytest.param(x, marks=pytest.mark.slow) for x in METHODS])
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge")
 def test_one_phase_is_none_for_every_integrator(method):
     identical(method, "reverse" if INTEGRATORS[method].adjoint else "forward", steps=12)

@@ -78,7 +78,7 @@ def test_every_registered_history_is_here():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("mode", ["reverse", "forward"])
+@pytest.mark.parametrize("mode", ["reverse", pytest.param("forward", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", HISTORIES)
 def test_a_window_that_ends_at_a_switch_is_the_motion_before(name, mode, whole_and_pieces):
     """Values and gradients of every measure of every history."""
