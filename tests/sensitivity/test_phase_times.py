@@ -98,6 +98,13 @@ def test_modes_that_do_not_reach_a_time_refuse_it_by_name(system, options):
         mbd.simulate(system, 0.075, steps=30, phases=phases(times), **options)
 
 
+def test_values_alone_have_no_gradient_by_a_time(system):
+    times = TIMES.clone().requires_grad_()
+    assert not mbd.simulate(system, 0.075, steps=30, phases=phases(times), gradients="none").q.requires_grad
+    with pytest.raises(InputError, match="until of phase 1 is being differentiated"):
+        torch.func.jvp(lambda t: numbers(system, t, gradients="none"), (TIMES,), (torch.ones(2, dtype=torch.float64),))
+
+
 @pytest.mark.parametrize("until", [tensor(0.1, 0.2), torch.tensor(0.1, dtype=torch.float32), tensor(-1.0).squeeze()])
 def test_a_time_is_one_positive_float64_number(until):
     with pytest.raises(InputError, match="until of a phase is"):

@@ -85,7 +85,7 @@ def duration_is_differentiated(duration: Any, gradients: str, integrator: Integr
 
 def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> None:
     """InputError where the time of a phase is differentiated, but the gradients of the motion do not reach it."""
-    if gradients == "none" or (gradients != "forward" and integrator.adjoint):
+    if gradients not in ("forward", "none") and integrator.adjoint:
         return
     for number, phase in enumerate(phases if isinstance(phases, (list, tuple)) else (), 1):
         if isinstance(phase, Phase) and phase.time is not None:

@@ -35,19 +35,12 @@ class FlowStepper:
     def __init__(self, dynamics: Dynamics, h: float, arguments: dict[str, Any]):
         self.dynamics, self.h, self.arguments = dynamics, h, arguments
         self.failed: dict[int, str] = {}
+        self.counts = torch.ones(dynamics.lanes, dtype=torch.bool)
         self._rates: dict[int, RightHandSide] = {}
 
-    def run(
-        self,
-        x: State,
-        schedule: Schedule,
-        record: Record,
-        first: int = 0,
-        start: int = 1,
-        lanes: Tensor | None = None,
-    ) -> State:
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """As of Stepper; the right-hand side evaluates laws itself."""
-        moving = lane_numbers(torch.ones(x.q.shape[-1], dtype=torch.bool) if lanes is None else lanes)
+        moving = lane_numbers(self.counts)
         for k in range(len(schedule)):
             full = [_full(y).clone() for y in x]
             for lane in moving:

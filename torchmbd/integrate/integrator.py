@@ -55,24 +55,17 @@ class Stepper(Protocol):
     """Regular steps of the lanes of one system; keeps factors and estimates from step to step.
 
     failed   lanes that cannot be integrated, with the reason
+    counts   mask of the lanes that have a motion; the others come out with any numbers
     """
 
     failed: dict[int, str]
+    counts: Tensor
 
-    def run(
-        self,
-        x: State,
-        schedule: Schedule,
-        record: Record,
-        first: int = 0,
-        start: int = 1,
-        lanes: Tensor | None = None,
-    ) -> State:
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """The last state of many steps, the first of number `first`; with tangents, the exact derivative of the steps.
 
         schedule   drives and bodies of known motion at the ends of the steps
         record     takes all states, from time `start` on
-        lanes      mask of the lanes that have a motion; the others come out with any numbers; None: as before
         """
         ...
 

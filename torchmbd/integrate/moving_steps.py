@@ -6,13 +6,13 @@ Checked in tests/sensitivity/test_phase_times.py.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
+import torch
 from torch import Tensor
 
-from torchmbd.math.pair import Pair, combine
+from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import History, Record
@@ -25,16 +25,9 @@ class MovingSteps:
     def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
         self.integrator, self.dynamics, self.time = integrator, dynamics, time
         self.failed: dict[int, str] = {}
+        self.counts = torch.ones(dynamics.lanes, dtype=torch.bool)
 
-    def run(
-        self,
-        x: State,
-        schedule: Schedule,
-        record: Record,
-        first: int = 0,
-        start: int = 1,
-        lanes: Tensor | None = None,
-    ) -> State:
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """As of Stepper; laws are evaluated at times that move."""
         for k in range(len(schedule)):
             begin, end = self.time(first + k - 1), self.time(first + k)
@@ -43,11 +36,8 @@ class MovingSteps:
         return x
 
     def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
-        """As of Stepper; the weights of accelerations do not depend on the size of a step."""
-        w, found = self.integrator.weights(1.0), [a]
-        for before, after in itertools.pairwise(Pair(x) for x in vd):
-            found.append(combine(combine(w.a_from_vd * before, w.a_from_a, found[-1]), w.share, after))
-        return found
+        """As of Stepper."""
+        return algorithmic(self.integrator.weights(1.0), a, vd)
 
     def restart(self) -> None:
         """As of Stepper: nothing is kept."""

@@ -15,6 +15,7 @@ correction is mostly enough.
 
 from __future__ import annotations
 
+import itertools
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -183,6 +184,17 @@ class Model:
     def step(self, x: State, prescribed: Prescribed) -> Step:
         """The step from x."""
         return Step(self, x, prescribed)
+
+
+def algorithmic(w: Weights, a: Any, vd: Tensor) -> list[Any]:
+    """Algorithmic accelerations at all times, the first being a, of true ones vd [times, n_v, pair, lanes].
+
+    a1 = w(v0', v1') + c a0: the weights of accelerations do not depend on the size of a step.
+    """
+    accelerations = [a]
+    for before, after in itertools.pairwise(Pair(x) if vd.shape[-2] > 1 else x for x in vd):
+        accelerations.append(combine(combine(w.a_from_vd * before, w.a_from_a, accelerations[-1]), w.share, after))
+    return accelerations
 
 
 def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:

@@ -7,7 +7,6 @@ Checked in tests/integrate/.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +15,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.pullback import PulledBack, StepPullback
-from torchmbd.math.pair import Pair, combine, value
+from torchmbd.integrate.step import algorithmic
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Elimination, factored, pays
 from torchmbd.multibody.system.saddle_factors import regularized
@@ -84,17 +84,8 @@ class EagerStepper:
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
 
-    def run(
-        self,
-        x: State,
-        schedule: Schedule,
-        record: Record,
-        first: int = 0,
-        start: int = 1,
-        lanes: Tensor | None = None,
-    ) -> State:
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """As of Stepper."""
-        self.counts = self.counts if lanes is None else lanes
         for i, prescribed in enumerate(schedule):
             x = self._step(first + i, x, prescribed)
             record.put(start + i, x)
@@ -175,12 +166,8 @@ class EagerStepper:
         self.most = int(self.passes.max())
 
     def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
-        """As of Stepper: a1 = w(v0', v1') + c a0."""
-        w, found = self.model.w, [a]
-        vds = [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
-        for before, after in itertools.pairwise(vds):
-            found.append(combine(combine(w.a_from_vd * before, w.a_from_a, found[-1]), w.share, after))
-        return found
+        """As of Stepper."""
+        return algorithmic(self.model.w, a, vd)
 
     def count_only(self, lanes: Tensor) -> None:
         """As of Stepper."""

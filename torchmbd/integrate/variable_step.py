@@ -155,9 +155,7 @@ def all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
 
     x   with those of all rows, or of the rows that condensation retains
     """
-    lam, c = x.lam, dynamics.initial.condensed
-    if len(value(lam)) < dynamics.topology.rows:
-        lam = multipliers_at(c, dynamics.data, t, x.q, x.v, x.vd, lam)
+    lam = multipliers_at(dynamics.initial.condensed, dynamics.data, t, x.q, x.v, x.vd, x.lam)
     least = dynamics.least_norm
     return lam if least is None else least.at_varying_time(dynamics.data, t, x.q, lam)
 

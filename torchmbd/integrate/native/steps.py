@@ -79,16 +79,7 @@ class NativeStepper(EagerStepper):
         super().restart()
         self.fresh = 1
 
-    def run(
-        self,
-        x: State,
-        schedule: Schedule,
-        record: Record,
-        first: int = 0,
-        start: int = 1,
-        lanes: Tensor | None = None,
-    ) -> State:
-        self.counts = self.counts if lanes is None else lanes
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         if self.code is None:
             return super().run(x, schedule, record, first, start)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))

@@ -50,7 +50,7 @@ def located(
 
     base, bracket   of these lanes
     """
-    size, found, near = _sizes(event, lanes, base, bracket, record, integrator, views)
+    size, enclosed, near = _sizes(event, lanes, base, bracket, record, integrator, views)
     whole, condensed = (widened_data(lanes_of(d, lanes)) for d in (record.dynamics, record.condensed))
     h = widened(widened(size[None], base.t.shape[0] - 1) if isinstance(base.t, Pair) else size[None])
     h.full[-1] = 1.0  # its own direction
@@ -59,7 +59,7 @@ def located(
     _, slope = views.slopes(event, lanes, whole, end, record.whole(y, end))
     rate = -slope[:-1] / slope[-1]
     end = narrowed(end, rate)
-    return PhaseExit(end, record.whole(y.map(lambda z: narrowed(z, rate)), end)), found & finite_lanes(y)
+    return PhaseExit(end, record.whole(y.map(lambda z: narrowed(z, rate)), end)), enclosed & finite_lanes(y)
 
 
 def _sizes(

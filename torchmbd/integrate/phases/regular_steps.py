@@ -41,7 +41,8 @@ class RegularSteps:
         record = Record(x, last - first + 1)
         record.put(0, x)
         schedule = dynamics.topology.schedule(times[first + 1 : last + 1], dynamics.data)
-        self.end = stepper.run(x, schedule, record, first + 1, 1, lanes)
+        stepper.counts = lanes
+        self.end = stepper.run(x, schedule, record, first + 1)
         self.states = record.history()
 
     @cached_property

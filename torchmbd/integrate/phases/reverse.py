@@ -109,7 +109,7 @@ class ReversePhaseIntegration:
         along = {name: dx.expand(len(dx), len(designs[name]), *dx.shape[2:]) for name, dx in along.items()}
         model = replace(self.dynamics, data=data)
         multiphase, stats, _ = self._integrate(model, Views.of(self.system, model, designs, along))
-        self.stats["tangent_error"] = stats.get("tangent_error")
+        self.stats |= {"tangent_error": stats["tangent_error"]} if "tangent_error" in stats else {}
         h, count = multiphase.history, next(x.shape[-2] for x in directions if x is not None)
         numbers: list[Any] = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self.validity]
         numbers += [multiphase.whole.data[name] for name in self.output_data]
@@ -120,8 +120,8 @@ class ReversePhaseIntegration:
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
         rows = next(x.shape[-2] for x in outputs if x is not None)
-        wanted = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
-        names = [name for name in wanted if name != DURATION]
+        differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
+        names = [name for name in differentiated if name != DURATION]
         marks = 5 + len(self.output_data)
         switches = [outputs[i : i + NUMBERS] for i in range(marks, len(outputs), NUMBERS)]
         lanes, found = self._adjoint(names)(
@@ -131,7 +131,7 @@ class ReversePhaseIntegration:
             name: self._of_data(lanes, found.get(("data", name)), self._multiphase.data_without_marks[name], rows)
             for name in names
         }
-        if DURATION in wanted:
+        if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
             data[DURATION] = torch.stack([(y * dx).flatten(0, -3).sum(0) for y, dx in pairs]).sum(0)
         designs = self._of_designs(lanes, found, rows) if any(needs_grad[len(self.names) :]) else {}
@@ -139,7 +139,8 @@ class ReversePhaseIntegration:
 
     @cached_property
     def _by_duration(self) -> list[Tensor]:
-        """Tangents of all outputs by the duration."""
+        """Tangents of all outputs by the duration, by operators of torch."""
+        self.stats["gradient by the duration"] = "eager"
         inputs = [*self.names, *self.designs]
         return self.tangents([torch.ones(1, 1, dtype=torch.float64) if x == DURATION else None for x in inputs])
 

@@ -165,14 +165,14 @@ class MultiphaseRun:
             times = in_phase.any(1)
             if (least is None and record.condensation is None) or not bool(times.any()):
                 continue
-            q, v, a, found = history.q[times], history.v[times], history.vd[times], lam[times]
+            q, v, a, multipliers = history.q[times], history.v[times], history.vd[times], lam[times]
             if (c := record.condensation) is not None:
                 rows = torch.tensor(self.phase_models[record.number].rows, dtype=torch.long)
-                of_phase = reactions.multipliers(c, data, at[times], q, v, a, found[:, rows[c.rows]])
-                found = torch.zeros_like(found).index_copy(1, rows, of_phase)
+                of_phase = reactions.multipliers(c, data, at[times], q, v, a, multipliers[:, rows[c.rows]])
+                multipliers = torch.zeros_like(multipliers).index_copy(1, rows, of_phase)
             if least is not None:
-                found = least.at_times(data, at[times], q, found)
-            lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], found, lam[times]))
+                multipliers = least.at_times(data, at[times], q, multipliers)
+            lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], multipliers, lam[times]))
         return lam
 
     def recorded(self) -> History:
@@ -255,9 +255,8 @@ class MultiphaseRun:
 
     def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
         """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
-        least, c, lam = self.least_norm[number], self.phase_models[number].condensation, x.lam
-        if c is not None and len(value(lam)) < c.whole.rows:
-            lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, lam)
+        least, c = self.least_norm[number], self.phase_models[number].condensation
+        lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, x.lam)
         n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         return lam if least is None else least.at_varying_time(data, t, x.q, lam)

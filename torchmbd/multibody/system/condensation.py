@@ -88,8 +88,8 @@ class Condensation:
             rows = component_rows(self.whole, self.bodies, components)
             z = linear(lambda u: _scattered(_spread(spread if order else None, u), rows, self._size(components)), y)
             for number, motion in known:
-                own = torch.arange(components) * self.whole.bodies + number
-                z = z + linear(lambda u, own=own: _scattered(u, own, self._size(components)), motion[order])
+                of_body = torch.arange(components) * self.whole.bodies + number
+                z = z + linear(lambda u, rows=of_body: _scattered(u, rows, self._size(components)), motion[order])
             return z
 
         return type(x)(whole(x.q, 0), whole(x.v, 1), whole(x.vd, 2), whole(x.a, 2), x.lam)

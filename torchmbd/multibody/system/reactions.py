@@ -39,8 +39,13 @@ def multipliers(
     return in_chunks(lambda *x: _chunk(c, data, *x), times, q, v, a, retained)
 
 
-def multipliers_at(c: Condensation, data: Data, t: Any, q: Any, v: Any, a: Any, retained: Any) -> Any:
-    """All multipliers [rows, ...] of lanes at times t [1 + n, lanes] of their own, out of numbers [k, 1 + n, lanes]."""
+def multipliers_at(c: Condensation | None, data: Data, t: Any, q: Any, v: Any, a: Any, retained: Any) -> Any:
+    """All multipliers [rows, ...] of lanes at times t [1 + n, lanes] of their own, out of numbers [k, 1 + n, lanes].
+
+    retained   multipliers of the retained rows; those of all rows stay as they are
+    """
+    if c is None or len(value(retained)) == c.whole.rows:
+        return retained
     return _all_rows(c, data, at_own_times(c.whole, t, data), q, v, a, retained)
 
 
