@@ -15,6 +15,7 @@ Parts (default: all):
     angles          gradient by 288 and by 3,000 angles over one simulation
     load-cases      damage over 100 load cases, gradient by 100 variables; 30 variables and 20 cases beside the peer
     stiffening      cost of stiffening
+    segments        a trivial phase, a further switch, the antenna in two phases
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
     chains          chains of 5 to 50 links
@@ -59,6 +60,7 @@ from experiments.benchmark.load_cases import load_cases
 from experiments.benchmark.multistart import multistart
 from experiments.benchmark.processes import run_each
 from experiments.benchmark.report import Result, Settings, machine
+from experiments.benchmark.segments import segments
 from experiments.benchmark.stiffening import stiffening
 from experiments.benchmark.study import study
 
@@ -76,6 +78,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "angles": many_angles,
     "load-cases": load_cases,
     "stiffening": stiffening,
+    "segments": segments,
     "mesh": costs.mesh,
     "chain": costs.chain,
     "chains": chains.chains,
@@ -117,6 +120,11 @@ FIGURES = (
     "long_gb",
     "stiffening_steps",
     "stiffening_structure",
+    "trivial_phase",
+    "switch_ms",
+    "event_ms",
+    "antenna_values_s",
+    "antenna_gradient_s",
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",

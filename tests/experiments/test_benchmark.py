@@ -17,6 +17,7 @@ from experiments.benchmark import evaluate as benchmark_evaluate
 from experiments.benchmark import motion as benchmark_motion
 from experiments.benchmark import multistart as benchmark_multistart
 from experiments.benchmark import processes, stages
+from experiments.benchmark import segments as benchmark_segments
 from experiments.benchmark import study as benchmark_study
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
 from experiments.benchmark.report import Result, Settings
@@ -231,6 +232,14 @@ def test_evaluations_are_measured_beside_the_sum_of_their_parts():
     [table] = benchmark_evaluate.evaluate(Settings(quick=True)).tables
     for _, whole, *parts, ratio in table.rows:
         assert ratio == pytest.approx(whole / sum(parts))
+
+
+@pytest.mark.thorough
+def test_phases_are_measured_beside_none():
+    trivial, switches, antenna = benchmark_segments.segments(Settings(quick=True)).tables
+    assert [row[:2] for row in trivial.rows] == [[1, "values"], [1, "gradient"]]
+    assert [row[:2] for row in switches.rows] == [["switch", "values"], ["switch", "gradient"]]
+    assert not antenna.rows
 
 
 def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):
