@@ -160,8 +160,9 @@ class MultiphaseRun:
         """
         lam, data = history.lam, data or self.whole.data
         at = self.times if history.times is None else history.times
+        phase_number = self._phase_number_of(lam.shape[-1])
         for record, least in zip(self.records, self.least_norm, strict=True):
-            in_phase = self.phase_number == record.number
+            in_phase = phase_number == record.number
             times = in_phase.any(1)
             if (least is None and record.condensation is None) or not bool(times.any()):
                 continue
@@ -174,6 +175,17 @@ class MultiphaseRun:
                 multipliers = least.at_times(data, at[times], q, multipliers)
             lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], multipliers, lam[times]))
         return lam
+
+    def _phase_number_of(self, lanes: int) -> Tensor:
+        """Phases at the times of the grid [times, lanes]; a lane of torch.func.vmap, which is one of many, has those of all."""
+        if lanes == self.phase_number.shape[1]:
+            return self.phase_number
+        if bool((self.phase_number != self.phase_number[:, :1]).any()):
+            raise InputError(
+                "multipliers of lanes that change phases at steps of their own are asked for in torch.func.vmap; "
+                "allowed: designs [lanes, ...] in one simulate"
+            )
+        return self.phase_number[:, :1].expand(-1, lanes)
 
     def recorded(self) -> History:
         """The motion on the grid, with zeros where nothing is recorded."""
