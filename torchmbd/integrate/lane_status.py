@@ -10,6 +10,7 @@ Checked in tests/integrate/test_simulate.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -17,6 +18,8 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.integrate.contacts import UnresolvedContact
+from torchmbd.integrate.initial_value import InitialValueProblem
+from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.expansion import Expansion
@@ -105,19 +108,20 @@ def _status_of_steps(statistics: Mapping[str, float]) -> str:
     return OK
 
 
-def mark_open_joints(
-    status: list[str], dynamics: Dynamics, history: History, duration: float, statistics: Mapping[str, Any]
-) -> None:
+def mark_open_joints(status: list[str], problem: InitialValueProblem, result: IntegrationResult) -> None:
     """Set the status of lanes whose joints are open at the end: an iteration may settle beyond a position they cannot pass."""
+    dynamics, statistics = problem.dynamics, result.statistics
     if "iteration_error" not in statistics or not dynamics.topology.rows:
         return
     for lane in torch.nonzero(statistics["iteration_error"] > IMPRECISE)[:, 0].tolist():
-        if lane in dynamics.start_errors or has_failed(status[lane]):
+        rows = problem.rows_at_end(result, lane)
+        if lane in dynamics.start_errors or has_failed(status[lane]) or not rows:
             continue
-        phi = _violations_at_end(dynamics.values().select_lanes([lane]), history, lane, duration)
+        own = replace(dynamics, data=result.data or dynamics.data).values().select_lanes([lane])
+        phi = _violations_at_end(own, result.history, lane, problem.duration)[rows]
         worst = float(phi.max())
         if worst > _OPEN:
-            row = dynamics.topology.row_names[int(phi.argmax())]
+            row = dynamics.topology.row_names[rows[int(phi.argmax())]]
             status[lane] = f"failed: the joints could not stay closed ({row} is {worst:.1e} m or rad off at the end)"
 
 

@@ -29,6 +29,7 @@ class MovingSteps:
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """As of Stepper; laws are evaluated at times that move."""
+        self.steps = len(schedule)  # the last ones
         for k in range(len(schedule)):
             begin, end = self.time(first + k - 1), self.time(first + k)
             x = self.integrator.step_of_size(self.dynamics, x, end - begin, end)
@@ -44,6 +45,14 @@ class MovingSteps:
 
     def count_only(self, lanes: Tensor) -> None:
         """As of Stepper: there are no errors."""
+
+    def take_errors(self) -> Tensor:
+        """As of EagerStepper: there are none."""
+        return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
+
+    def tangent_errors(self) -> dict[str, Tensor]:
+        """As of EagerStepper: there are none."""
+        return {}
 
     def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
         """As of Stepper: there are none."""

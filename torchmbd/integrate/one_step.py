@@ -36,16 +36,18 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepErrors, alternating_share, alternations, second_halves, turns
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
+from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.native import steps
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
+from torchmbd.integrate.segment import DURATION
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
 from torchmbd.integrate.stepper import TURN, EagerStepper, IterationErrors, first_true, resume
 from torchmbd.integrate.variable_step import step_of_size
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.pair import value
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import Checkpoints, History, Record, segments
@@ -75,7 +77,6 @@ class OneStep(Integrator):
     adjoint: ClassVar[bool] = True
     condenses: ClassVar[bool] = True
     shortest_step: ClassVar[float] = 0.05  # index-3 equations do not bear much less
-    not_in_phases: ClassVar[tuple[str, ...]] = ("halvings", "checkpoint")
 
     def __post_init__(self) -> None:
         iterations = self.iterations if self.iterations is not None else _ITERATIONS
@@ -128,7 +129,7 @@ class OneStep(Integrator):
         h, every = duration / steps, self.checkpoint
         whole, condensed, x = prepare(dynamics).detached()
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
-        stepper = self.stepper(condensed, h)
+        stepper = self._stepper_of(condensed, duration, steps)
         record = Record(x, len(times))
         record.put(0, x)
         estimates = _StepEstimates(self, whole, condensed, x, duration, steps)
@@ -152,6 +153,13 @@ class OneStep(Integrator):
             checkpoints=Checkpoints(every, accelerations, self) if every > 1 else None,
         )
         return IntegrationResult(history, statistics, contacts=estimates.contacts.unresolved(h))
+
+    def _stepper_of(self, dynamics: Dynamics, duration: float, steps: int) -> EagerStepper | MovingSteps:
+        """Of equal steps, whose size moves where there are tangents by the duration."""
+        by_duration = dynamics.data.get(DURATION)
+        if not isinstance(by_duration, Pair):
+            return self.stepper(dynamics, duration / steps)
+        return MovingSteps(self, dynamics, lambda i: by_duration * (i / steps))
 
     def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`, without errors of steps; "alternation" of second halves of phases."""

@@ -27,6 +27,7 @@ from torchmbd.integrate.phases.switch import (
     velocities_after_impact,
 )
 from torchmbd.integrate.segment import DURATION, Segment
+from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system import equations, reactions
 from torchmbd.multibody.system.condensation import Condensation
@@ -35,7 +36,7 @@ from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
 from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.results.history import History
-from torchmbd.results.motion_data import OK, Moment, Switch
+from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
 
 CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
@@ -117,7 +118,7 @@ class MultiphaseRun:
     def __post_init__(self) -> None:
         T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
-        self.status = [OK] * lanes
+        self.failures = [""] * lanes  # the first reason why a lane has failed
         self.doubts: dict[int, str] = {}  # of lanes whose numbers stay
         self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
@@ -151,19 +152,20 @@ class MultiphaseRun:
     @property
     def history(self) -> History:
         """The motion on the grid."""
-        return History(self.q, self.v, self.vd, self.lam)
+        segment = self.phase_number[:, None].double()
+        return History(self.q, self.v, self.vd, self.lam, segment=segment, run=self)
 
     def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
-        """Multipliers of all rows [times, rows, pair, lanes]; of redundant ones those of least norm.
+        """Multipliers of all rows [times, rows, pair, lanes] of states; of redundant ones those of least norm.
 
         data   instead of those of the whole
         """
-        lam, data = history.lam, data or self.whole.data
+        lam, data, segment = history.lam, data or self.whole.data, history.segment
         at = self.times if history.times is None else history.times
-        phase_number = self._phase_number_of(lam.shape[-1])
+        assert segment is not None
         for record, least in zip(self.records, self.least_norm, strict=True):
-            in_phase = phase_number == record.number
-            times = in_phase.any(1)
+            in_phase = segment == record.number
+            times = (untransformed(segment) == record.number).flatten(-2).any(-1).reshape(-1, len(at)).any(0)
             if (least is None and record.condensation is None) or not bool(times.any()):
                 continue
             q, v, a, multipliers = history.q[times], history.v[times], history.vd[times], lam[times]
@@ -173,19 +175,8 @@ class MultiphaseRun:
                 multipliers = torch.zeros_like(multipliers).index_copy(1, rows, of_phase)
             if least is not None:
                 multipliers = least.at_times(data, at[times], q, multipliers)
-            lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], multipliers, lam[times]))
+            lam = lam.index_put((times,), torch.where(in_phase[times][:, None], multipliers, lam[times]))
         return lam
-
-    def _phase_number_of(self, lanes: int) -> Tensor:
-        """Phases at the times of the grid [times, lanes]; a lane of torch.func.vmap, which is one of many, has those of all."""
-        if lanes == self.phase_number.shape[1]:
-            return self.phase_number
-        if bool((self.phase_number != self.phase_number[:, :1]).any()):
-            raise InputError(
-                "multipliers of lanes that change phases at steps of their own are asked for in torch.func.vmap; "
-                "allowed: designs [lanes, ...] in one simulate"
-            )
-        return self.phase_number[:, :1].expand(-1, lanes)
 
     def recorded(self) -> History:
         """The motion on the grid, with zeros where nothing is recorded."""
@@ -319,7 +310,7 @@ class MultiphaseRun:
 
     def entered_lanes(self, phase_exit: PhaseExit) -> Tensor:
         """Which lanes enter the next phase [lanes]."""
-        good = torch.tensor([status == OK for status in self.status])
+        good = torch.tensor([not reason for reason in self.failures])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
     def end_times(self, phase_model: Segment, t: Any, data: equations.Data) -> Any:
@@ -340,8 +331,7 @@ class MultiphaseRun:
 
     def fail(self, lane: int, reason: str) -> None:
         """Note the first reason why a lane failed."""
-        if self.status[lane] == OK:
-            self.status[lane] = f"failed: {reason}"
+        self.failures[lane] = self.failures[lane] or reason
 
     def doubt(self, lane: int, phase_model: Segment, t: float) -> None:
         """Note the first time after which the steps of a lane are too long to know whether its phase ends."""
