@@ -89,8 +89,12 @@ class Stepper(Protocol):
         """Discard what is kept: the state has jumped."""
         ...
 
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
-        """Estimated errors [lanes] of the steps to the times of these indices, for the statistics; None: of all steps."""
+    def take_errors(self) -> Tensor:
+        """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten."""
+        ...
+
+    def tangent_errors(self) -> dict[str, Tensor]:
+        """Estimated relative error of tangents [lanes], if there were any."""
         ...
 
 

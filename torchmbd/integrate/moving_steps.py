@@ -15,12 +15,12 @@ from torch import Tensor
 from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
-from torchmbd.results.history import History, Record
+from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 
 class MovingSteps:
-    """As of Stepper; time(i): the time [1 + n, lanes] of the point i of the grid."""
+    """As of Stepper; time(i): the time [1 + n, lanes] at the end of step i."""
 
     def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
         self.integrator, self.dynamics, self.time = integrator, dynamics, time
@@ -47,13 +47,9 @@ class MovingSteps:
         """As of Stepper: there are no errors."""
 
     def take_errors(self) -> Tensor:
-        """As of EagerStepper: there are none."""
+        """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
     def tangent_errors(self) -> dict[str, Tensor]:
-        """As of EagerStepper: there are none."""
-        return {}
-
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
         """As of Stepper: there are none."""
         return {}

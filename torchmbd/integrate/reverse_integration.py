@@ -149,7 +149,7 @@ class ReverseIntegration:
             result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
         elif names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            pullback = SegmentsPullback(self._several, self.results, self.integrator, backward.adjoint_solver)
+            pullback = SegmentsPullback(self._several, self.results, backward.adjoint_solver)
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]

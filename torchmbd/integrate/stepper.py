@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.pullback import PulledBack, StepPullback
 from torchmbd.integrate.step import algorithmic
 from torchmbd.math.pair import Pair, value
@@ -180,18 +181,12 @@ class EagerStepper:
         self.sizes = []
         return last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
 
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
-        """As of Stepper: relative errors of the iteration, and how many times come before one of which it did not converge."""
-        iterations = IterationErrors(history.q[0, :, 0], duration, duration / (len(history.q) - 1))
-        iterations.update(history, self.take_errors(), indices)
-        return iterations.statistics() | self.tangent_errors()
-
     def tangent_errors(self) -> dict[str, Tensor]:
         """Estimated relative error of tangents [lanes], if there were any."""
         return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
 
 
-def resume(stepper: EagerStepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
+def resume(stepper: Stepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
     """The last state of steps from x, the first of that number, and all states.
 
     The stepper starts without factors: so the steps can be made again as they were.
@@ -203,35 +198,34 @@ def resume(stepper: EagerStepper, x: State, schedule: Schedule, number: int) -> 
 
 
 class IterationErrors:
-    """Estimated errors of the iterations of steps of size h [s], and the first time of which they did not converge.
+    """Estimated errors of the iterations of steps of size h [s], and the first time of which they did not converge [lanes].
 
     The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the motion, or to
     the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what the rounding of
-    coordinates q [n, lanes] at the start makes of them: a system at rest has nothing else.
+    coordinates at the start makes of them: a system at rest has nothing else.
     """
 
-    def __init__(self, q: Tensor, duration: float, h: float):
-        self.duration, rounding = duration, _ROUNDING * q.abs().amax(0) / (h * h)
-        self.scale, self.largest = rounding, torch.zeros_like(rounding)  # so far
-        self.valid_times, self.seen = torch.zeros_like(rounding, dtype=torch.long), 0
+    def __init__(self, lanes: int, duration: float, h: float):
+        self.duration, self.h = duration, h
+        self.scale: Tensor | None = None  # so far
+        self.largest = torch.zeros(lanes, dtype=torch.float64)
+        self.first_bad = torch.full((lanes,), torch.iinfo(torch.long).max)
 
-    def update(self, history: History, errors: Tensor, indices: list[int] | None = None) -> None:
-        """Go on with states at further times, the first of which was the last before, and errors of steps [lanes, steps].
-
-        indices: times of the history to which the steps led; None: 1, 2, 3, ...
-        """
+    def update(self, first: int, history: History, errors: Tensor) -> None:
+        """Go on with states from the time of number `first` on, and errors of the steps between them [lanes, steps]."""
+        if self.scale is None:
+            self.scale = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (self.h * self.h)
         largest = (x[:, :, 0].abs().amax(1) for x in (history.vd, history.v))
         reached, speed = (x.cummax(0).values for x in largest)
         # Up to every time: what comes after a failure is no measure of it.
         scale = self.scale.maximum(reached.maximum(speed / self.duration))
-        bad = torch.zeros_like(scale, dtype=torch.bool)
-        steps = torch.arange(1, errors.shape[-1] + 1) if indices is None else torch.tensor(indices)
-        bad[steps] = ~(ITERATION_ERROR * scale[steps] >= errors.T)
-        converged, shared = self.valid_times == self.seen, min(self.seen, 1)  # so far; times that were seen before
-        self.valid_times = torch.where(converged, self.seen - shared + first_true(bad), self.valid_times)
-        self.seen += len(history.q) - shared
+        bad = ~(ITERATION_ERROR * scale[1:] >= errors.T)
+        times = first + 1 + first_true(bad)
+        self.first_bad = torch.where(bad.any(0), self.first_bad.minimum(times), self.first_bad)
         self.scale, self.largest = scale[-1], self.largest.maximum(errors.amax(-1))
 
-    def statistics(self) -> dict[str, Tensor]:
-        """ "iteration_error", relative, and "valid_times", those before the first bad one [lanes]."""
-        return {"iteration_error": self.largest / self.scale, "valid_times": self.valid_times}
+    def statistics(self, times: int) -> dict[str, Tensor]:
+        """ "iteration_error", relative, and "valid_times", those before the first bad one of so many [lanes]."""
+        scale = torch.ones_like(self.largest) if self.scale is None else self.scale
+        tiny = torch.finfo(scale.dtype).tiny
+        return {"iteration_error": self.largest / scale.clamp_min(tiny), "valid_times": self.first_bad.clamp_max(times)}

@@ -99,8 +99,7 @@ class StepStates(NamedTuple):
 
     def detach(self) -> StepStates:
         """The same numbers without a graph of torch."""
-        *states, segment = self
-        return StepStates(*(x.detach() for x in states if x is not None), None if segment is None else segment.detach())
+        return self._replace(**{name: x.detach() for name, x in self._asdict().items() if x is not None})
 
 
 class IntegratedSignals(Signals):

@@ -8,13 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from torch import Tensor
-
-from torchmbd.integrate.contacts import ContactWatch, UnresolvedContact
-from torchmbd.integrate.estimates import StepErrors
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import held_times_of
-from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lanes import lanes_of
 from torchmbd.integrate.phases.run import MultiphaseRun
@@ -38,10 +33,11 @@ class SeveralSegments:
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
         """As of InitialValueProblem."""
-        run = MultiphaseRun(self.dynamics, self.segments, self.views, self.duration, steps)
-        statistics = integrator.integrate_phases(run) | _step_errors(run, integrator)
+        every = steps // integrator.stored_intervals(steps)
+        run = MultiphaseRun(self.dynamics, self.segments, self.views, self.duration, steps, integrator, every)
+        statistics = integrator.integrate_phases(run)
         failed = {lane: reason for lane, reason in enumerate(run.failures) if reason}
-        contacts = _unresolved_contacts(run, by_steps=integrator.adjoint)
+        contacts = run.watch.unresolved(self.duration / steps, by_steps=integrator.adjoint)
         return IntegrationResult(run.history, statistics, failed, contacts, run.doubts, run.switches, run.whole.data)
 
     def select_lanes(self, lanes: Sequence[int]) -> SeveralSegments:
@@ -69,21 +65,3 @@ class SeveralSegments:
         assert result.history.segment is not None
         number = int(result.history.segment[-1, 0, lane])
         return self.segments[number].rows if number >= 0 else []
-
-
-def _unresolved_contacts(run: MultiphaseRun, by_steps: bool) -> dict[int, UnresolvedContact]:
-    """Contacts that the steps do not show; by_steps: as of ContactWatch."""
-    watch, h = ContactWatch(run.whole), run.history
-    if not watch.idle:
-        watch.update(run.times, *(h.rows(order, pair=slice(1)) for order in range(2)))
-    return watch.unresolved(run.duration / run.steps, by_steps)
-
-
-def _step_errors(run: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
-    """Estimated errors of the steps within the phases [lanes]; none of a method that has no such estimates."""
-    if not isinstance(integrator, OneStep):
-        return {}
-    constant = abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0)
-    errors = StepErrors(run.whole, constant, run.duration / run.steps)
-    errors.update(run.recorded(), run.phase_number[1:] == run.phase_number[:-1])
-    return errors.statistics(run.steps)

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import AdjointSolver, Grid
-from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
 from torchmbd.integrate.phases.lane_leaves import Key
@@ -48,7 +47,7 @@ class _Lanes(NamedTuple):
     def of_states(self, at_times: Tensor | None, at_steps: Tensor | None) -> Tensor | None:
         """Cotangents [times, n, rows, lanes] of the states of the run, from those at output times and at steps."""
         coarse, fine = self.of_batch(at_times), self.of_batch(at_steps)
-        count = self.run.steps + 1
+        count = len(self.run.q)
         if coarse is None:
             return None if fine is None else fine[:count]
         result = coarse.new_zeros(count, *coarse.shape[1:]) if fine is None else fine[:count].clone()
@@ -62,7 +61,6 @@ class SegmentsPullback:
 
     problem: SeveralSegments
     results: LaneResults
-    integrator: OneStep
     adjoint_solver: Callable[[Grid], AdjointSolver]
 
     def __call__(self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool) -> dict[str, Tensor]:
@@ -101,7 +99,7 @@ class SegmentsPullback:
         data = {name: part.of_batch(x) for name, x in bar.data.items()}
         switches = [[part.of_batch(x) for x in numbers] for numbers in bar.switches]
         rest = [lane for lane in range(part.run.whole.lanes) if lane not in part.sources]
-        adjoint = PhaseAdjoint(part.run, self.integrator, names, rest, self.adjoint_solver)
+        adjoint = PhaseAdjoint(part.run, names, rest, self.adjoint_solver)
         return adjoint(PhaseCotangents(motion, data, switches), rows)
 
     def _of_data(self, lanes: list[int], by: Tensor | None, like: Tensor, rows: int) -> Tensor:

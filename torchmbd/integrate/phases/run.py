@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.switch import (
@@ -66,6 +67,7 @@ class PhaseRecord:
     exit        where lanes left the phase, with the multipliers of retained rows;  left: which did [lanes]
     base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
     base        the condensed state there
+    checkpoints  algorithmic accelerations [n_v, 1, lanes] at points of the grid from which steps can be made again
     """
 
     number: int
@@ -75,6 +77,7 @@ class PhaseRecord:
     start: State
     first: Tensor
     on_grid: Tensor
+    checkpoints: dict[int, Tensor] = field(default_factory=dict)
     arrival: State = field(init=False)
     exit: PhaseExit = field(init=False)
     base: State = field(init=False)
@@ -105,6 +108,8 @@ class MultiphaseRun:
     """One simulation through all phases.
 
     whole   dynamics of the system with all joints and locks; its data receive the marks of the locks
+    integrator  that makes the steps
+    every   steps between two states that are kept: all between them are made again for the adjoint
     """
 
     whole: Dynamics
@@ -112,6 +117,8 @@ class MultiphaseRun:
     views: Views
     duration: float
     steps: int
+    integrator: Any
+    every: int = 1
     switches: list[Switch] = field(default_factory=list)
     records: list[PhaseRecord] = field(default_factory=list)
 
@@ -131,11 +138,17 @@ class MultiphaseRun:
         self.least_norm: list[LeastNorm | None] = []
 
         def not_recorded(rows: int) -> Tensor:
-            return torch.full((self.steps + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
+            return torch.full((self.steps // self.every + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
-        self.views = self.views.continuing(self.times, self.q, self.v)
+        self.views = self.views.continuing(self.kept_times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
+        self.watch = ContactWatch(self.whole, self.steps)
+
+    @property
+    def kept_times(self) -> Tensor:
+        """Times [s] of the states that are kept."""
+        return self.times[:: self.every]
 
     @property
     def duration_moves(self) -> bool:
@@ -151,8 +164,8 @@ class MultiphaseRun:
 
     @property
     def history(self) -> History:
-        """The motion on the grid."""
-        segment = self.phase_number[:, None].double()
+        """The motion at the times that are kept."""
+        segment = self.phase_number[:: self.every, None].double()
         return History(self.q, self.v, self.vd, self.lam, segment=segment, run=self)
 
     def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
@@ -161,7 +174,7 @@ class MultiphaseRun:
         data   instead of those of the whole
         """
         lam, data, segment = history.lam, data or self.whole.data, history.segment
-        at = self.times if history.times is None else history.times
+        at = self.kept_times if history.times is None else history.times
         assert segment is not None
         for record, least in zip(self.records, self.least_norm, strict=True):
             in_phase = segment == record.number
@@ -178,17 +191,12 @@ class MultiphaseRun:
             lam = lam.index_put((times,), torch.where(in_phase[times][:, None], multipliers, lam[times]))
         return lam
 
-    def recorded(self) -> History:
-        """The motion on the grid, with zeros where nothing is recorded."""
-        q, v, vd = (torch.nan_to_num(x, 0.0, 0.0, 0.0) for x in (self.q, self.v, self.vd))
-        return History(q, v, vd, self.lam)
-
     def fail_if_not_finite(self, lane: int) -> bool:
         """Fail a lane that was integrated to the end, but is not finite at some time; whether it is so."""
         bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
         first = torch.nonzero(bad[0] | bad[1] | bad[2])
         if len(first):
-            self.fail(lane, f"the motion is not finite from t = {float(self.times[first[0, 0]]):.6g} s on")
+            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first[0, 0]]):.6g} s on")
         return bool(len(first))
 
     def start(self) -> PhaseExit:
@@ -354,13 +362,20 @@ class MultiphaseRun:
 
         states   q, v, a [points, n, pair, lanes] of the whole system, and multipliers of some rows of it
         """
-        at, index = slice(first, first + len(counted)), torch.tensor(list(rows), dtype=torch.long)
-        *motion, lam = states
+        self.phase_number[first : first + len(counted)] = torch.where(
+            counted, number, self.phase_number[first : first + len(counted)]
+        )
+        if not self.watch.idle:
+            q, v = (x[:, :, :1] for x in states[:2])
+            self.watch.update(first, self.times[first : first + len(counted)], q, v, counted)
+        kept = slice(-first % self.every, None, self.every)
+        *motion, lam = (x[kept] for x in states)
+        counted, begin = counted[kept], -(-first // self.every)
+        at, index = slice(begin, begin + len(counted)), torch.tensor(list(rows), dtype=torch.long)
         for of_all, x in zip((self.q, self.v, self.vd), motion, strict=True):
             of_all[at] = torch.where(counted[:, None, None], x, of_all[at])
         new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
         self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
-        self.phase_number[at] = torch.where(counted, number, self.phase_number[at])
 
     def never_left(self, phase_model: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
