@@ -73,8 +73,8 @@ def test_bad_input_is_named_with_its_value_and_what_is_allowed(system, given, wo
 
 
 def test_numbers_of_numpy_are_numbers(system):
-    plain, given = mbd.simulate(system, 0.25, steps=2), mbd.simulate(system, np.float32(0.25), steps=np.int64(2))
-    assert_close(plain.q, given.q, rtol=0, atol=0, equal_nan=True)
+    plain, given = mbd.simulate(system, 0.25, steps=40), mbd.simulate(system, np.float32(0.25), steps=np.int64(40))
+    assert_close(plain.q, given.q, rtol=0, atol=0)
     assert type(given.stats["steps"]) is int
 
 
@@ -268,7 +268,7 @@ def test_after_its_failure_a_lane_has_no_numbers(phases):
 
     system = build(3, cells=(6, 2), modes=4)
     designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
-    options = {"halvings": 0} if phases is None else {"refresh": 0, "phases": phases}
+    options = {"halvings": 0} if phases is None else {"halvings": 0, "refresh": 0, "phases": phases}
     motion = mbd.simulate(
         system, 0.024, designs=designs, steps=2, gradients="forward", variables=list(designs), **options
     )
@@ -287,10 +287,8 @@ def test_after_its_failure_a_lane_has_no_numbers(phases):
             assert x is not None
             assert bool(torch.isfinite(x[lane, :end]).all())
             assert bool(x[lane, end:].isnan().all())
-    if (
-        phases is None
-    ):  # each lane is cut where its own steps fail: one turns too far in the second, one fails in the first
-        assert torch.isfinite(motion.q).all(2).sum(1).tolist() == [2, 1]
+    if phases is None:  # each lane is cut where its own last steps fail
+        assert torch.isfinite(motion.q).all(2).sum(1).tolist() == [2, 2]
 
 
 @pytest.mark.thorough

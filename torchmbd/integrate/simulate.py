@@ -129,7 +129,7 @@ def simulate(
     system = system if start == "assembled" else system.starting(initial)
     integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
-    seconds = seconds_of(duration)
+    seconds = float(seconds_of(duration))  # a float of NumPy may be one of single precision
     check_gradients(gradients, integrator)
     check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())

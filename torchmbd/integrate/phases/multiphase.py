@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.jumps import held_times_of
+from torchmbd.integrate.jumps import held_times_of, within_phases
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lanes import lanes_of
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.segment import Segment
 from torchmbd.multibody.system import Dynamics
-
-_SAME = 1e-9  # of the duration: times that are equal
 
 
 @dataclass(frozen=True)
@@ -56,9 +54,8 @@ class SeveralSegments:
 
     def held_times(self) -> list[float]:
         """As of InitialValueProblem."""
-        ends = [x.phase.end_time for x in self.segments if x.phase.end_time is not None]
-        held = held_times_of(self.dynamics, self.duration)
-        return [t for t in held if not any(abs(t - end) <= _SAME * self.duration for end in ends)]
+        phases = [segment.phase for segment in self.segments]
+        return within_phases(held_times_of(self.dynamics, self.duration), phases, self.duration)
 
     def rows_at_end(self, result: IntegrationResult, lane: int) -> list[int]:
         """As of InitialValueProblem."""
