@@ -116,11 +116,7 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
     std::fill(s, s + p * P, 0.0);
     for (long j = 0; j < p; j++) {
       double* row = s + j * P;
-      for (long q = 0; q < P; q += WIDTH) {
-        V sum = {};
-        for (long i = 0; i < N; i++) sum += w[i * P + j] * *(const V*)&w[i * P + q];
-        std::memcpy(row + q, &sum, sizeof(V));
-      }
+      product<false>(1, N, {w + j, 0, P}, w, row, P);
       if (!(row[j] > TINY)) {  // a zero column: any other one, made orthogonal in the second pass
         for (long i = 0; i < N; i++) w[i * P + j] = std::cos((i + 1.0) * (j + 2.0));
         std::fill(row, row + P, 0.0);
@@ -130,7 +126,7 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
       for (long q = 0; q < P; q++) row[q] = q < j ? 0.0 : row[q] / size;
       for (long i = 0; i < N; i++) {
         const double x = w[i * P + j] / size;
-        for (long q = 0; q < P; q++) w[i * P + q] -= x * row[q];
+        for (long q = 0; q < P; q += WIDTH) *(V*)&w[i * P + q] -= x * *(const V*)&row[q];
         w[i * P + j] = x;
       }
     }

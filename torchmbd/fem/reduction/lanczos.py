@@ -59,8 +59,10 @@ class Recurrence:
         self.steps = 0
 
     def reserve(self, steps: int) -> None:
-        """Allocate the columns of so many steps."""
-        if (missing := steps * self.X.shape[2] - self.Q.shape[2]) > 0:
+        """Allocate the columns of twice as many steps, where these lack: to move columns costs as much as a step."""
+        p = self.X.shape[2]
+        if steps * p > self.Q.shape[2]:
+            missing = 2 * steps * p - self.Q.shape[2]
             self.Q = torch.nn.functional.pad(self.Q, (0, missing))
             self.T = torch.nn.functional.pad(self.T, (0, missing, 0, missing))
 
