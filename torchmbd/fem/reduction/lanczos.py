@@ -59,10 +59,8 @@ class Recurrence:
         self.steps = 0
 
     def reserve(self, steps: int) -> None:
-        """Allocate the columns of twice as many steps, where these lack: to move columns costs as much as a step."""
-        p = self.X.shape[2]
-        if steps * p > self.Q.shape[2]:
-            missing = 2 * steps * p - self.Q.shape[2]
+        """Allocate the columns of so many steps."""
+        if (missing := steps * self.X.shape[2] - self.Q.shape[2]) > 0:
             self.Q = torch.nn.functional.pad(self.Q, (0, missing))
             self.T = torch.nn.functional.pad(self.T, (0, missing, 0, missing))
 
@@ -120,9 +118,11 @@ def _crowded(mu: Tensor) -> bool:
 
 def _iterate(extend: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
     lanes, size, p = X.shape
-    recurrence, steps = Recurrence(X), max(4 * (n + 2) // p, 2)
+    recurrence, steps, room = Recurrence(X), max(4 * (n + 2) // p, 2), 0
     while steps <= size // (2 * p):
-        recurrence.reserve(steps)
+        if steps > room:
+            room = 2 * steps  # to move the columns costs as much as a step
+            recurrence.reserve(room)
         extend(recurrence, steps)
         for stride in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
             ritz = recurrence.ritz(stride)
