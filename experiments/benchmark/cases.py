@@ -152,7 +152,16 @@ def differentiable_motion(
     model = replace(dynamics, data={})
     integrator = GeneralizedAlpha().with_defaults(dynamics.topology)
     made = ReverseIntegration(
-        None, None, model, tuple(data), (), duration, steps, integrator, with_gradients=True, differentiated=tuple(moving)
+        None,
+        None,
+        model,
+        tuple(data),
+        (),
+        duration,
+        steps,
+        integrator,
+        with_gradients=True,
+        differentiated=tuple(moving),
     )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]
