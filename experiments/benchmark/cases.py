@@ -160,7 +160,6 @@ def differentiable_motion(
         duration,
         steps,
         integrator,
-        with_gradients=True,
         differentiated=tuple(moving),
     )
     outputs: Any = Motion.apply(made, *data.values())

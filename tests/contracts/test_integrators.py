@@ -119,9 +119,9 @@ def test_a_lane_that_fails_is_named_and_leaves_the_others_alone(method, system, 
         sick = system.dynamics(designs)
         sick.data["Kr"] = sick.data["Kr"].clone()
         sick.data["Kr"][..., 1] = torch.nan
-        both = integrate_lanes(integrator, sick, DURATION, steps, with_gradients=False)
+        both = integrate_lanes(integrator, sick, DURATION, steps)
         healthy = system.dynamics(designs).select_lanes([0])
-        alone = integrate_lanes(integrator, healthy, DURATION, steps, with_gradients=False)
+        alone = integrate_lanes(integrator, healthy, DURATION, steps)
     history, status = both.history, both.status
     assert alone.status == ["ok"]
     assert status[0] == "ok"

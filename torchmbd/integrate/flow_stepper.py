@@ -54,9 +54,6 @@ class FlowStepper:
         """As of Stepper: they are the true ones."""
         return [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
 
-    def count_only(self, lanes: Tensor) -> None:
-        """As of Stepper: there are no errors."""
-
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
         own = [_full(pick_lanes(y, [lane])) for y in x]
         if lane in self.failed:
@@ -75,7 +72,7 @@ class FlowStepper:
     def restart(self) -> None:
         """As of Stepper: nothing is kept."""
 
-    def take_errors(self) -> Tensor:
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 

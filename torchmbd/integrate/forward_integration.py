@@ -87,12 +87,11 @@ class ForwardIntegration:
         lanes = max((len(x) for x in designs.values()), default=1)
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
         problem = self._problem(designs)
-        with_gradients = problem.dynamics.tangents > 0
         if self.steps is None:
             check_memory = memory_check(self.system, problem.dynamics.lanes, len(self.labels), self.integrator)
-            self.steps, self.results = integrate_by_chosen_steps(self.integrator, problem, with_gradients, check_memory)
+            self.steps, self.results = integrate_by_chosen_steps(self.integrator, problem, check_memory)
         else:
-            self.results = integrate_lanes(self.integrator, problem, self.steps, with_gradients)
+            self.results = integrate_lanes(self.integrator, problem, self.steps)
         self.dynamics = problem.dynamics
         if self.results.data is None:
             self.dynamics.evaluate_rank()

@@ -81,16 +81,15 @@ class Stepper(Protocol):
         """Algorithmic accelerations at all times of true ones vd [times, n_v, pair, lanes], the first being a."""
         ...
 
-    def count_only(self, lanes: Tensor) -> None:
-        """Of the last steps, only those of the lanes of a mask [steps, lanes] count in the errors."""
-        ...
-
     def restart(self) -> None:
         """Discard what is kept: the state has jumped."""
         ...
 
-    def take_errors(self) -> Tensor:
-        """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten."""
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
+        """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten.
+
+        counted   the steps of which lanes count [steps, lanes]; None: all
+        """
         ...
 
     def tangent_errors(self) -> dict[str, Tensor]:

@@ -43,10 +43,7 @@ class MovingSteps:
     def restart(self) -> None:
         """As of Stepper: nothing is kept."""
 
-    def count_only(self, lanes: Tensor) -> None:
-        """As of Stepper: there are no errors."""
-
-    def take_errors(self) -> Tensor:
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 

@@ -3,8 +3,8 @@
     1. all lanes, by the steps asked for
     2. lanes with contacts that these steps do not show, by smaller steps (contacts.py); all lanes where held values of a
        controller change within a step (jumps.py)
-    3. lanes that failed, and with gradients those whose iteration is imprecise, as `Integrator.retry` says: one-step methods
-       with a new matrix for every correction, then with half the step
+    3. lanes that failed, as `Integrator.retry` says: one-step methods with a new matrix for every correction, then with half
+       the step
 
 It is the same for motions of one segment and of several (initial_value.py).
 A lane that succeeds has the states of its smaller steps at the times of the others, and all of them for the adjoint
@@ -26,7 +26,6 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import substeps_at
 from torchmbd.integrate.lane_status import (
-    IMPRECISE,
     STEP_STATISTICS,
     mark_doubts,
     mark_open_joints,
@@ -113,7 +112,7 @@ class LaneResults:
             self.statistics["valid_times"][targets] = (other["valid_times"][sources] + substeps - 1) // substeps
         by_smaller_steps = {lanes[source] for source in other.get("halved", [])}.intersection(targets)
         halved = set(targets) if substeps > 1 else by_smaller_steps
-        failed = {lane for lane in targets if has_failed(self.status[lane])}  # the others were imprecise
+        failed = {lane for lane in targets if has_failed(self.status[lane])}
         self._list("halved", halved)
         self._list("renewed", set(targets) - halved)
         self._list("failed_first", failed.union(lanes[source] for source in other.get("failed_first", [])))
@@ -139,23 +138,18 @@ def integrate_lanes(
     integrator: Integrator,
     problem: InitialValueProblem,
     steps: int,
-    with_gradients: bool,
     first: IntegrationResult | None = None,
     substeps: int = 1,
 ) -> LaneResults:
     """The motion of all lanes by equal steps; see the module header.
 
-    with_gradients   lanes whose iteration is imprecise are integrated again as well
-    first            the first integration, where it was made before
-    substeps         how many of these steps stand already for one that the caller asked for
+    first      the first integration, where it was made before
+    substeps   how many of these steps stand already for one that the caller asked for
     """
     first = first or problem.integrate(integrator, steps)
     dynamics, duration, statistics, retry = problem.dynamics, problem.duration, first.statistics, integrator.retry()
     status = status_of_lanes(first.history, duration, statistics, first.failed)
     mark_open_joints(status, problem, first)
-    imprecise = torch.zeros(len(status), dtype=torch.bool)
-    if with_gradients and retry is not None and retry.substeps == 1:
-        imprecise = statistics["iteration_error"] > IMPRECISE
     for lane, reason in dynamics.start_errors.items():  # no initial state: no time has numbers
         status[lane] = f"failed: {reason}"
         statistics.setdefault("valid_times", torch.full((len(status),), len(first.history.q)))[lane] = 0
@@ -163,7 +157,7 @@ def integrate_lanes(
     to_retry = [
         lane
         for lane, reason in enumerate(status)
-        if (has_failed(reason) or imprecise[lane]) and lane not in dynamics.start_errors and lane not in contacts
+        if has_failed(reason) and lane not in dynamics.start_errors and lane not in contacts
     ]
     results = LaneResults(first.history, statistics, status, first.switches, first.data)
     finer, lanes = _substeps_for_contacts(integrator, problem.dynamics, steps, substeps, contacts), list(contacts)
@@ -171,9 +165,7 @@ def integrate_lanes(
     if held is not None and held > 1:  # contacts are looked at again, in these steps
         finer, lanes = held, [lane for lane in range(len(status)) if lane not in dynamics.start_errors]
     if finer > 1 and lanes:
-        other = integrate_lanes(
-            integrator, problem.select_lanes(lanes), finer * steps, with_gradients, substeps=finer * substeps
-        )
+        other = integrate_lanes(integrator, problem.select_lanes(lanes), finer * steps, substeps=finer * substeps)
         for lane in results.replace_lanes(lanes, Steps(integrator, finer), other):
             contacts.pop(lane, None)
         to_retry = [lane for lane in to_retry if lane not in results.replaced]
@@ -181,7 +173,7 @@ def integrate_lanes(
     mark_unresolved_contacts(results.status, contacts)
     if to_retry and retry is not None:
         other = integrate_lanes(
-            retry.integrator, problem.select_lanes(to_retry), retry.substeps * steps, with_gradients, substeps=substeps
+            retry.integrator, problem.select_lanes(to_retry), retry.substeps * steps, substeps=substeps
         )
         results.replace_lanes(to_retry, Steps(*retry), other)
     warn_unresolved([reason for lane, reason in enumerate(results.status) if lane not in results.replaced])
@@ -241,7 +233,6 @@ def _substeps_for_contacts(
 def integrate_by_chosen_steps(
     integrator: Integrator,
     problem: InitialValueProblem,
-    with_gradients: bool,
     check_memory: Callable[[int], None],
 ) -> tuple[int, LaneResults]:
     """The number of steps that the motion needs (step_count.py), and the motion of all lanes by these.
@@ -259,4 +250,4 @@ def integrate_by_chosen_steps(
 
     steps, result = choose_steps(integrator, values.dynamics, duration, integrate, check_memory)
     first = None if problem.dynamics.tangents else result  # a motion of values alone has no tangents
-    return steps, integrate_lanes(integrator, problem, steps, with_gradients, first)
+    return steps, integrate_lanes(integrator, problem, steps, first)

@@ -53,7 +53,6 @@ class ReverseIntegration:
     names            of the data;  designs: of the designs
     steps            their number; None: chosen from the data
     integrator       with a pullback of its steps
-    with_gradients   whether derivatives may be taken
     backend          of the steps, as of `simulate`
     differentiated   names of data that are, as far as known before the integration: the initial state is then made once
 
@@ -68,7 +67,6 @@ class ReverseIntegration:
     duration: float
     steps: int | None
     integrator: OneStep
-    with_gradients: bool
     backend: str = "auto"
     differentiated: tuple[str, ...] = ()
     dynamics: Dynamics = field(init=False)
@@ -112,10 +110,10 @@ class ReverseIntegration:
         if self.steps is None:
             assert self.system is not None
             check_memory = memory_check(self.system, self.dynamics.lanes, 0, self.integrator)
-            args = self.integrator, problem, self.with_gradients, check_memory
+            args = self.integrator, problem, check_memory
             self.steps, self.results = integrate_by_chosen_steps(*args)
         else:
-            self.results = integrate_lanes(self.integrator, problem, self.steps, self.with_gradients)
+            self.results = integrate_lanes(self.integrator, problem, self.steps)
         if self.segments is None:
             self.dynamics.share_rank(problem.dynamics)
             self.dynamics.evaluate_rank()

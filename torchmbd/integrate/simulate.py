@@ -234,7 +234,7 @@ def _reverse(
     phases: Sequence[Phase] | None,
 ) -> Trajectory:
     """A motion whose structure stage is differentiated by torch, and its steps by their adjoint; also by a `duration` []."""
-    seconds, by_duration, segments = seconds_of(duration), isinstance(duration, Tensor), None
+    seconds, segments = seconds_of(duration), None
     if phases is not None:
         system, segments = outside_transforms(lambda: segments_of(system, phases, seconds))
     dynamics, shapes = system.stages(batch)
@@ -250,7 +250,6 @@ def _reverse(
         seconds,
         steps,
         integrator,
-        bool(names) or by_duration or any(x.requires_grad for x in data.values()),
         backend,
         tuple(name for name, x in data.items() if x.requires_grad and name != DURATION),
     )

@@ -30,6 +30,9 @@ CHECK = 25  # steps between two estimates of what the correction of tangents lea
 # Relative; more than this gets another correction. Gradients have 20 times that at most, as measured.
 TANGENT_ERROR = 2e-5
 MOST = 4  # corrections of tangents
+# Corrections of values that a step makes on top, each with a new matrix, in lanes whose estimated error is above a share of the
+# largest acceleration so far: gradients are those of equations that are solved.
+MORE, PRECISE = 6, 1e-4
 _NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
@@ -80,7 +83,9 @@ class EagerStepper:
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.failed: dict[int, str] = {}  # none: a lane that fails is nan
         self.H: Any = None
-        self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
+        self.K = mass.new_zeros(0)  # the matrices of which H are factors
+        self.scale: Tensor | None = None  # largest accelerations so far [lanes]
+        self.sizes: list[Tensor] = []  # of the last two corrections of values [steps, 2, lanes]
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each check
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
@@ -99,12 +104,13 @@ class EagerStepper:
 
     def restart(self) -> None:
         """As of Stepper."""
-        self.H = None
+        self.H = self.scale = None
 
     def _step(self, i: int, x: State, prescribed: Prescribed) -> State:
         """The state after step i."""
         reach(value(prescribed.t))
         first, step = self.H is None, self.model.step(x, prescribed)
+        self._begin(x)
         start = step.uniform() if self.begins_uniformly else torch.cat([value(x.vd), value(x.lam)])
         z = self._values(step, start, self.refresh == 0 or i % self.refresh == 0)
         if not isinstance(x.q, Pair):
@@ -122,14 +128,35 @@ class EagerStepper:
                 self._factorize(step, z)
             z, correction = step.correct(self.H, z)
             corrections.append(correction)
+        before, last = (step.size(x)[0] for x in (corrections[max(self.corrections - 2, 0)], corrections[-1]))
+        assert self.scale is not None
+        reached = step.size(z)[0]
+        self.scale = torch.where(reached > self.scale, reached, self.scale)
+        for _ in range(MORE):
+            open_lanes = last * last > PRECISE * self.scale * before
+            if not bool(open_lanes.any()):
+                break
+            self._factorize(step, z, open_lanes)
+            better, correction = step.correct(self.H, z)
+            z, size = torch.where(open_lanes, better, z), step.size(correction)[0]
+            before, last = torch.where(open_lanes, last, before), torch.where(open_lanes, size, last)
         if renews and self.corrections == 1:
             self._factorize(step, z)
-        last = corrections[max(self.corrections - 2, 0)], corrections[-1]
-        self.sizes.append(torch.stack([step.size(x)[0] for x in last]))
+        self.sizes.append(torch.stack([before, last])[None])
         return z
 
-    def _factorize(self, step: Any, z: Tensor) -> None:
-        self.H = self.factor(regularized(step.matrix(z), self.diagonal))
+    def _begin(self, x: State) -> None:
+        """Accelerations of the first state are those of before; and what the rounding of coordinates makes of them."""
+        if self.scale is None:
+            largest = value(x.vd).abs().amax((0, 1)).nan_to_num(0.0, 0.0)
+            rounding = _ROUNDING * value(x.q).abs().amax((0, 1)) * self.model.plain.inverse_scale
+            self.scale = largest.maximum(rounding).expand(self.dynamics.lanes).contiguous()
+
+    def _factorize(self, step: Any, z: Tensor, lanes: Tensor | None = None) -> None:
+        """New matrices at z, of all lanes or of some."""
+        K = regularized(step.matrix(z), self.diagonal)
+        self.K = K if lanes is None else torch.where(lanes[:, None, None], K, self.K)
+        self.H = self.factor(self.K)
 
     def _tangents(self, step: Any, z: Tensor, dz: Tensor, first: bool, checks: bool) -> Tensor:
         """Tangents [n, n_b, lanes] of the unknowns from those of the step before.
@@ -170,16 +197,12 @@ class EagerStepper:
         """As of Stepper."""
         return algorithmic(self.model.w, a, vd)
 
-    def count_only(self, lanes: Tensor) -> None:
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
         """As of Stepper."""
-        for k, counted in enumerate(lanes, len(self.sizes) - len(lanes)):
-            self.sizes[k] = torch.where(counted, self.sizes[k], 0.0)
-
-    def take_errors(self) -> Tensor:
-        """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten."""
-        before, last = torch.stack(self.sizes, -1)
+        before, last = torch.cat(self.sizes).unbind(1)
         self.sizes = []
-        return last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
+        errors = last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
+        return (errors if counted is None else torch.where(counted, errors, 0.0)).T
 
     def tangent_errors(self) -> dict[str, Tensor]:
         """Estimated relative error of tangents [lanes], if there were any."""

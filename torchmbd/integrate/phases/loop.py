@@ -174,9 +174,8 @@ class _PhaseLoop:
                 self._note_base(lane, p, (steps.state(p - 1), steps.state(p - 2)), g[:, k], short)
             counted[k] = inside & ~(passed & self._beyond(p))
             inside, self.alive = inside & ~passed, self.alive & ~passed
-        steps.stepper.count_only(stepped[1:])
         stepped[0] = stepped[1]
-        self._record(i, history, counted, stepped, steps.stepper.take_errors())
+        self._record(i, history, counted, stepped, steps.stepper.take_errors(stepped[1:]))
         self.g, self.change = g[:, -1], change[:, -1]
         return inside
 
