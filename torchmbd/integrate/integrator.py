@@ -92,8 +92,9 @@ class Stepper(Protocol):
         """
         ...
 
-    def tangent_errors(self) -> dict[str, Tensor]:
-        """Estimated relative error of tangents [lanes], if there were any."""
+    def statistics(self) -> dict[str, Tensor]:
+        """Of all steps [lanes]: estimated relative error of tangents, if there were any ("tangent_error"), and how many further
+        corrections a step made at most ("further_corrections")."""
         ...
 
 

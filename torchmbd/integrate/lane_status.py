@@ -39,7 +39,7 @@ ALTERNATION = 0.3
 LIGHT = 3e8  # [m/s]; of angular and modal rates as well
 FAR = 1e13  # [m]
 # Statistics [lanes] of the steps by which a finite motion is judged.
-STEP_STATISTICS = ("iteration_error", "turn", "step_error", "suggested_steps", "alternation")
+STEP_STATISTICS = ("iteration_error", "turn", "step_error", "suggested_steps", "alternation", "further_corrections")
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
 _UNRESOLVED = "unresolved: "
 

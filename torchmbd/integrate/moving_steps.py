@@ -47,6 +47,6 @@ class MovingSteps:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
-    def tangent_errors(self) -> dict[str, Tensor]:
+    def statistics(self) -> dict[str, Tensor]:
         """As of Stepper: there are none."""
         return {}

@@ -151,7 +151,7 @@ class OneStep(Integrator):
                 times_of_states = h * torch.arange(segment.start, segment.stop + 1, dtype=torch.float64)
                 full = replace(states, expansion=_expansion(whole, condensed, times_of_states))
                 watch.update(segment.start, times_of_states, *(full.rows(order, pair=slice(1)) for order in range(2)))
-        statistics = estimates.statistics() | stepper.tangent_errors()
+        statistics = estimates.statistics() | stepper.statistics()
         statistics["valid_times"] = (statistics["valid_times"] + every - 1) // every  # of the states that are kept
         history = replace(
             record.history(_expansion(whole, condensed, times)),

@@ -8,8 +8,8 @@
 
 It is the same for motions of one segment and of several (initial_value.py).
 A lane that succeeds has the states of its smaller steps at the times of the others, and all of them for the adjoint
-(`History.refined`). Of a lane that fails in all of them the last motion counts: what it reports is not that iterations were
-too few or steps too long.
+(`History.refined`). Of a lane that fails in all of them the motion counts that gets furthest, of equal ones the last: what it
+reports is not that iterations were too few or steps too long.
 Checked in tests/integrate/test_simulate.py, tests/integrate/test_contacts.py, tests/integrate/phases/test_retries.py.
 """
 
@@ -31,6 +31,7 @@ from torchmbd.integrate.lane_status import (
     mark_open_joints,
     mark_unresolved_contacts,
     status_of_lanes,
+    validity,
     warn_unresolved,
 )
 from torchmbd.integrate.phases.lanes import pick_lanes, put_lanes
@@ -65,15 +66,17 @@ class LaneResults:
     replaced: dict[int, Steps] = field(default_factory=dict)
 
     def replace_lanes(self, lanes: Sequence[int], by: Steps, other: LaneResults) -> list[int]:
-        """Put those lanes of another integration into this one that failed there no more, or here as well; returns them.
+        """Put those lanes of another integration into this one that failed there no more, or later; returns them.
 
         other   has these lanes only, integrated `by` other steps
         """
         substeps = by.substeps
+        reached, reached_there = (validity(x.history, x.status, x.statistics)[0, 0] for x in (self, other))
+        further = (reached_there - 1.0) / substeps >= reached[list(lanes)] - 1.0
         pairs = [
             (source, lane)
             for source, lane in enumerate(lanes)
-            if not has_failed(other.status[source]) or has_failed(self.status[lane])
+            if not has_failed(other.status[source]) or (has_failed(self.status[lane]) and further[source])
         ]
         if not pairs:
             return []

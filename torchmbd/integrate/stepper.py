@@ -85,7 +85,8 @@ class EagerStepper:
         self.H: Any = None
         self.K = mass.new_zeros(0)  # the matrices of which H are factors
         self.scale: Tensor | None = None  # largest accelerations so far [lanes]
-        self.sizes: list[Tensor] = []  # of the last two corrections of values [steps, 2, lanes]
+        self.sizes: list[Tensor] = []  # of the last two corrections of values, and further ones [steps, 3, lanes]
+        self.further = mass.new_zeros(dynamics.lanes)  # corrections of values in one step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each check
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
@@ -132,6 +133,7 @@ class EagerStepper:
         assert self.scale is not None
         reached = step.size(z)[0]
         self.scale = torch.where(reached > self.scale, reached, self.scale)
+        further = torch.zeros_like(last)
         for _ in range(MORE):
             open_lanes = last * last > PRECISE * self.scale * before
             if not bool(open_lanes.any()):
@@ -139,10 +141,11 @@ class EagerStepper:
             self._factorize(step, z, open_lanes)
             better, correction = step.correct(self.H, z)
             z, size = torch.where(open_lanes, better, z), step.size(correction)[0]
+            further = further + open_lanes.double()
             before, last = torch.where(open_lanes, last, before), torch.where(open_lanes, size, last)
         if renews and self.corrections == 1:
             self._factorize(step, z)
-        self.sizes.append(torch.stack([before, last])[None])
+        self.sizes.append(torch.stack([before, last, further])[None])
         return z
 
     def _begin(self, x: State) -> None:
@@ -199,14 +202,17 @@ class EagerStepper:
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:
         """As of Stepper."""
-        before, last = torch.cat(self.sizes).unbind(1)
+        counted = self.counts if counted is None else counted
+        before, last, further = torch.cat(self.sizes).unbind(1)
         self.sizes = []
+        self.further = self.further.maximum(torch.where(counted, further, 0.0).amax(0))
         errors = last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
-        return (errors if counted is None else torch.where(counted, errors, 0.0)).T
+        return torch.where(counted, errors, 0.0).T
 
-    def tangent_errors(self) -> dict[str, Tensor]:
-        """Estimated relative error of tangents [lanes], if there were any."""
-        return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
+    def statistics(self) -> dict[str, Tensor]:
+        """As of Stepper."""
+        errors = {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
+        return errors | {"further_corrections": self.further}
 
 
 def resume(stepper: Stepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:

@@ -18,7 +18,7 @@ struct Job {
   double *factors;                                               // [block][numbers of the matrix][LANES]
   const double *row_mask, *diagonal_shift;                       // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + n_b][lanes]
-  double *sizes, *errors;                                        // [steps][2][lanes], [3][n_b][lanes]
+  double *sizes, *errors;                                        // [steps][3][lanes], [3][n_b][lanes]
   double *scratch;
   const double *moved;                                           // [steps][block][1 + n_b][moving][LANES]
   const Mechanism *mechanism;
@@ -140,6 +140,7 @@ extern "C" long run_steps(const Job* job) {
       const V reached = largest(z, c.n_v);
       scale = reached > scale ? reached : scale;
       V open = imprecise(before, last_size, scale);
+      V further = spread(0.0);
       for (long k = 0; k < MORE && any(open); k++) {  // of some lanes alone, each with a matrix of its own
         if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
         renew(in, m, N_, J.row_mask, J.diagonal_shift, trial);
@@ -147,12 +148,14 @@ extern "C" long run_steps(const Job* job) {
         solve(m, N_, trial, R);
         for (long n = 0; n < N_; n++) z[n] = open != 0.0 ? z[n] - R[n] : z[n];
         for (long e = 0; e < m.size; e++) factors[e] = open != 0.0 ? trial[e] : factors[e];
+        further += open;
         before = open != 0.0 ? last_size : before;
         last_size = open != 0.0 ? largest(R, c.n_v) : last_size;
         open = open != 0.0 ? imprecise(before, last_size, scale) : open;
       }
-      put(J.sizes + 2 * i * J.lanes + block * LANES, before, valid);
-      put(J.sizes + (2 * i + 1) * J.lanes + block * LANES, last_size, valid);
+      put(J.sizes + 3 * i * J.lanes + block * LANES, before, valid);
+      put(J.sizes + (3 * i + 1) * J.lanes + block * LANES, last_size, valid);
+      put(J.sizes + (3 * i + 2) * J.lanes + block * LANES, further, valid);
       const bool last = due && J.corrections == 1;
       if ((S || last) && ask(in, m, J.feedback, S ? TANGENTS : SLOPES, i, block)) return 2;
       if (last) renew(in, m, N_, J.row_mask, J.diagonal_shift, factors);

@@ -99,7 +99,7 @@ class NativeStepper(EagerStepper):
 
     def _run_part(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, start: int) -> bool:
         """Make steps without a check in between; False if the factors cannot be relied on, and no step is made."""
-        sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
+        sizes = torch.empty(len(table), 3, self.lanes, dtype=torch.float64)
         errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
         check = int(first % CHECK == 0)
         numbers = (self.lanes, self.n_b, self.values.shape[2], self.tangents.shape[2])
@@ -132,7 +132,7 @@ class NativeStepper(EagerStepper):
         self.fresh = 0
         self.scale = lanes_out(scale, self.lanes)[0, 0]
         self.sizes.append(sizes)
-        before, last = sizes.unbind(1)
+        before, last, _ = sizes.unbind(1)
         self.sound &= (last * last <= ITERATION_ERROR * self.scale * before).all(0)
         if check and self.n_b:
             self.check(*errors)

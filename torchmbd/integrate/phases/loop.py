@@ -46,7 +46,7 @@ _SAME = 1e-9  # of a regular step: times that are equal
 def integrate(
     multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None
 ) -> dict[str, Tensor]:
-    """Integrate all lanes through all phases; errors as of Stepper.tangent_errors, the largest of all phases.
+    """Integrate all lanes through all phases; statistics as of Stepper, the largest of all phases.
 
     estimates   take the states and the errors of regular steps
     """
@@ -122,7 +122,7 @@ class _PhaseLoop:
         self.multiphase.never_left(self.phase_model, self.alive)
         if bool(record.left.any()):
             self._leave(lane_numbers(record.left))
-        return record.exit, stepper.tangent_errors()
+        return record.exit, stepper.statistics()
 
     def _boundary(self, i: int, last: int) -> int:
         """The point at which the steps from the point i are interrupted: where lanes arrive, for events, at checkpoints."""
