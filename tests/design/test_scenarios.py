@@ -8,6 +8,7 @@ import torch
 
 import torchmbd as mbd
 from tests.study import rod_model
+from torchmbd.fem.reduction import basis
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -71,6 +72,16 @@ def test_they_are_the_motions_one_by_one():
     assert found.objective + worst.reference.extra.unit * found.constraints[:3].max() == pytest.approx(
         alone.max(), rel=1e-9
     )
+
+
+def test_scenarios_of_a_design_share_its_modes(monkeypatch):
+    lanes, solve = [], basis._modes
+    monkeypatch.setattr(basis, "_modes", lambda pencil, n, K, M: lanes.append(len(K)) or solve(pencil, n, K, M))
+    mean = problem(objective="mean")
+    _ = mean.reference
+    lanes.clear()
+    mean.evaluate(np.array([X, X + 0.1, X - 0.3]), True)
+    assert lanes == [3]
 
 
 @pytest.mark.parametrize("constraints", ["each", "worst", "mean"])

@@ -53,6 +53,21 @@ def hermite_integral(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, power: in
     return h * (z * torch.tensordot(G, z, 1)).sum(0)
 
 
+def coefficients(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor) -> Tensor:
+    """Coefficients of the polynomial by powers of the position s [powers, ..., n], lowest first; arguments as of `hermite`."""
+    at_ends = torch.stack([x * h**k for k, pair in enumerate(ends) for x in pair])
+    table = torch.tensor(_table(len(ends), 0), dtype=at_ends.dtype, device=at_ends.device)
+    return torch.tensordot(table.T, at_ends, 1)
+
+
+def polynomial(terms: Sequence[Tensor], s: Tensor) -> Tensor:
+    """sum_k terms_k s^k by Horner's rule."""
+    result = terms[-1]
+    for term in reversed(terms[:-1]):
+        result = torch.addcmul(term, result, s)
+    return result
+
+
 def _leading(x: Tensor, dims: int) -> Tensor:
     """[k, n] with as many dimensions between as make `dims` behind the first."""
     return x.reshape(len(x), *[1] * (dims - x.dim() + 1), *x.shape[1:])

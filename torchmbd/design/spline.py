@@ -26,9 +26,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchmbd.design.hermite import hermite, hermite_integral
+from torchmbd.design.hermite import coefficients, hermite, hermite_integral, polynomial
 from torchmbd.design.slopes import ends_of_pieces, slopes, slopes_beside_kinks
 from torchmbd.errors import InputError
+from torchmbd.math.gradients import wraps
 
 NEWTON = 10  # steps from the maximum of the cubic to that of the quintic
 STATIONARY = 1e-6  # slope that is taken as zero, relative to the slopes at the ends of an interval
@@ -304,20 +305,37 @@ class Spline:
         not zero; the interval then has no stationary position.
         """
         ends = self.ends
-        h, s, (start, end) = self._lengths[0], root, ends[1]
-        bracketed = (start > 0.0) & (end < 0.0)
-        low, high = torch.zeros_like(s), torch.ones_like(s)
-        s = torch.where(bracketed & ~inner, start / torch.where(bracketed, start - end, 1.0), s)
-        for _ in range(NEWTON):
-            slope, curvature = hermite(ends, h, s, 1), hermite(ends, h, s, 2)
-            low = torch.where(bracketed & (slope > 0.0), s, low)
-            high = torch.where(bracketed & (slope <= 0.0), s, high)
-            step = s - slope / torch.where(curvature < 0.0, curvature, torch.inf) / h
-            outside = bracketed & ((step < low) | (step > high) | (curvature >= 0.0))
-            s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
-        flat = hermite(ends, h, s, 1).abs() <= STATIONARY * torch.maximum(start.abs(), end.abs())
+        bracketed = (ends[1][0] > 0.0) & (ends[1][1] < 0.0)
         searched = bracketed | inner
+        at_ends = [x for pair in ends for x in pair]
+        of_intervals = torch.broadcast_tensors(root, bracketed, inner, self._lengths[0], *at_ends)
+        if wraps(searched):
+            s, flat = _root(*of_intervals)
+        else:  # few intervals are searched
+            s, flat = root.clone(), inner.clone()
+            s[searched], flat[searched] = _root(*(x[searched] for x in of_intervals))
         return torch.where(searched, s, root), torch.where(searched, flat, inner)
+
+
+def _root(root: Tensor, bracketed: Tensor, inner: Tensor, h: Tensor, *knots: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the slope of each quintic is zero, and whether it is: Newton's steps from the root of the cubic.
+
+    knots: value, value, slope, slope, curvature, curvature at both ends
+    """
+    start, end = knots[2:4]
+    _, *terms = coefficients(list(zip(knots[::2], knots[1::2], strict=True)), h).unbind(0)
+    by_s = [k * x for k, x in enumerate(terms, 1)]  # the slope in units of s
+    by_s_s = [k * x for k, x in enumerate(by_s[1:], 1)]
+    low, high = torch.zeros_like(root), torch.ones_like(root)
+    s = torch.where(bracketed & ~inner, start / torch.where(bracketed, start - end, 1.0), root)
+    for _ in range(NEWTON):
+        slope, curvature = polynomial(by_s, s), polynomial(by_s_s, s)
+        low = torch.where(bracketed & (slope > 0.0), s, low)
+        high = torch.where(bracketed & (slope <= 0.0), s, high)
+        step = s - slope / torch.where(curvature < 0.0, curvature, torch.inf)
+        outside = bracketed & ((step < low) | (step > high) | (curvature >= 0.0))
+        s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
+    return s, polynomial(by_s, s).abs() <= STATIONARY * h * torch.maximum(start.abs(), end.abs())
 
 
 def checked_window(window: tuple[float, float]) -> tuple[float, float]:

@@ -2,14 +2,22 @@
 // See compiled_products.py.
 //
 // Arrays are row-major and [lane][row][column]. Inside, columns are padded with zeros to a multiple of eight.
-// A tile keeps R rows of W x 8 columns of a product in registers; for wide matrices arithmetic is then the bottleneck.
+// A tile keeps R rows of W x WIDTH columns of a product in registers; for wide matrices arithmetic is then the bottleneck.
 
 #include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <vector>
 
-typedef double V __attribute__((vector_size(64), aligned(8)));
+// Numbers in a register; GCC keeps vectors that are wider than a register in memory, which made products eight times slower.
+#if defined(__AVX512F__)
+constexpr long WIDTH = 8;
+#elif defined(__AVX__)
+constexpr long WIDTH = 4;
+#else
+constexpr long WIDTH = 2;
+#endif
+typedef double V __attribute__((vector_size(8 * WIDTH), aligned(8)));
 typedef std::vector<double> Buffer;
 constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-2;  // as in sparse_modes.py
 
@@ -42,13 +50,13 @@ inline void tile(long inner, Left A, const double* B, double* C, long P) {
   V sum[R][W] = {};
   for (long c = 0; c < inner; c++) {
     V b[W];
-    for (int w = 0; w < W; w++) b[w] = *(const V*)(B + c * P + 8 * w);
+    for (int w = 0; w < W; w++) b[w] = *(const V*)(B + c * P + WIDTH * w);
     for (int r = 0; r < R; r++)
       for (int w = 0; w < W; w++) sum[r][w] += A.at[r * A.row + c * A.column] * b[w];
   }
   for (int r = 0; r < R; r++)
     for (int w = 0; w < W; w++) {
-      V* to = (V*)(C + r * P + 8 * w);
+      V* to = (V*)(C + r * P + WIDTH * w);
       *to = subtract ? *to - sum[r][w] : sum[r][w];
     }
 }
@@ -65,9 +73,13 @@ void panel(long rows, long inner, Left A, const double* B, double* C, long P) {
 template <bool subtract>
 void product(long rows, long inner, Left A, const double* B, double* C, long P) {
   long p = 0;
-  for (; p + 24 <= P; p += 24) panel<6, 3, subtract>(rows, inner, A, B + p, C + p, P);
-  for (; p + 16 <= P; p += 16) panel<8, 2, subtract>(rows, inner, A, B + p, C + p, P);
-  for (; p < P; p += 8) panel<8, 1, subtract>(rows, inner, A, B + p, C + p, P);
+  if constexpr (WIDTH == 8) {  // sums, a row of B and a number of A in 32 registers
+    for (; p + 24 <= P; p += 24) panel<6, 3, subtract>(rows, inner, A, B + p, C + p, P);
+    for (; p + 16 <= P; p += 16) panel<8, 2, subtract>(rows, inner, A, B + p, C + p, P);
+    for (; p < P; p += 8) panel<8, 1, subtract>(rows, inner, A, B + p, C + p, P);
+  } else {  // 15 of the 16 registers of AVX
+    for (; p < P; p += 8) panel<6, 8 / WIDTH, subtract>(rows, inner, A, B + p, C + p, P);
+  }
 }
 
 void pad_columns(const double* from, double* to, long rows, long p) {
@@ -104,11 +116,7 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
     std::fill(s, s + p * P, 0.0);
     for (long j = 0; j < p; j++) {
       double* row = s + j * P;
-      for (long q = 0; q < P; q += 8) {
-        V sum = {};
-        for (long i = 0; i < N; i++) sum += w[i * P + j] * *(const V*)&w[i * P + q];
-        std::memcpy(row + q, &sum, sizeof(V));
-      }
+      product<false>(1, N, {w + j, 0, P}, w, row, P);
       if (!(row[j] > TINY)) {  // a zero column: any other one, made orthogonal in the second pass
         for (long i = 0; i < N; i++) w[i * P + j] = std::cos((i + 1.0) * (j + 2.0));
         std::fill(row, row + P, 0.0);
@@ -118,7 +126,7 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
       for (long q = 0; q < P; q++) row[q] = q < j ? 0.0 : row[q] / size;
       for (long i = 0; i < N; i++) {
         const double x = w[i * P + j] / size;
-        for (long q = 0; q < P; q++) w[i * P + q] -= x * row[q];
+        for (long q = 0; q < P; q += WIDTH) *(V*)&w[i * P + q] -= x * *(const V*)&row[q];
         w[i * P + j] = x;
       }
     }
@@ -164,13 +172,13 @@ bool invert(double* a, long s, long P, double* pivot) {
     if (!((pivot[k] = row[k]) > 0.0)) return false;
     const double inverse = 1.0 / row[k];
     row[k] = 1.0;
-    for (long j = 0; j < P; j += 8) *(V*)(row + j) *= inverse;
+    for (long j = 0; j < P; j += WIDTH) *(V*)(row + j) *= inverse;
     for (long i = 0; i < s; i++) {
       if (i == k) continue;
       double* other = a + i * P;
       const double share = other[k];
       other[k] = 0.0;
-      for (long j = 0; j < P; j += 8) *(V*)(other + j) -= share * *(V*)(row + j);
+      for (long j = 0; j < P; j += WIDTH) *(V*)(other + j) -= share * *(V*)(row + j);
     }
   }
   return true;
@@ -184,7 +192,7 @@ struct Columns {
   Buffer square, target, inverse_mu, step;  // [P]
 
   void dots(const Buffer& a, const Buffer& b, Buffer& out) const {
-    for (long p = 0; p < P; p += 8) {
+    for (long p = 0; p < P; p += WIDTH) {
       V sum = {};
       for (long i = 0; i < N; i++) sum += *(const V*)&a[i * P + p] * *(const V*)&b[i * P + p];
       std::memcpy(&out[p], &sum, sizeof(V));
@@ -308,8 +316,10 @@ extern "C" void products_at_pattern(long lanes, long T, long N, const int* start
       for (long i = 0; i < N; i++)
         for (int e = start[i]; e < start[i + 1]; e++) {
           V sum = {};
-          for (long j = 0; j < P; j += 8) sum += *(const V*)&y[i * P + j] * *(const V*)&x[column[e] * P + j];
-          out[t * nnz + e] = ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
+          for (long j = 0; j < P; j += WIDTH) sum += *(const V*)&y[i * P + j] * *(const V*)&x[column[e] * P + j];
+          double total = 0.0;
+          for (long j = 0; j < WIDTH; j++) total += sum[j];
+          out[t * nnz + e] = total;
         }
     }
   }
@@ -324,7 +334,7 @@ extern "C" void multiply_sparse(long lanes, long T, long N, const int* start, co
     pad_columns(X + lane * N * p, x.data(), N, p);
     for (long t = lane * T; t < (lane + 1) * T; t++) {
       for (long i = 0; i < N; i++)
-        for (long j = 0; j < P; j += 8) {
+        for (long j = 0; j < P; j += WIDTH) {
           V sum = {};
           for (int e = start[i]; e < start[i + 1]; e++) sum += values[t * nnz + e] * *(const V*)&x[column[e] * P + j];
           std::memcpy(&z[i * P + j], &sum, sizeof(V));
@@ -394,7 +404,7 @@ static void outer(const double* d, const double* e, long r, long s, long a, long
   for (long i = 0; i < r; i++)
     for (long j = i; j < r; j++, rows += a * A)
       for (long p = 0; p < a; p++)
-        for (long q = 0; q < A; q += 8) {
+        for (long q = 0; q < A; q += WIDTH) {
           V sum = {};
           for (long t = 0; t < s; t++) {
             const long x = (i * s + t) * A, y = (j * s + t) * A;
@@ -451,7 +461,7 @@ extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s
           for (long j = i; j < r; j++, h += a * A)
             for (long t = 0; t < s; t++)
               for (long b = 0; b < a; b++)
-                for (long q = 0; q < A; q += 8) {
+                for (long q = 0; q < A; q += WIDTH) {
                   const V along = *(const V*)(h + b * A + q);
                   *(V*)&turned[(i * s + t) * A + q] += own[(j * s + t) * A + b] * along;
                   *(V*)&turned[(j * s + t) * A + q] += own[(i * s + t) * A + b] * along;

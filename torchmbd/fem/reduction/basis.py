@@ -19,6 +19,7 @@ Checked in tests/fem/reduction/test_modal_basis.py and tests/sensitivity/test_ei
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import check, check_positive_diagonal, lane_name, recognize
+from torchmbd.fem.reduction.shared_modes import shared_modes
 from torchmbd.fem.reduction.signs import signs
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import Cotangent, Pencil, Tangent
@@ -124,7 +126,7 @@ def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal("M", pencil.M_form, M)
-    pencil.modes = modes = _modes(pencil, n, K, M)
+    pencil.modes = modes = shared_modes(K, M, partial(_modes, pencil, n))
     values, vectors = modes.lowest()
     _check_gap(values, n, cluster, rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs()))
     return values[:, :n], vectors * signs(vectors)

@@ -118,9 +118,11 @@ def _crowded(mu: Tensor) -> bool:
 
 def _iterate(extend: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
     lanes, size, p = X.shape
-    recurrence, steps = Recurrence(X), max(4 * (n + 2) // p, 2)
+    recurrence, steps, room = Recurrence(X), max(4 * (n + 2) // p, 2), 0
     while steps <= size // (2 * p):
-        recurrence.reserve(steps)
+        if steps > room:
+            room = 2 * steps  # to move the columns costs as much as a step
+            recurrence.reserve(room)
         extend(recurrence, steps)
         for stride in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
             ritz = recurrence.ritz(stride)

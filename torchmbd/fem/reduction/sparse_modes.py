@@ -23,7 +23,7 @@ from torch import Tensor
 from torchmbd.errors import SimulationFailure
 from torchmbd.fem.reduction.blocks import BlockFactor, storage
 from torchmbd.fem.reduction.forms import Form
-from torchmbd.fem.reduction.lanczos import BLOCK, Recurrence, Ritz, lanczos
+from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
 from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
@@ -32,8 +32,6 @@ from torchmbd.math.compiled_products import compiled_products
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
 KNOWN = 1e-2  # largest residual of discarded Ritz pairs in which conjugate gradients start from the solution
-# Whether the compiled products solve for a few columns at a time: tiles of more need the registers of AVX-512.
-NARROW = torch.backends.cpu.get_cpu_capability() != "AVX512"
 
 MOST_STEPS = 300
 NO_CONVERGENCE = f"derivatives of modes did not converge in {MOST_STEPS} steps; is K nearly singular?"
@@ -96,11 +94,8 @@ class SparseModes:
         """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F, Z [lane, N, T, n]."""
         columns = F[:, self.layout.order].flatten(2)
         inverse_mu = (1 / self.ritz.mu[:, None, : self.n]).repeat(1, 1, F.shape[2])
-        narrow = NARROW and compiled_products(columns) is not None
-        count = BLOCK if narrow else max(columns.shape[2], 1)
-        some = zip(columns.split(count, 2), inverse_mu.split(count, 2), strict=True)
-        parts = [self._conjugate_gradients(self.root.upper(self.factor.solve(f)), mu) for f, mu in some]
-        return self.root.upper_inverse(torch.cat(parts, 2))[:, self.layout.inverse].unflatten(2, F.shape[2:])
+        Y = self._conjugate_gradients(self.root.upper(self.factor.solve(columns)), inverse_mu)
+        return self.root.upper_inverse(Y)[:, self.layout.inverse].unflatten(2, F.shape[2:])
 
     def _discard(self, X: Tensor) -> Tensor:
         """Remove the components along the retained modes in place."""
