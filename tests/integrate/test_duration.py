@@ -73,7 +73,8 @@ def test_it_is_the_derivative_of_the_discrete_motion(name):
         return numbers(finished(mbd.simulate(system, T, **STEPS)))
 
     T = torch.tensor(duration, dtype=torch.float64)
-    wanted = differences(f, duration)
+    # The energy of four rigid links sums up to 269, and changes by 1e-7 per second: smaller differences are its rounding.
+    wanted = differences(f, duration, 1e-2 if name == "redundant constraints" else 1e-3)
     reverse = torch.func.jacrev(f)(T)
     assert_close(torch.func.jacfwd(f)(T), reverse, rtol=1e-9, atol=1e-12)
     # Differences of accelerations and multipliers have the rounding of the iteration.
