@@ -264,7 +264,7 @@ def test_a_state_at_rest_has_one_time(rates):
     for found in (curve.maximum(), -curve.negative().maximum(), curve.mean(), curve.y[..., -1]):
         assert found.tolist() == [2.0, -3.0]
         assert torch.autograd.grad(found.sum(), y, retain_graph=True)[0].tolist() == [[1.0], [1.0]]
-    assert curve.mean(torch.square).tolist() == [4.0, 9.0]
+    assert curve.mean(power=2).tolist() == [4.0, 9.0]
     assert curve.integral().tolist() == [0.0, 0.0]
 
 
@@ -322,3 +322,30 @@ def test_a_kink_at_a_switch_is_a_peak_where_the_curve_falls_from_it_alone():
     for y, peaks in (([0.0, 1.0, 2.0, 2.0, 1.0, 0.0], [2.0, 1.0]), ([0.0, 1.0, 2.0, 2.0, 3.0, 4.0], [4.0, 1.0])):
         curve = Spline.of(t, torch.tensor(y, dtype=torch.float64), begins=begins)
         assert curve.peaks(2).tolist() == pytest.approx(peaks, abs=1e-12)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_last_sample_that_is_repeated_counts_once(exact):
+    """As of a lane that has fewer states than others: its lowest value, which is the last, fills no row of peaks twice."""
+    t = torch.tensor([0.0, 0.2, 0.5, 0.7, 1.0, 1.2], dtype=torch.float64)
+    y = torch.stack([3.0 * torch.sin(5.0 * t) - t, -5.0 * t - t**2])
+    rates = torch.stack([15.0 * torch.cos(5.0 * t) - 1.0, -5.0 - 2.0 * t])
+    second = torch.stack([-75.0 * torch.sin(5.0 * t), torch.full_like(t, -2.0)])
+    begins = torch.zeros(2, 6, dtype=torch.bool)
+
+    def measures(again: int) -> Tensor:
+        x, z, m, c = (torch.cat([x, x[..., -1:].expand(*x.shape[:-1], again)], -1) for x in (t, y, rates, second))
+        marks = torch.nn.functional.pad(begins, (0, again))
+        curve = Spline.of(x.expand(z.shape), z, None, (m, c) if exact else None, marks, (0.0, 1.2))
+        values, new = curve.samples()
+        ends = [curve.maximum(), curve.integral(), curve.integral(2), torch.where(new, values.exp(), 0.0).sum(-1)]
+        return torch.cat([torch.stack(ends, -1), curve.peaks(5), curve.extremes()[:, :11]], -1)
+
+    assert_close(measures(3), measures(0), rtol=1e-14, atol=1e-14)
+
+
+def test_both_values_at_a_switch_are_samples():
+    t = torch.tensor([[0.0, 1.0, 1.0, 2.0]], dtype=torch.float64)
+    y = torch.tensor([[0.0, 1.0, 5.0, 2.0]], dtype=torch.float64)
+    curve = Spline.of(t, y, None, None, torch.tensor([[False, False, True, False]]), (0.0, 2.0))
+    assert curve.samples()[1].tolist() == [[True] * 4]

@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.design.curve import samples_over_time
 from torchmbd.integrate.contacts import STEPS, UnresolvedContact, lowest
 from torchmbd.integrate.lane_status import mark_unresolved_contacts
 
@@ -191,9 +190,7 @@ ACCELERATION, SPEED = mbd.Acceleration("ball", "z"), mbd.Velocity("ball", "z")
 def test_responses_see_the_smaller_steps(steps):
     """Peaks, integrals and energies are those of fine outputs: of coarse ones the contact was lost, with the status ok.
 
-    An acceleration has a kink where the contact begins or ends, of the slope k v (1 + c v) / m. A cubic between samples, with
-    slopes by differences of fourth order, passes a kink of slope s by less than max u (1 - u) (1 + 5 u) / 12 = 0.081 of h s:
-    1.3 % of the peak at 20 steps in contact, which cycles from least to largest value have on top of the error of the peak.
+    An acceleration has a kink where the contact begins or ends; a cubic through it went beyond the free fall by 25 %.
     """
     motion = mbd.simulate(impact(), 0.25, steps=steps, gradients="none").require_ok()
     fine = mbd.simulate(impact(), 0.25, steps=6000, gradients="none").require_ok()
@@ -204,12 +201,9 @@ def test_responses_see_the_smaller_steps(steps):
     change = mbd.Final(SPEED)(motion)
     assert_close(mbd.Integral(ACCELERATION)(motion), change, rtol=0, atol=5e-3 * float(mbd.Max(SPEED)(fine)))
     assert float(motion.energies.balance.abs().max()) < 5e-3 * MASS * G * 0.1
-    t, speed = samples_over_time(SPEED, motion, 0)
-    touch = float(speed.abs().max())
-    beyond = 0.081 * float(t[1] - t[0]) * 2e4 * touch * (1.0 + 0.1 * touch) / MASS
-    assert -G - beyond < float(mbd.Min(ACCELERATION)(motion)) <= -G
+    assert float(mbd.Min(ACCELERATION)(motion)) == pytest.approx(-G, rel=1e-9)
     load = mbd.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
-    assert_close(load(motion), load(fine), rtol=5e-3, atol=beyond)
+    assert_close(load(motion), load(fine), rtol=5e-3, atol=0.0)
 
 
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])

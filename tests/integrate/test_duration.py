@@ -73,7 +73,8 @@ def test_it_is_the_derivative_of_the_discrete_motion(name):
         return numbers(finished(mbd.simulate(system, T, **STEPS)))
 
     T = torch.tensor(duration, dtype=torch.float64)
-    wanted = differences(f, duration)
+    # The energy of four rigid links sums up to 269, and changes by 1e-7 per second: smaller differences are its rounding.
+    wanted = differences(f, duration, 1e-2 if name == "redundant constraints" else 1e-3)
     reverse = torch.func.jacrev(f)(T)
     assert_close(torch.func.jacfwd(f)(T), reverse, rtol=1e-9, atol=1e-12)
     # Differences of accelerations and multipliers have the rounding of the iteration.
@@ -185,9 +186,13 @@ OF_TIME = [
     mbd.AtTime(HEIGHT, 0.07),
     mbd.AtPeaks(DEFLECTION, count=3),
     mbd.Integral(HEIGHT),
-    # Ends of a window between samples, which move with the duration: the trapezoidal rule has two slopes, not one, where a
-    # sample passes an end (value h^2 off, slopes by the two sides), and the gradient is one of them.
     mbd.Integral(mbd.Reaction("hinge", "y"), window=(0.021, 0.0985)),
+    # Ends of a window at samples, which move with the duration: no slope depends on the side from which they pass.
+    mbd.Integral(mbd.Reaction("hinge", "y"), window=(0.02, 0.1)),
+    mbd.RMS(mbd.Reaction("hinge", "y"), window=(0.02, 0.1)),
+    mbd.Mean(HEIGHT, window=(0.02, 0.1)),
+    mbd.Final(mbd.Velocity("tool", "y"), window=(0.02, 0.1)),
+    mbd.AtTime(mbd.Acceleration("tool", "y"), 0.1),
     mbd.Mean(mbd.Velocity("tool", "y")),
     mbd.RMS(mbd.Velocity("tool", "y")),
     mbd.Max(mbd.StrainEnergy("arm")),
@@ -214,6 +219,6 @@ def test_every_response_has_its_gradient_by_the_duration(native):
     T = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
     found = values(T)
     slopes = torch.stack([torch.autograd.grad(x, T, retain_graph=True)[0] for x in found])
-    h = 1e-5
-    wanted = (values(0.2 + h) - values(0.2 - h)) / (2.0 * h)
+    coarse, fine = ((values(0.2 + h) - values(0.2 - h)) / (2.0 * h) for h in (1e-5, 5e-6))
+    wanted = 2.0 * fine - coarse  # second derivatives jump where a sample of a cubic passes the end of a window
     assert_close(slopes, wanted, rtol=1e-4, atol=1e-6)

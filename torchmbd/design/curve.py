@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.design.kinks import kinks_of
 from torchmbd.design.spline import Spline, Window
 from torchmbd.integrate import Trajectory
 from torchmbd.results.lane_motion import has_lane_times, lane_motion
@@ -25,7 +26,8 @@ def curve_of(motion: Trajectory, samples: Samples, window: Window = None) -> Spl
     """The curve [lanes, times] of a history, on a window (t0, t1) [s] or on the whole motion."""
     if not has_lane_times(motion):
         y, rates = samples(motion, slice(None))
-        return Spline.of(motion.t, y, window, rates)
+        kinks = None if rates else kinks_of(motion)
+        return Spline.of(motion.t, y, window, rates, kinks=None if kinks is None else torch.stack(kinks))
     parts = []
     for lane in range(motion.lanes):
         whole = lane_motion(motion, lane)
@@ -34,7 +36,10 @@ def curve_of(motion: Trajectory, samples: Samples, window: Window = None) -> Spl
     most = max(len(part[0]) for part in parts)
     t, begins, y, *rates = (torch.stack([_lengthened(x, most) for x in column]) for column in zip(*parts, strict=True))
     limits = float(motion.t[0].detach()), float(motion.t[-1].detach())
-    return Spline.of(t, y, window, (rates[0], rates[1]) if rates else None, begins, limits)
+    kinks = None if rates else kinks_of(motion)
+    if kinks is not None:
+        kinks = torch.stack([torch.nn.functional.pad(x, (0, most - 1 - len(x))) for x in kinks])
+    return Spline.of(t, y, window, (rates[0], rates[1]) if rates else None, begins, limits, kinks)
 
 
 def _lengthened(x: Tensor, count: int) -> Tensor:

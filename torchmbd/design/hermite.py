@@ -5,7 +5,8 @@
     L_0 = 1 - 3 s^2 + 2 s^3,              L_1 = s - 2 s^2 + s^3                                              cubic
     L_0 = 1 - 10 s^3 + 15 s^4 - 6 s^5,    L_1 = s - 6 s^3 + 8 s^4 - 3 s^5,    L_2 = (s^2 - 3 s^3 + 3 s^4 - s^5)/2  quintic
 
-The error is h^4/384 times the fourth derivative, or h^6/46080 times the sixth.
+The error is h^4/384 times the fourth derivative, or h^6/46080 times the sixth. With z = (y0, y1, h y0', h y1', ...) and the
+polynomials P in their order, the integrals over the interval are h g'z of y, h z'G z of y^2: g = int P ds, G = int P P' ds.
 Differentiable in the ends. Source: any textbook of numerical analysis. Checked in tests/design/test_spline.py.
 """
 
@@ -39,6 +40,32 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
     # One product: weights do not depend on the design but by moving ends; values and derivatives at the ends do.
     at_ends = torch.stack([x for pair in ends for x in pair])
     return (_leading(weights, at_ends.dim() - 1) * at_ends).sum(0)
+
+
+def hermite_integral(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, power: int = 1) -> Tensor:
+    """Integral of the polynomial over its interval, or of its square (power 2) [..., n]; arguments as of `hermite`."""
+    rows = torch.tensor(_table(len(ends), 0), dtype=h.dtype, device=h.device)
+    z = torch.stack([h**k * x for k, pair in enumerate(ends) for x in pair])
+    exponent = torch.arange(rows.shape[1], dtype=h.dtype)
+    if power == 1:
+        return h * torch.tensordot(rows @ (1.0 / (exponent + 1.0)), z, 1)
+    G = rows @ (1.0 / (exponent[:, None] + exponent + 1.0)) @ rows.T
+    return h * (z * torch.tensordot(G, z, 1)).sum(0)
+
+
+def coefficients(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor) -> Tensor:
+    """Coefficients of the polynomial by powers of the position s [powers, ..., n], lowest first; arguments as of `hermite`."""
+    at_ends = torch.stack([x * h**k for k, pair in enumerate(ends) for x in pair])
+    table = torch.tensor(_table(len(ends), 0), dtype=at_ends.dtype, device=at_ends.device)
+    return torch.tensordot(table.T, at_ends, 1)
+
+
+def polynomial(terms: Sequence[Tensor], s: Tensor) -> Tensor:
+    """sum_k terms_k s^k by Horner's rule."""
+    result = terms[-1]
+    for term in reversed(terms[:-1]):
+        result = torch.addcmul(term, result, s)
+    return result
 
 
 def _leading(x: Tensor, dims: int) -> Tensor:

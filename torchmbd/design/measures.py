@@ -1,6 +1,6 @@
 """Measures: one number of a whole motion, from a history or from the design itself.
 
-    Integral   int y dt            trapezoidal rule over all states of the motion                    eq. (21)
+    Integral   int y dt            of the curve through all states of the motion (spline.py)          eq. (21)
     Mean       1/T int y dt
     RMS        (1/T int y^2 dt)^1/2
     Max, Min   the peak, located between the output times (spline.py)                         eq. (18)
@@ -133,7 +133,7 @@ class RMS(OfHistory):
     """
 
     def reduce(self, curve: Spline) -> Tensor:
-        return torch.sqrt(curve.mean(torch.square))
+        return torch.sqrt(curve.mean(power=2))
 
 
 class Max(OfHistory):

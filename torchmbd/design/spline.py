@@ -12,21 +12,24 @@ Where a motion passes from phase to phase (integrate/phases/phase.py) a history 
 one piece ends there and another begins, with two values at one time; nothing looks through the interval of length zero
 between them. The curve has the later value there, a window that begins at a switch the later and one that ends there the
 earlier one. Knots that move carry total derivatives, so all derivatives contain the effect of the moving jump.
+
+Where a history bends within an interval (kinks.py), the cubic has other slopes before a knot than after it (slopes.py).
+Integrals are those of the curve itself, so that they, and their slopes, are continuous where the end of a window passes a knot.
 Over 300 lines: each method is a measure of the same knots.
 Checked in tests/design/test_spline.py, tests/design/test_switches.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from torchmbd.design.hermite import hermite
-from torchmbd.design.slopes import ends_of_pieces, slopes
+from torchmbd.design.hermite import coefficients, hermite, hermite_integral, polynomial
+from torchmbd.design.slopes import ends_of_pieces, slopes, slopes_beside_kinks
 from torchmbd.errors import InputError
+from torchmbd.math.gradients import wraps
 
 NEWTON = 10  # steps from the maximum of the cubic to that of the quintic
 STATIONARY = 1e-6  # slope that is taken as zero, relative to the slopes at the ends of an interval
@@ -43,6 +46,7 @@ class Spline:
     y, m    values and slopes [..., n];   c  curvatures [..., n], or None: cubic
     begins  knots at which a piece begins after a switch [..., n]; None: one piece
     limits  first and last time, which no design moves [s]; None: those of t
+    before  slopes before the knots [..., n], m being those after them; None: they are equal
     """
 
     t: Tensor
@@ -51,6 +55,7 @@ class Spline:
     c: Tensor | None = None
     begins: Tensor | None = None
     limits: tuple[float, float] | None = None
+    before: Tensor | None = None
 
     @classmethod
     def of(
@@ -61,24 +66,43 @@ class Spline:
         rates: tuple[Tensor, Tensor] | None = None,
         begins: Tensor | None = None,
         limits: tuple[float, float] | None = None,
+        kinks: Tensor | None = None,
     ) -> Spline:
         """The spline of samples y [..., n] at times t, on the window (t0, t1) or, by default, on all times.
 
         rates   first and second derivative by time of the samples [..., n]; None: slopes by differences
+        kinks   intervals in which the history is not smooth [..., n - 1], of importance to differences; None: nowhere
         """
         if t.shape[-1] < 2:  # the state of an equilibrium
             rates = torch.zeros_like(y), torch.zeros_like(y)
         if rates is None and begins is not None:
             kept = _kept(_far_from_switches(t.detach(), begins))
+            if kinks is not None:
+                count = torch.nn.functional.pad(kinks.cumsum(-1), (1, 0))
+                kinks = _take(count, kept).diff() > 0
             t, y, begins = _take(t, kept), _take(y, kept), _take(begins, kept) & _first(kept)
-        m, c = (slopes(t, y, begins), None) if rates is None else rates
-        curve = cls(t, y, m, c, begins, limits)
+        before = None
+        if rates is not None:
+            m, c = rates
+        elif kinks is None:
+            m, c = slopes(t, y, begins), None
+        else:
+            (m, before), c = slopes_beside_kinks(t, y, begins, kinks), None
+        curve = cls(t, y, m, c, begins, limits, before)
         return curve if window is None else curve.cut(window)
 
     @property
-    def knots(self) -> tuple[Tensor, ...]:
-        """Values, slopes and, of the quintic, curvatures at the knots [..., n]."""
-        return (self.y, self.m) if self.c is None else (self.y, self.m, self.c)
+    def ends(self) -> list[tuple[Tensor, Tensor]]:
+        """Values, slopes and, of the quintic, curvatures at the start and the end of every interval [..., n - 1]."""
+        before = self.m if self.before is None else self.before
+        pairs = [(self.y, self.y), (self.m, before), *([] if self.c is None else [(self.c, self.c)])]
+        return [(x[..., :-1], z[..., 1:]) for x, z in pairs]
+
+    @property
+    def _knots(self) -> dict[str, tuple[int, Tensor]]:
+        """What the curve has at its knots [..., n] by name, with the order of the derivative."""
+        fields = {"y": (0, self.y), "m": (1, self.m), "c": (2, self.c), "before": (1, self.before)}
+        return {name: (order, x) for name, (order, x) in fields.items() if x is not None}
 
     @property
     def span(self) -> tuple[float, float]:
@@ -94,8 +118,7 @@ class Spline:
 
     def negative(self) -> Spline:
         """The negative of the curve."""
-        c = None if self.c is None else -self.c
-        return Spline(self.t, -self.y, -self.m, c, self.begins, self.limits)
+        return replace(self, **{name: -x for name, (_, x) in self._knots.items()})
 
     def cut(self, window: tuple[float, float]) -> Spline:
         """The part within a window, whose ends become knots; InputError for a window outside the knots."""
@@ -121,18 +144,20 @@ class Spline:
             return self._at(ends[:1], order, rounding), self._at(ends[1:], order, rounding, before=True)
 
         times = (x.expand(*self.t.shape[:-1], 1) for x in (ends[:1], ends[1:]))
-        y, m, *c = (with_ends(x, *at_ends(order)) for order, x in enumerate(self.knots))
-        return Spline(with_ends(self.t, *times), y, m, c[0] if c else None, begins, (float(ends[0]), float(ends[1])))
+        knots = {name: with_ends(x, *at_ends(order)) for name, (order, x) in self._knots.items()}
+        return replace(
+            self, t=with_ends(self.t, *times), begins=begins, limits=(float(ends[0]), float(ends[1])), **knots
+        )
 
-    def integral(self, f: Callable[[Tensor], Tensor] = lambda y: y) -> Tensor:
-        """Integral of f(y) over time [...], by the trapezoidal rule on the knots."""
-        return torch.trapezoid(f(self.y), self.t, dim=-1)
+    def integral(self, power: int = 1) -> Tensor:
+        """Integral over time [...] of the curve, or of its square: power 2."""
+        return hermite_integral(self.ends, self.t.diff(), power).sum(-1)
 
-    def mean(self, f: Callable[[Tensor], Tensor] = lambda y: y) -> Tensor:
-        """Mean of f(y) over time [...]."""
+    def mean(self, power: int = 1) -> Tensor:
+        """Mean over time [...] of the curve, or of its square: power 2."""
         if self.t.shape[-1] < 2:
-            return f(self.y)[..., 0]
-        return self.integral(f) / self.duration
+            return self.y[..., 0] ** power
+        return self.integral(power) / self.duration
 
     @property
     def duration(self) -> Tensor:
@@ -147,14 +172,15 @@ class Spline:
         """As `at`; before: at a switch the earlier values. A switch is at a time if it is nearer than `rounding`."""
         n = self.t.shape[-1]
         if n < 2:
-            return self.knots[derivative].expand(*self.y.shape[:-1], times.shape[-1])
+            knots = [self.y, self.m, self.c]
+            return knots[derivative].expand(*self.y.shape[:-1], times.shape[-1])
         t, where = self.t.detach(), times.detach() + (-rounding if before else rounding)
         if t.dim() > 1:
             where = where.expand(*t.shape[:-1], where.shape[-1])
         start = torch.searchsorted(t.contiguous(), where.contiguous(), right=not before) - 1
         start = start.clamp(0, n - 2)
         h, _ = self._lengths
-        ends = [(_take(x, start), _take(x, start + 1)) for x in self.knots]
+        ends = [(_take(x, start), _take(z, start)) for x, z in self.ends]
         h = _take(h, start)
         return hermite(ends, h, (times - _take(self.t, start)) / h, derivative)
 
@@ -214,16 +240,16 @@ class Spline:
 
     def _at_positions(self, s: Tensor, derivative: int = 0) -> Tensor:
         """Value or derivative at the position s, 0 to 1, in every interval [..., n - 1]."""
-        ends = [(x[..., :-1], x[..., 1:]) for x in self.knots]
-        return hermite(ends, self._lengths[0], s, derivative)
+        return hermite(self.ends, self._lengths[0], s, derivative)
 
     def _maximum_positions(self) -> tuple[Tensor, Tensor]:
         """Position of the largest value in every interval, 0 to 1, and whether it is a local maximum of the curve.
 
         Constants: neither autograd nor torch.func differentiates the search.
         """
-        plain = Spline(*(None if x is None else x.detach() for x in (self.t, *self.knots)), begins=self.begins)  # pyright: ignore[reportArgumentType]
-        return plain._searched()
+        return replace(
+            self, t=self.t.detach(), **{name: x.detach() for name, (_, x) in self._knots.items()}
+        )._searched()
 
     def _searched(self) -> tuple[Tensor, Tensor]:
         """As `_maximum_positions`, of numbers without derivatives."""
@@ -239,7 +265,7 @@ class Spline:
 
         Of a switch with equal values on both sides, the end of the earlier piece stands for both.
         """
-        y, m, (_, real) = self.y, self.m, self._lengths
+        y, m, (_, real), (first, last) = self.y, self.m, self._lengths, self.ends[1]
         i = torch.arange(real.shape[-1]).expand(real.shape)
         before = torch.nn.functional.pad(torch.where(real, i + 1, 0).cummax(-1).values[..., :-1], (1, 0))
         after = torch.where(real, i, real.shape[-1]).flip(-1).cummin(-1).values.flip(-1)
@@ -250,12 +276,18 @@ class Spline:
         end = (after == real.shape[-1]) | (after != i + 1) & (
             (rise > equal) | (rise.abs() <= equal) & (_take(m, after) <= 0.0)
         )
-        return real & start & (m[..., :-1] <= 0.0), real & end & (m[..., 1:] >= 0.0)
+        start, end = real & start & (first <= 0.0), real & end & (last >= 0.0)
+        if self.before is None:
+            return start, end
+        falls = torch.nn.functional.pad(first[..., 1:], (0, 1)) < 0.0  # after the knot at the end of an interval
+        flat = STATIONARY * first.abs().amax(-1, keepdim=True)
+        kink = (self.before != m)[..., 1:] & falls & (last >= -flat)
+        return start, end | real & kink
 
     def _stationary_positions(self) -> tuple[Tensor, Tensor]:
         """Position in every interval where the slope is zero and the curvature negative, and whether there is one."""
         h, y0, y1 = self._lengths[0], self.y[..., :-1], self.y[..., 1:]
-        m0, m1 = h * self.m[..., :-1], h * self.m[..., 1:]
+        m0, m1 = (h * x for x in self.ends[1])
         a, b = 2.0 * (y0 - y1) + m0 + m1, 3.0 * (y1 - y0) - 2.0 * m0 - m1
         # Slope of the cubic: 3 a s^2 + 2 b s + m0 = 0; of its roots the one with a negative second derivative.
         square = b * b - 3.0 * a * m0
@@ -272,21 +304,38 @@ class Spline:
         the root: the gradient of the maximum assumes that the slope is zero there. Else the steps may end where the slope is
         not zero; the interval then has no stationary position.
         """
-        bracketed = (self.m[..., :-1] > 0.0) & (self.m[..., 1:] < 0.0)
-        ends = [(x[..., :-1], x[..., 1:]) for x in self.knots]
-        h, s, (start, end) = self._lengths[0], root, ends[1]
-        low, high = torch.zeros_like(s), torch.ones_like(s)
-        s = torch.where(bracketed & ~inner, start / torch.where(bracketed, start - end, 1.0), s)
-        for _ in range(NEWTON):
-            slope, curvature = hermite(ends, h, s, 1), hermite(ends, h, s, 2)
-            low = torch.where(bracketed & (slope > 0.0), s, low)
-            high = torch.where(bracketed & (slope <= 0.0), s, high)
-            step = s - slope / torch.where(curvature < 0.0, curvature, torch.inf) / h
-            outside = bracketed & ((step < low) | (step > high) | (curvature >= 0.0))
-            s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
-        flat = hermite(ends, h, s, 1).abs() <= STATIONARY * torch.maximum(start.abs(), end.abs())
+        ends = self.ends
+        bracketed = (ends[1][0] > 0.0) & (ends[1][1] < 0.0)
         searched = bracketed | inner
+        at_ends = [x for pair in ends for x in pair]
+        of_intervals = torch.broadcast_tensors(root, bracketed, inner, self._lengths[0], *at_ends)
+        if wraps(searched):
+            s, flat = _root(*of_intervals)
+        else:  # few intervals are searched
+            s, flat = root.clone(), inner.clone()
+            s[searched], flat[searched] = _root(*(x[searched] for x in of_intervals))
         return torch.where(searched, s, root), torch.where(searched, flat, inner)
+
+
+def _root(root: Tensor, bracketed: Tensor, inner: Tensor, h: Tensor, *knots: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the slope of each quintic is zero, and whether it is: Newton's steps from the root of the cubic.
+
+    knots: value, value, slope, slope, curvature, curvature at both ends
+    """
+    start, end = knots[2:4]
+    _, *terms = coefficients(list(zip(knots[::2], knots[1::2], strict=True)), h).unbind(0)
+    by_s = [k * x for k, x in enumerate(terms, 1)]  # the slope in units of s
+    by_s_s = [k * x for k, x in enumerate(by_s[1:], 1)]
+    low, high = torch.zeros_like(root), torch.ones_like(root)
+    s = torch.where(bracketed & ~inner, start / torch.where(bracketed, start - end, 1.0), root)
+    for _ in range(NEWTON):
+        slope, curvature = polynomial(by_s, s), polynomial(by_s_s, s)
+        low = torch.where(bracketed & (slope > 0.0), s, low)
+        high = torch.where(bracketed & (slope <= 0.0), s, high)
+        step = s - slope / torch.where(curvature < 0.0, curvature, torch.inf)
+        outside = bracketed & ((step < low) | (step > high) | (curvature >= 0.0))
+        s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
+    return s, polynomial(by_s, s).abs() <= STATIONARY * h * torch.maximum(start.abs(), end.abs())
 
 
 def checked_window(window: tuple[float, float]) -> tuple[float, float]:

@@ -202,6 +202,7 @@ def _function_contents(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
         yield from ((f"global {name}", f.__globals__[name]) for name in _globals(f.__code__) if name in f.__globals__)
 
 
+@functools.lru_cache(maxsize=1024)  # laws are looked at before every batch
 def _globals(code: types.CodeType) -> set[str]:
     """Names of globals that a function, or one defined in it, reads."""
     names = {x.argval for x in dis.get_instructions(code) if x.opname in ("LOAD_GLOBAL", "LOAD_NAME")}

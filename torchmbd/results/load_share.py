@@ -93,11 +93,11 @@ def _sizes(motion: Trajectory) -> list[float]:
     if "gravity" in data:
         acceleration = acceleration - value(data["gravity"])[..., :1]
     times = len(motion.t)
-    forces = (mass.repeat_interleave(times, -1) if mass.shape[-1] > 1 else mass) * acceleration[:, :, 0].norm(dim=0)
+    forces = (mass.repeat_interleave(times, -1) if mass.shape[-1] > 1 else mass) * _lengths(acceleration[:, :, 0])
     total = forces.sum(0)
     if T.actions:
         wide, at = placement_at_times(motion)
-        total = total + equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0].norm(dim=0).sum(0)
+        total = total + _lengths(equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]).sum(0)
     largest = (total.nan_to_num(0.0, 0.0, 0.0).reshape(motion.lanes, times) * _known(motion)).amax(1)
     sizes = []
     for k, name in enumerate(T.names[: T.flexible]):
@@ -106,6 +106,11 @@ def _sizes(motion: Trajectory) -> list[float]:
         size = largest / (lowest * (mass[k] * second).sqrt())
         sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
     return sizes
+
+
+def _lengths(x: Tensor) -> Tensor:
+    """Lengths [...] of vectors [3, ...]: torch's norm over a first axis takes 25 times as long."""
+    return x.square().sum(0).sqrt()
 
 
 def _share(T: Any, k: int, body: Any, u: Tensor, Z: Tensor, pulls: Tensor) -> float:

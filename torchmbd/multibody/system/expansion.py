@@ -45,13 +45,13 @@ class Expansion:
     def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, values: bool = True) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) [times, k, pair, lanes] of the whole system, from x of the condensed one.
 
-        index    rows of the whole system; None: all
+        index    rows of the whole system, from its end if negative, as of a tensor; None: all
         values   whether the first entry of the pair axis is a value, and the others tangents; False: all are tangents
         """
         c, components = self.condensation, 6 if order else 7
         retained = component_rows(c.whole, c.bodies, components).tolist()
-        total = components * c.whole.bodies + c.whole.modes * c.whole.flexible
-        asked = [row % total for row in (range(total) if index is None else index)]
+        every = range(components * c.whole.bodies + c.whole.modes * c.whole.flexible)
+        asked = [every[row] for row in (every if index is None else index)]
         position = {row: i for i, row in enumerate(retained)}
         positions = [position[row] for row in asked if row in position]
         y = _map_and_select(c.topology.spread if order else None, x, positions)
