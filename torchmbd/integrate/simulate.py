@@ -105,7 +105,7 @@ def simulate(
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
-                halvings, and checkpoint=k, which keeps every k-th state (not with phases); torchdiffeq: rtol, atol, options
+                halvings, and checkpoint=k, which keeps every k-th state; torchdiffeq: rtol, atol, options
 
     `status` reports a lane that fails; it is nan from there on and adds nothing to a gradient. `status` also reports a lane
     whose steps do not resolve its vibrations; this lane has all numbers. `stats` has the mode of gradients and the backend.
