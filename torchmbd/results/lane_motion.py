@@ -77,8 +77,8 @@ def lane_motion(motion: MotionData, lane: int) -> LaneMotion:
 def _dynamics_of(motion: MotionData, lane: int) -> Any:
     """The dynamics of one lane; its rank, which is that of all lanes, is not computed again."""
     dynamics = motion.dynamics.select_lanes([lane])
-    if "rank" in vars(motion.dynamics):
-        vars(dynamics)["rank"] = motion.dynamics.rank
+    if motion.dynamics.known_rank is not None:
+        dynamics.known_rank = motion.dynamics.known_rank
     return dynamics
 
 

@@ -141,14 +141,10 @@ class MultiphaseRun:
             return torch.full((self.steps // self.every + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+        self.kept_times = self.times[:: self.every]  # of the states that are kept
         self.views = self.views.continuing(self.kept_times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
         self.watch = ContactWatch(self.whole, self.steps)
-
-    @property
-    def kept_times(self) -> Tensor:
-        """Times [s] of the states that are kept."""
-        return self.times[:: self.every]
 
     @property
     def duration_moves(self) -> bool:
