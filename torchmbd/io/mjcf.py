@@ -98,26 +98,28 @@ class _Reader(Values):
             self._children(world, "world", IDENTITY, world.get("childclass", "main"))
         if len(self.links) == 1:
             raise InputError(f"{self.file}: no <body>; allowed: bodies in <worldbody>")
-        total, wanted = (
-            sum(own.mass for own in self.links),
+        total, total_mass = (
+            sum(link.mass for link in self.links),
             self.number(f"{self.file}, compiler", self.compiler, "settotalmass", "-1"),
         )
-        if wanted > 0.0 and total > 0.0:
-            scale = wanted / total
+        if total_mass > 0.0 and total > 0.0:
+            scale = total_mass / total
             self.links = [replace(x, mass=scale * x.mass, inertia=scale * x.inertia) for x in self.links]
         links = by_unique_name(self.file, "body", self.links)
         joints = by_unique_name(self.file, "joint", self.joints)
         gravity = self._option()
-        closures = [own for element in self.root.findall("equality") for own in self._closures(element, joints, links)]
-        found = robot_tree(self.file, self.root.get("model") or "mechanism", links, list(joints.values()))
-        actuators = [own for part in self.root.findall("actuator") for own in self._actuators(part, joints)]
+        closures = [
+            closure for element in self.root.findall("equality") for closure in self._closures(element, joints, links)
+        ]
+        tree = robot_tree(self.file, self.root.get("model") or "mechanism", links, list(joints.values()))
+        actuators = [actuator for part in self.root.findall("actuator") for actuator in self._actuators(part, joints)]
         by_unique_name(self.file, "actuator", actuators)
         for element in (x for part in self.root.findall("tendon") for x in part):
             self.note_omitted("tendons", element.get("name", ""))
         if self.omitted:
             listed = (f"{kind} {sorted(set(names) - {''})[:8]}" for kind, names in self.omitted.items())
             warn(f"{self.file}: left out: {'; '.join(listed)}".replace(" []", ""))
-        return replace(found, actuators=tuple(actuators), closures=tuple(closures), gravity=gravity)
+        return replace(tree, actuators=tuple(actuators), closures=tuple(closures), gravity=gravity)
 
     # The tree
 
@@ -127,17 +129,17 @@ class _Reader(Values):
             if element.tag == "frame":
                 if held := {x.tag for x in element} & {"joint", "freejoint", "inertial"}:
                     raise InputError(f"{self.file}: {sorted(held)} in a <frame>; allowed: in a <body>")
-                own = pose @ self.pose(f"{self.file}, frame {element.get('name', '')!r}", element.attrib)
-                yield from self._flat(element, own, element.get("childclass", inherited))
+                frame = pose @ self.pose(f"{self.file}, frame {element.get('name', '')!r}", element.attrib)
+                yield from self._flat(element, frame, element.get("childclass", inherited))
             elif element.tag not in BODY:
                 raise InputError(f"{self.file}: <{element.tag}> in a body is not read; allowed: {', '.join(BODY)}")
             else:
                 yield element, pose, inherited
 
     def _children(self, parent: ET.Element, link: str, pose: Pose, inherited: str) -> None:
-        for element, around, own in self._flat(parent, pose, inherited):
+        for element, around, default in self._flat(parent, pose, inherited):
             if element.tag == "body":
-                self._body(element, link, around, element.get("childclass", own))
+                self._body(element, link, around, element.get("childclass", default))
 
     def _body(self, element: ET.Element, parent: str, around: Pose, inherited: str) -> None:
         name = element.get("name") or f"body_{next(self.count)}"
@@ -147,12 +149,12 @@ class _Reader(Values):
         origin = around @ self.pose(where, element.attrib)
         inside = list(self._flat(element, IDENTITY, inherited))
         mass, center, inertia = self._mass(where, inside)
-        joints = [(x, own) for x, _, own in inside if x.tag in ("joint", "freejoint")]
-        for k, (joint, own) in enumerate(joints):
+        joints = [(x, default) for x, _, default in inside if x.tag in ("joint", "freejoint")]
+        for k, (joint, default) in enumerate(joints):
             last, unnamed = k + 1 == len(joints), f"{name}_joint{k + 1 if len(joints) > 1 else ''}"
             child = name if last else f"{name}_{joint.get('name', unnamed)}"
             share = 1.0 if last else TINY
-            made = self._joint(joint, own, parent, child, origin, unnamed)
+            made = self._joint(joint, default, parent, child, origin, unnamed)
             if made.kind == "floating" and (len(joints) > 1 or parent != "world"):
                 raise InputError(f"{where}: a free joint among others or below a body; allowed: alone, in <worldbody>")
             self.joints.append(made)
@@ -164,26 +166,28 @@ class _Reader(Values):
         self._children(element, name, IDENTITY, inherited)
 
     def _joint(self, element: ET.Element, inherited: str, parent: str, child: str, pose: Pose, name: str) -> RobotJoint:
-        given = self.attributes(element, inherited) if element.tag == "joint" else {"type": "free"} | element.attrib
+        attributes = (
+            self.attributes(element, inherited) if element.tag == "joint" else {"type": "free"} | element.attrib
+        )
         name = element.get("name") or name
-        where, kind = f"{self.file}, joint {name!r}", given.get("type", "hinge")
+        where, kind = f"{self.file}, joint {name!r}", attributes.get("type", "hinge")
         if kind not in KINDS:
             raise unknown(f"{where}: type", kind, KINDS)
         unit = self.angle if kind == "hinge" else 1.0
-        losses = [self.number(where, given, key) for key in ("damping", "frictionloss", "stiffness")]
+        losses = [self.number(where, attributes, key) for key in ("damping", "frictionloss", "stiffness")]
         if min(losses) < 0.0:
             raise InputError(f"{where}: damping, frictionloss, stiffness are {losses}; allowed: zero or positive")
         damping, friction, stiffness = losses if kind != "free" else (0.0, 0.0, 0.0)
         for key in ("armature", "springdamper", "actuatorfrcrange"):
-            if any(self.numbers(where, given, key, "0")):
+            if any(self.numbers(where, attributes, key, "0")):
                 self.note_omitted(f"{key} of joints", name)
-        limits = self.limits(where, given, "range", "limited")
+        limits = self.limits(where, attributes, "range", "limited")
         if self.is_disabled("limit", "constraint"):
             limits = None
         if self.is_disabled("frictionloss", "constraint"):
             friction = 0.0
-        axis = self.direction(where, given, "axis", "0 0 1")
-        start, rest = (unit * self.number(where, given, key) for key in ("ref", "springref"))
+        axis = self.direction(where, attributes, "axis", "0 0 1")
+        start, rest = (unit * self.number(where, attributes, key) for key in ("ref", "springref"))
         if kind in ("ball", "free"):
             if kind == "ball" and any((damping, friction, stiffness, limits)):
                 self.note_omitted("limits, damping and springs of ball joints", name)
@@ -198,7 +202,7 @@ class _Reader(Values):
             None if limits is None else (unit * limits[0], unit * limits[1]),
             damping,
             friction,
-            anchor=np.array(self.numbers(where, given, "pos", "0 0 0", 3)) if kind != "free" else np.zeros(3),
+            anchor=np.array(self.numbers(where, attributes, "pos", "0 0 0", 3)) if kind != "free" else np.zeros(3),
             stiffness=stiffness,
             rest=rest,
             start=start,
@@ -210,44 +214,44 @@ class _Reader(Values):
     def _mass(self, where: str, inside: list[tuple[ET.Element, Pose, str]]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return mass, center and inertia about it, in the frame of the body."""
         source = self.compiler.get("inertiafromgeom", "auto")
-        given = [x for x, _, _ in inside if x.tag == "inertial"]
-        geoms = [(self.attributes(x, own, "geom"), pose) for x, pose, own in inside if x.tag == "geom"]
+        inertials = [x for x, _, _ in inside if x.tag == "inertial"]
+        geoms = [(self.attributes(x, default, "geom"), pose) for x, pose, default in inside if x.tag == "geom"]
         self.touching |= any(self.number(where, x, key, "1") for x, _ in geoms for key in ("contype", "conaffinity"))
-        if source == "true" or (source == "auto" and not given):
+        if source == "true" or (source == "auto" and not inertials):
             return combined_mass(part for x, pose in geoms if (part := self._geom(where, x, pose)) is not None)
-        if not given:
+        if not inertials:
             return 0.0, np.zeros(3), np.zeros((3, 3))
-        own = given[0].attrib
-        pose, mass = self.pose(f"{where}, inertial", own), self.number(f"{where}, inertial", own, "mass", "")
+        inertial = inertials[0].attrib
+        pose, mass = self.pose(f"{where}, inertial", inertial), self.number(f"{where}, inertial", inertial, "mass", "")
         if mass < 0.0:
             raise InputError(f"{where}, inertial: mass is {mass:g}; allowed: zero or positive")
-        if "fullinertia" in own:
-            xx, yy, zz, xy, xz, yz = self.numbers(f"{where}, inertial", own, "fullinertia", "", 6)
+        if "fullinertia" in inertial:
+            xx, yy, zz, xy, xz, yz = self.numbers(f"{where}, inertial", inertial, "fullinertia", "", 6)
             J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         else:
-            J = np.diag(self.numbers(f"{where}, inertial", own, "diaginertia", "0 0 0", 3))
+            J = np.diag(self.numbers(f"{where}, inertial", inertial, "diaginertia", "0 0 0", 3))
         return mass, pose.position, pose.axes @ J @ pose.axes.T
 
-    def _geom(self, where: str, given: Attributes, around: Pose) -> tuple[float, np.ndarray, np.ndarray] | None:
+    def _geom(self, where: str, attributes: Attributes, around: Pose) -> tuple[float, np.ndarray, np.ndarray] | None:
         """Return mass, center and inertia of a geom; None where it has no mass."""
-        where, kind = f"{where}, geom {given.get('name', '')!r}", given.get("type", "sphere")
+        where, kind = f"{where}, geom {attributes.get('name', '')!r}", attributes.get("type", "sphere")
         lowest, highest = self.numbers(f"{self.file}, compiler", self.compiler, "inertiagrouprange", "0 5", 2)
-        mass, density = self.number(where, given, "mass", "-1"), self.number(where, given, "density", "1000")
+        mass, density = self.number(where, attributes, "mass", "-1"), self.number(where, attributes, "density", "1000")
         if kind in THIN or 0.0 in (mass, density if mass < 0.0 else 1.0):
             return None
-        if not lowest <= self.number(where, given, "group") <= highest:
+        if not lowest <= self.number(where, attributes, "group") <= highest:
             return None
-        if kind not in SHAPES or "mesh" in given or given.get("shellinertia", "false") != "false":
+        if kind not in SHAPES or "mesh" in attributes or attributes.get("shellinertia", "false") != "false":
             raise InputError(
-                f"{where}: type {'mesh' if 'mesh' in given else kind!r} gives no inertia here; allowed: {', '.join(SHAPES)}, "
-                "or <inertial> in the body"
+                f"{where}: type {'mesh' if 'mesh' in attributes else kind!r} gives no inertia here; "
+                f"allowed: {', '.join(SHAPES)}, or <inertial> in the body"
             )
-        size, pose = self.numbers(where, given, "size", ""), self.pose(where, given)
-        if "fromto" in given and kind != "sphere":
-            ends = np.array(self.numbers(where, given, "fromto", "", 6)).reshape(2, 3)
+        size, pose = self.numbers(where, attributes, "size", ""), self.pose(where, attributes)
+        if "fromto" in attributes and kind != "sphere":
+            ends = np.array(self.numbers(where, attributes, "fromto", "", 6)).reshape(2, 3)
             half = 0.5 * float(np.linalg.norm(ends[1] - ends[0]))
             if not half > 1e-9:
-                raise InputError(f"{where}: fromto is {given['fromto']!r}; allowed: two points")
+                raise InputError(f"{where}: fromto is {attributes['fromto']!r}; allowed: two points")
             pose = Pose(ends.mean(0), axes_along_z((ends[0] - ends[1]) / (2.0 * half)))
             size = [*size[:1] * (SHAPES[kind] - 1), half]
         if len(size) < SHAPES[kind] or min(size[: SHAPES[kind]]) <= 0.0:
@@ -272,53 +276,58 @@ class _Reader(Values):
     def _closures(self, part: ET.Element, joints: dict[str, Any], links: dict[str, Any]) -> Iterator[Closure]:
         """Return the connections; mark joints that follow others in `joints`."""
         for k, element in enumerate(() if self.is_disabled("equality", "constraint") else part):
-            given = self.attributes(element, "main", "equality")
-            name = given.get("name", f"{element.tag}_{k + 1}")
+            attributes = self.attributes(element, "main", "equality")
+            name = attributes.get("name", f"{element.tag}_{k + 1}")
             where = f"{self.file}, <{element.tag}> {name!r}"
-            if given.get("active", "true") != "true":
+            if attributes.get("active", "true") != "true":
                 continue
             if element.tag == "joint":
-                if (follows := given.get("joint1", "")) not in joints:
+                if (follows := attributes.get("joint1", "")) not in joints:
                     raise unknown(f"{where}: joint1", follows, joints)
                 joints[follows] = replace(joints[follows], mimics=True)
                 continue
-            quaternion = self.numbers(where, given, "relpose", "0 1 0 0 0 0 0", 7)[3:]
-            if element.tag not in ("connect", "weld") or "site1" in given or any(quaternion):
+            quaternion = self.numbers(where, attributes, "relpose", "0 1 0 0 0 0 0", 7)[3:]
+            if element.tag not in ("connect", "weld") or "site1" in attributes or any(quaternion):
                 raise InputError(f"{where} is not read; allowed: joint, connect with anchor, weld without relpose")
-            pair = given.get("body1", ""), given.get("body2", "world")
+            pair = attributes.get("body1", ""), attributes.get("body2", "world")
             for link in pair:
                 if link not in links:
                     raise unknown(f"{where}: body", link, links)
-            place = np.array(self.numbers(where, given, "anchor", "" if element.tag == "connect" else "0 0 0", 3))
+            place = np.array(self.numbers(where, attributes, "anchor", "" if element.tag == "connect" else "0 0 0", 3))
             yield Closure(name, "spherical" if element.tag == "connect" else "fixed", pair, place)
 
     def _actuators(self, part: ET.Element, joints: dict[str, Any]) -> Iterator[Actuator]:
         for k, element in enumerate(part):
-            given = self.attributes(element, "main", "actuator")
-            name, joint = given.get("name", f"{element.tag}_{k + 1}"), given.get("joint", given.get("jointinparent"))
+            attributes = self.attributes(element, "main", "actuator")
+            name, joint = (
+                attributes.get("name", f"{element.tag}_{k + 1}"),
+                attributes.get("joint", attributes.get("jointinparent")),
+            )
             where = f"{self.file}, {element.tag} {name!r}"
             if joint is not None and joint not in joints:
                 raise unknown(f"{where}: joint", joint, joints)
-            types = [given.get(key) for key in ("gaintype", "biastype", "dyntype")]
+            types = [attributes.get(key) for key in ("gaintype", "biastype", "dyntype")]
             simple = types[0] in (None, "fixed") and types[1] in (None, "none", "affine") and types[2] in (None, "none")
-            filtered = {"timeconst", "dampratio"} & given.keys() and element.tag == "position"
+            filtered = {"timeconst", "dampratio"} & attributes.keys() and element.tag == "position"
             moves = joint is not None and joints[joint].kind in ("revolute", "prismatic")
             if joint is None or not moves or element.tag not in ACTUATORS or not simple or filtered:
                 self.note_omitted("actuators", name)
                 continue
             gain, bias = 1.0, (0.0, 0.0, 0.0)
             if element.tag == "general":
-                gain = self.numbers(where, given, "gainprm", "1")[0]
-                own = [*self.numbers(where, given, "biasprm", "0"), 0.0, 0.0]
-                bias = (own[0], own[1], own[2]) if types[1] == "affine" else bias
+                gain = self.numbers(where, attributes, "gainprm", "1")[0]
+                terms = [*self.numbers(where, attributes, "biasprm", "0"), 0.0, 0.0]
+                bias = (terms[0], terms[1], terms[2]) if types[1] == "affine" else bias
             elif element.tag == "position":
-                gain, damping = self.number(where, given, "kp", "1"), self.number(where, given, "kv")
+                gain, damping = self.number(where, attributes, "kp", "1"), self.number(where, attributes, "kv")
                 bias = (0.0, -gain, -damping)
             elif element.tag == "velocity":
-                gain = self.number(where, given, "kv", "1")
+                gain = self.number(where, attributes, "kv", "1")
                 bias = (0.0, 0.0, -gain)
-            gear = self.numbers(where, given, "gear", "1")[0]
-            limits = None if self.is_disabled("clampctrl") else self.limits(where, given, "ctrlrange", "ctrllimited")
+            gear = self.numbers(where, attributes, "gear", "1")[0]
+            limits = (
+                None if self.is_disabled("clampctrl") else self.limits(where, attributes, "ctrlrange", "ctrllimited")
+            )
             yield Actuator(
-                name, joint, gear, gain, bias, limits, self.limits(where, given, "forcerange", "forcelimited")
+                name, joint, gear, gain, bias, limits, self.limits(where, attributes, "forcerange", "forcelimited")
             )

@@ -21,34 +21,34 @@ from torchmbd.math.gradients import refuse_gradients
 _COMPUTED = "p = x.detach() and then x.backward(p.grad) with the gradient of the parameter p that is made of it"
 
 
-def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
+def reals(name: str, value: ArrayLike | Tensor) -> Tensor:
     """Read numbers of any shape as float64; InputError names the argument."""
-    return _read(name, given, "numbers").double()
+    return _read(name, value, "numbers").double()
 
 
-def differentiable_reals(name: str, given: Any, allowed: str) -> Tensor:
+def differentiable_reals(name: str, value: Any, allowed: str) -> Tensor:
     """Read numbers of any shape as float64 with their gradients, also those of tensors in a list."""
     try:
-        return _joined(given)
+        return _joined(value)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{name} is {given!r}; allowed: {allowed}") from error
+        raise InputError(f"{name} is {value!r}; allowed: {allowed}") from error
 
 
-def _joined(given: Any) -> Tensor:
-    if isinstance(given, list | tuple):  # torch.as_tensor would take the numbers of its tensors alone
-        return torch.stack([_joined(x) for x in given])
-    return torch.as_tensor(given, dtype=torch.float64)
+def _joined(value: Any) -> Tensor:
+    if isinstance(value, list | tuple):  # torch.as_tensor would take the numbers of its tensors alone
+        return torch.stack([_joined(x) for x in value])
+    return torch.as_tensor(value, dtype=torch.float64)
 
 
-def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = "") -> float:
+def scalar(name: str, value: Any, allowed: str = "a finite number", unit: str = "") -> float:
     """Read one finite number as a float; InputError names the argument, also one with a gradient, which a float would lose."""
-    refuse_gradients(name, given, allowed)
+    refuse_gradients(name, value, allowed)
     try:
-        x = math.nan if isinstance(given, (str, bytes, bool)) else float(given)
+        x = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of several numbers
         x = math.nan
     if not math.isfinite(x):
-        raise InputError(f"{name} is {given!r}{unit}; allowed: {allowed}")
+        raise InputError(f"{name} is {value!r}{unit}; allowed: {allowed}")
     return x
 
 
@@ -62,61 +62,61 @@ def is_real(x: Any) -> bool:
     return isinstance(x, numbers.Real) and not isinstance(x, bool)
 
 
-def positive(name: str, given: Any, unit: str) -> float:
+def positive(name: str, value: Any, unit: str) -> float:
     """Read one positive finite number."""
     allowed = "a positive and finite number"
-    x = scalar(name, given, allowed, f" {unit}")
+    x = scalar(name, value, allowed, f" {unit}")
     if not x > 0.0:
-        raise InputError(f"{name} is {given!r} {unit}; allowed: {allowed}")
+        raise InputError(f"{name} is {value!r} {unit}; allowed: {allowed}")
     return x
 
 
-def nonnegative(name: str, given: Any, unit: str) -> float:
+def nonnegative(name: str, value: Any, unit: str) -> float:
     """Read one finite number that is zero or positive."""
     allowed = "zero, or a positive and finite number"
-    x = scalar(name, given, allowed, f" {unit}")
+    x = scalar(name, value, allowed, f" {unit}")
     if x < 0.0:
-        raise InputError(f"{name} is {given!r} {unit}; allowed: {allowed}")
+        raise InputError(f"{name} is {value!r} {unit}; allowed: {allowed}")
     return x
 
 
-def indices(name: str, given: ArrayLike | Tensor) -> Tensor:
+def indices(name: str, value: ArrayLike | Tensor) -> Tensor:
     """Read whole numbers of any shape as int64; InputError names the argument and the number."""
-    x = _read(name, given, "whole numbers")
+    x = _read(name, value, "whole numbers")
     broken = (x != x.round()).flatten() if x.is_floating_point() else torch.zeros(0, dtype=torch.bool)
     if broken.any():
         raise InputError(f"{name} holds {float(x.flatten()[broken][0])!r}; allowed: whole numbers")
     return x.long()
 
 
-def list_of(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
+def list_of(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
     """Read a sequence of objects of some classes as a list; InputError names the argument and an object of another class."""
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        raise InputError(f"{name} is {given!r}; allowed: a list of {allowed}")
-    for x in given:
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        raise InputError(f"{name} is {value!r}; allowed: a list of {allowed}")
+    for x in value:
         if not isinstance(x, kinds):
             raise InputError(f"{name} has {x!r}; allowed: {allowed}")
-    return list(given)
+    return list(value)
 
 
-def parameter(name: str, given: ArrayLike | Tensor) -> nn.Parameter:
-    """The parameter `given`, or a new one of numbers of any shape; InputError for a computed tensor with a gradient."""
-    if not isinstance(given, nn.Parameter):
+def parameter(name: str, value: ArrayLike | Tensor) -> nn.Parameter:
+    """The parameter `value`, or a new one of numbers of any shape; InputError for a computed tensor with a gradient."""
+    if not isinstance(value, nn.Parameter):
         refuse_gradients(
-            name, given, "numbers; a torch.nn.Parameter, registered as it is; of a computed x, " + _COMPUTED
+            name, value, "numbers; a torch.nn.Parameter, registered as it is; of a computed x, " + _COMPUTED
         )
-        return nn.Parameter(reals(name, given))
-    if given.dtype != torch.float64:
-        raise InputError(f"{name} is a Parameter of {given.dtype}; allowed: torch.float64")
-    return given
+        return nn.Parameter(reals(name, value))
+    if value.dtype != torch.float64:
+        raise InputError(f"{name} is a Parameter of {value.dtype}; allowed: torch.float64")
+    return value
 
 
-def _read(name: str, given: ArrayLike | Tensor, allowed: str) -> Tensor:
-    refuse_gradients(name, given, allowed)
+def _read(name: str, value: ArrayLike | Tensor, allowed: str) -> Tensor:
+    refuse_gradients(name, value, allowed)
     try:
-        x = (given.detach() if isinstance(given, Tensor) else torch.from_numpy(np.array(given))).clone()
+        x = (value.detach() if isinstance(value, Tensor) else torch.from_numpy(np.array(value))).clone()
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {given!r}; allowed: {allowed}") from error
+        raise InputError(f"{name} is {value!r}; allowed: {allowed}") from error
     if x.is_complex():
-        raise InputError(f"{name} is {given!r}; allowed: {allowed}, real ones")
+        raise InputError(f"{name} is {value!r}; allowed: {allowed}, real ones")
     return x

@@ -21,30 +21,30 @@ Loads = Mapping[Any, Sequence[float] | Tensor]
 Supports = Mapping[Any, str | Sequence[float | None]]
 
 
-def nodes_of(line: BeamLine, given: Any) -> list[int]:
+def nodes_of(line: BeamLine, place: Any) -> list[int]:
     """Return the nodes that a name, a number, or a tuple of these stands for."""
-    if isinstance(given, str):
-        return list(line.node_set(given))
-    if isinstance(given, tuple | list):
-        return [k for one in given for k in nodes_of(line, one)]
-    if not is_whole(given) or not 0 <= given < len(line.nodes):
-        raise InputError(f"node is {given!r}; allowed: a name, 0 to {len(line.nodes) - 1}, or a tuple of these")
-    return [int(given)]
+    if isinstance(place, str):
+        return list(line.node_set(place))
+    if isinstance(place, tuple | list):
+        return [k for node in place for k in nodes_of(line, node)]
+    if not is_whole(place) or not 0 <= place < len(line.nodes):
+        raise InputError(f"node is {place!r}; allowed: a name, 0 to {len(line.nodes) - 1}, or a tuple of these")
+    return [int(place)]
 
 
-def read_wrench(name: str, given: Any) -> Float[Tensor, "*lanes 6"]:
+def read_wrench(name: str, wrench: Any) -> Float[Tensor, "*lanes 6"]:
     """Read a force, or force and moment, with its gradient; InputError names the argument."""
-    x = differentiable_reals(name, given, "3 or 6 finite numbers")
+    x = differentiable_reals(name, wrench, "3 or 6 finite numbers")
     if x.dim() == 0 or x.shape[-1] not in (3, 6) or not all_true(torch.isfinite(x)):
-        raise InputError(f"{name} is {given!r}; allowed: 3 or 6 finite numbers")
+        raise InputError(f"{name} is {wrench!r}; allowed: 3 or 6 finite numbers")
     return x if x.shape[-1] == 6 else torch.cat([x, torch.zeros_like(x)], -1)
 
 
-def read_vector(name: str, given: Any) -> Float[Tensor, " 3"]:
+def read_vector(name: str, vector: Any) -> Float[Tensor, " 3"]:
     """Read three numbers with their gradient."""
-    x = differentiable_reals(name, given, "three finite numbers")
+    x = differentiable_reals(name, vector, "three finite numbers")
     if x.shape != (3,) or not all_true(torch.isfinite(x)):
-        raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
+        raise InputError(f"{name} is {vector!r}; allowed: three finite numbers")
     return x
 
 
@@ -55,26 +55,26 @@ def nodal_loads(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor,
         return total
     if not isinstance(loads, Mapping):
         raise InputError(f"{name} is {loads!r}; allowed: nodes -> force, or force and moment")
-    for where, given in loads.items():
-        own = read_wrench(f"{name}[{where!r}]", given)
-        if own.shape != (6,):
-            raise InputError(f"{name}[{where!r}] has shape {tuple(own.shape)}; allowed: 3 or 6 numbers")
+    for where, wrench in loads.items():
+        load = read_wrench(f"{name}[{where!r}]", wrench)
+        if load.shape != (6,):
+            raise InputError(f"{name}[{where!r}] has shape {tuple(load.shape)}; allowed: 3 or 6 numbers")
         nodes = nodes_of(line, where)
-        total = total.index_add(0, torch.tensor(nodes), (own / len(nodes)).expand(len(nodes), 6))
+        total = total.index_add(0, torch.tensor(nodes), (load / len(nodes)).expand(len(nodes), 6))
     return total
 
 
-def line_loads(name: str, line: BeamLine, given: Any) -> Float[Tensor, "m 6"]:
+def line_loads(name: str, line: BeamLine, wrench: Any) -> Float[Tensor, "m 6"]:
     """Return the loads per length of all elements."""
     m = len(line.elements)
-    if given is None:
+    if wrench is None:
         return torch.zeros(m, 6, dtype=torch.float64)
-    own = read_wrench(name, given)
-    if own.shape not in ((6,), (m, 6)):
+    load = read_wrench(name, wrench)
+    if load.shape not in ((6,), (m, 6)):
         raise InputError(
-            f"{name} has shape {tuple(own.shape)}; allowed: 3 or 6 numbers, or as many for each of {m} elements"
+            f"{name} has shape {tuple(load.shape)}; allowed: 3 or 6 numbers, or as many for each of {m} elements"
         )
-    return own.expand(m, 6)
+    return load.expand(m, 6)
 
 
 def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> tuple[list[int], Float[Tensor, "n 6"]]:
@@ -82,41 +82,41 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
         raise InputError(f"supports of {name!r} is {supports!r}; allowed: nodes -> freedoms, at least one")
-    found: dict[int, float] = {}
-    for where, given in supports.items():
-        values = _values(f"support {where!r} of {name!r}", given)
+    places: dict[int, float] = {}
+    for where, support in supports.items():
+        values = _values(f"support {where!r} of {name!r}", support)
         for node in nodes_of(line, where):
             for i, x in enumerate(values):
-                if x is not None and found.setdefault(6 * node + i, x) != x:
+                if x is not None and places.setdefault(6 * node + i, x) != x:
                     raise InputError(
                         f"supports of {name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
                     )
     imposed = torch.zeros(6 * len(line.nodes), dtype=torch.float64)
-    imposed[list(found)] = torch.tensor(list(found.values()), dtype=torch.float64)
-    for node in {f // 6 for f in found}:
-        turns = [found[f] for f in range(6 * node + 3, 6 * node + 6) if f in found]
+    imposed[list(places)] = torch.tensor(list(places.values()), dtype=torch.float64)
+    for node in {f // 6 for f in places}:
+        turns = [places[f] for f in range(6 * node + 3, 6 * node + 6) if f in places]
         if len(turns) == 1 or (len(turns) == 2 and any(turns)):
             raise InputError(
                 f"supports of {name!r} hold {len(turns)} rotations of node {node}; allowed where rotations are finite: none, "
                 "all three, or two at 0 (a hinge)"
             )
-    return sorted(found), imposed.reshape(-1, 6)
+    return sorted(places), imposed.reshape(-1, 6)
 
 
-def _values(name: str, given: Any) -> list[float | None]:
-    if isinstance(given, str):
-        names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
+def _values(name: str, support: Any) -> list[float | None]:
+    if isinstance(support, str):
+        names = list(FREEDOMS) if support == "all" else support.replace(",", " ").split()
         if names and all(x in FREEDOMS for x in names):
             return [0.0 if x in names else None for x in FREEDOMS]
-    elif isinstance(given, Sequence) and len(given) == 6:
-        refuse_gradients(name, given, "six numbers, None where it is free")
-        found: list[float | None]
+    elif isinstance(support, Sequence) and len(support) == 6:
+        refuse_gradients(name, support, "six numbers, None where it is free")
+        numbers: list[float | None]
         try:
-            found = [None if x is None else float(x) for x in given]
+            numbers = [None if x is None else float(x) for x in support]
         except (TypeError, ValueError):
-            found = [float("nan")]
-        if all(x is None or abs(x) < float("inf") for x in found):
-            return found
+            numbers = [float("nan")]
+        if all(x is None or abs(x) < float("inf") for x in numbers):
+            return numbers
     raise InputError(
-        f"{name} is {given!r}; allowed: some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
+        f"{name} is {support!r}; allowed: some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
     )

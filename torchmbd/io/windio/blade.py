@@ -71,9 +71,9 @@ class WindIOBlade:
             self._airfoils(shape["airfoil_position"], _named("airfoil", data["airfoils"]))
             self._webs = _named("web", self._inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
             self._layers = _named("layer", self._inner["layers"], "material", "thickness")
-            for name, own in self._layers.items():
-                if "web" in own and own["web"] not in self._webs:
-                    raise unknown(f"web of layer {name!r}:", own["web"], self._webs)
+            for name, layer in self._layers.items():
+                if "web" in layer and layer["web"] not in self._webs:
+                    raise unknown(f"web of layer {name!r}:", layer["web"], self._webs)
         except InputError as error:
             raise InputError(f"{path.name}: {error}") from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -81,33 +81,33 @@ class WindIOBlade:
                 f"{path.name} is no windIO blade: {_error_text(error)}; allowed: components, airfoils, materials"
             ) from None
 
-    def _airfoils(self, given: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
-        found: dict[float, str] = {}
-        for name in given["labels"]:
+    def _airfoils(self, placement: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
+        labels: dict[float, str] = {}
+        for name in placement["labels"]:
             thickness = float(airfoils[name]["relative_thickness"])
-            if (first := found.setdefault(thickness, name)) != name:
+            if (first := labels.setdefault(thickness, name)) != name:
                 raise InputError(f"airfoils {first!r} and {name!r} have the same relative_thickness, {thickness:g}")
-        rising = sorted(found)
-        shapes = [_resampled(found[t], airfoils[found[t]]["coordinates"]) for t in rising]
+        rising = sorted(labels)
+        shapes = [_resampled(labels[t], airfoils[labels[t]]["coordinates"]) for t in rising]
         self._profiles = np.array(rising), np.stack(shapes)
-        along = [float(airfoils[name]["relative_thickness"]) for name in given["labels"]]
-        own = _span_values("airfoil_position", {"grid": given["grid"], "values": along})
-        self._relative = own if len(rising) == 1 else PchipInterpolator(own.grid, own.values)
+        along = [float(airfoils[name]["relative_thickness"]) for name in placement["labels"]]
+        thicknesses = _span_values("airfoil_position", {"grid": placement["grid"], "values": along})
+        self._relative = thicknesses if len(rising) == 1 else PchipInterpolator(thicknesses.grid, thicknesses.values)
 
     def contour(self, position: float) -> Array:
         """Points [n, 2] of the contour over the chord: x from the leading edge, y to the suction side."""
         t, shapes = self._profiles
         if len(t) == 1:
             return shapes[0]
-        wanted = float(np.clip(self._relative(position), t[0], t[-1]))
-        k = int(np.clip(np.searchsorted(t, wanted), 1, len(t) - 1))
-        share = (wanted - t[k - 1]) / (t[k] - t[k - 1])
+        thickness = float(np.clip(self._relative(position), t[0], t[-1]))
+        k = int(np.clip(np.searchsorted(t, thickness), 1, len(t) - 1))
+        share = (thickness - t[k - 1]) / (t[k] - t[k - 1])
         return shapes[k - 1] + share * (shapes[k] - shapes[k - 1])
 
     def station(self, position: float) -> dict[str, float]:
         """Chord [m], twist [rad], share of the chord at the reference axis, and its place x, y, z [m]."""
-        found = {name: own(position) for name, own in self._shape.items()}
-        return found | {name: own(position) for name, own in zip("xyz", self._axis, strict=True)}
+        section = {name: values(position) for name, values in self._shape.items()}
+        return section | {name: values(position) for name, values in zip("xyz", self._axis, strict=True)}
 
     def section(self, position: float, cells: int = 60, order: int = 2) -> Section:
         """The section at a part of the span: y to the suction side, z to the trailing edge, from the reference axis.
@@ -135,39 +135,39 @@ class WindIOBlade:
         places = chord * np.stack([y, x - axis], 1)
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         layers, webs = [], {name: [] for name in self._webs}
-        for number, (name, own) in enumerate(self._layers.items()):
-            thickness = _span_values(f"thickness of {name}", own["thickness"])(position, 0.0)
+        for number, (name, layer) in enumerate(self._layers.items()):
+            thickness = _span_values(f"thickness of {name}", layer["thickness"])(position, 0.0)
             if thickness < 0.0:
                 raise InputError(f"thickness of {name} at {position:g} is {thickness:g} m; allowed: zero or above")
             if thickness < THIN:
                 continue
-            if "web" in own:
-                webs[own["web"]].append((number, thickness))
+            if "web" in layer:
+                webs[layer["web"]].append((number, thickness))
             else:
                 start, end = (self._layer_end(name, side, position, length) for side in ("start", "end"))
                 layers += [Layer(number, thickness, *part) for part in _parts(name, position, start, end)]
         made = []
         for name, stack in webs.items():
             if stack:
-                own = self._webs[name]
+                web = self._webs[name]
                 places_of = [
-                    _span_values(f"{side} of {name}", own[f"{side}_nd_arc"])(position) for side in ("start", "end")
+                    _span_values(f"{side} of {name}", web[f"{side}_nd_arc"])(position) for side in ("start", "end")
                 ]
                 made.append(Web(tuple(stack), *places_of))
-        plies = [self._solid(own["material"]) for own in self._layers.values()]
+        plies = [self._solid(layer["material"]) for layer in self._layers.values()]
         angles = [
-            _span_values(f"fiber_orientation of {name}", own.get("fiber_orientation", ALONG))(position)
-            for name, own in self._layers.items()
+            _span_values(f"fiber_orientation of {name}", layer.get("fiber_orientation", ALONG))(position)
+            for name, layer in self._layers.items()
         ]
         mesh = profile_section(Profile(places), layers, made, cells, order)
         return Section(mesh, plies, angles)
 
     def _layer_end(self, name: str, side: str, position: float, length: float, depth: int = 0) -> float:
         """Return the position along the contour where a layer starts or ends; `fixed` names an edge, or a neighboring layer."""
-        own, other = self._layers[name], "end" if side == "start" else "start"
-        given = own.get(f"{side}_nd_arc")
-        if given is not None:
-            fixed = given.get("fixed")
+        layer, other = self._layers[name], "end" if side == "start" else "start"
+        arc = layer.get(f"{side}_nd_arc")
+        if arc is not None:
+            fixed = arc.get("fixed")
             if fixed == "TE":
                 return 0.0 if side == "start" else 1.0
             if fixed in self._layers and depth < len(self._layers):
@@ -176,21 +176,23 @@ class WindIOBlade:
                 raise InputError(
                     f"{side}_nd_arc of layer {name!r} is fixed at {fixed!r}; allowed: TE, or the name of a layer"
                 )
-            return _span_values(f"{side}_nd_arc of {name}", given)(position)
-        if "width" not in own or depth > len(self._layers):
+            return _span_values(f"{side}_nd_arc of {name}", arc)(position)
+        if "width" not in layer or depth > len(self._layers):
             raise InputError(
                 f"layer {name!r} has no {side}_nd_arc; allowed: start_nd_arc and end_nd_arc, or one and width"
             )
-        width = _span_values(f"width of {name}", own["width"])(position, 0.0) / length
+        width = _span_values(f"width of {name}", layer["width"])(position, 0.0) / length
         beside = self._layer_end(name, other, position, length, len(self._layers) + 1)
         return beside + width if side == "end" else beside - width
 
     def _solid(self, name: str) -> Orthotropic:
         try:
-            own = self._materials[name]
-            if not own.get("orth"):
-                return Orthotropic.isotropic(float(own["E"]), float(own["nu"]), float(own["rho"]))
-            return Orthotropic(*map(float, (*own["E"], *own["G"], *own["nu"])), density=float(own["rho"]))
+            material = self._materials[name]
+            if not material.get("orth"):
+                return Orthotropic.isotropic(float(material["E"]), float(material["nu"]), float(material["rho"]))
+            return Orthotropic(
+                *map(float, (*material["E"], *material["G"], *material["nu"])), density=float(material["rho"])
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"material {name!r}: {error!r}; allowed: E, G, nu, rho") from None
 
@@ -260,24 +262,24 @@ def _clipped(name: str, position: float, start: float, end: float) -> tuple[floa
     return start, end
 
 
-def _named(kind: str, given: Any, *keys: str) -> dict[str, Any]:
+def _named(kind: str, items: Any, *keys: str) -> dict[str, Any]:
     """Return entries by name; InputError where a name is repeated or a key is missing."""
-    found: dict[str, Any] = {}
-    for own in given:
-        name = own["name"]
-        if name in found:
+    entries: dict[str, Any] = {}
+    for entry in items:
+        name = entry["name"]
+        if name in entries:
             raise InputError(f"{kind} {name!r} stands twice")
         for key in keys:
-            if key not in own:
+            if key not in entry:
                 raise InputError(f"{kind} {name!r} has no {key}")
-        found[name] = own
-    return found
+        entries[name] = entry
+    return entries
 
 
-def _span_values(name: str, own: Mapping[str, Any]) -> _SpanValues:
+def _span_values(name: str, table: Mapping[str, Any]) -> _SpanValues:
     """Read numbers along the span; InputError where grid and values are not as many rising and finite numbers."""
     try:
-        grid, values = (np.array(own[key], dtype=float) for key in ("grid", "values"))
+        grid, values = (np.array(table[key], dtype=float) for key in ("grid", "values"))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{name}: {error!r}; allowed: grid and values, numbers") from None
     if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
@@ -287,9 +289,9 @@ def _span_values(name: str, own: Mapping[str, Any]) -> _SpanValues:
     return _SpanValues(grid, values)
 
 
-def _resampled(name: str, given: Mapping[str, Any]) -> Array:
+def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
     """Return a contour at _POINTS positions from the trailing edge over the suction side, at the same x on both sides."""
-    rows = [np.array(given[axis], dtype=float) for axis in "xy"]
+    rows = [np.array(coordinates[axis], dtype=float) for axis in "xy"]
     if rows[0].ndim != 1 or rows[0].shape != rows[1].shape or not np.isfinite(rows).all():
         raise InputError(
             f"coordinates of airfoil {name!r} are {[row.shape for row in rows]} numbers; allowed: as many, finite"
@@ -306,8 +308,8 @@ def _resampled(name: str, given: Mapping[str, Any]) -> Array:
     x = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _POINTS // 2))
     sides = []
     for half in halves:
-        own = half[np.argsort(half[:, 0], kind="stable")]
-        keep = np.concatenate([[True], np.diff(own[:, 0]) > 1e-9])
-        sides.append(PchipInterpolator(own[keep, 0], own[keep, 1])(np.clip(x, own[keep, 0][0], own[keep, 0][-1])))
+        side = half[np.argsort(half[:, 0], kind="stable")]
+        keep = np.concatenate([[True], np.diff(side[:, 0]) > 1e-9])
+        sides.append(PchipInterpolator(side[keep, 0], side[keep, 1])(np.clip(x, side[keep, 0][0], side[keep, 0][-1])))
     suction, pressure = sides
     return np.concatenate([np.stack([x, suction], 1)[::-1], np.stack([x, pressure], 1)[1:]])
