@@ -16,6 +16,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.module_call import exclusive
+from torchmbd.math.pull_back import pull_back
 
 ROWS = 16  # rows whose cotangents of a whole motion are in memory at the same time
 
@@ -61,12 +62,6 @@ def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     """Gradients [lanes, rows, n_b] of numbers [rows] by inputs [lanes, ...]."""
     if not rows.requires_grad:  # no row depends on the design
         return torch.zeros(len(inputs[0]), len(rows), sum(x[0].numel() for x in inputs), dtype=torch.float64)
-    options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-
-    def pulled(weights: Tensor) -> tuple[Tensor, ...]:
-        return torch.autograd.grad(rows, inputs, weights, **options)
-
-    unit = torch.eye(len(rows), dtype=rows.dtype)  # all rows in one backward pass
-    gradients = torch.vmap(pulled)(unit) if len(rows) > 1 else pulled(unit[0])
+    gradients = pull_back([rows], inputs, [torch.eye(len(rows), dtype=rows.dtype)])  # all rows in one backward pass
     parts = [x.reshape(len(rows), len(y), -1) for x, y in zip(gradients, inputs, strict=True)]
     return torch.cat(parts, -1).transpose(0, 1)

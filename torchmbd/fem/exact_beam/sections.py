@@ -40,22 +40,22 @@ class SpanSections:
                 )
             self.modules: dict[str, nn.Module] = {"section": self._table}
             return
-        given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * m
-        if len(given) != m:
-            raise InputError(f"{len(given)} sections for {m} elements of {name!r}; allowed: one, or one for each")
-        for own in given:
-            if not (isinstance(own, nn.Module) and isinstance(own, BeamSection)):
-                raise InputError(f"section of {name!r} is {own!r}; allowed: a Section, a GivenSection, a SectionTable")
-        self._own = list(dict.fromkeys(given))
-        self._index = torch.tensor([self._own.index(own) for own in given])
-        names = ["section"] if len(self._own) == 1 else [f"section{k}" for k in range(len(self._own))]
-        self.modules = dict(zip(names, self._own, strict=True))
+        by_element: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * m
+        if len(by_element) != m:
+            raise InputError(f"{len(by_element)} sections for {m} elements of {name!r}; allowed: one, or one for each")
+        for x in by_element:
+            if not (isinstance(x, nn.Module) and isinstance(x, BeamSection)):
+                raise InputError(f"section of {name!r} is {x!r}; allowed: a Section, a GivenSection, a SectionTable")
+        self._sections = list(dict.fromkeys(by_element))
+        self._index = torch.tensor([self._sections.index(x) for x in by_element])
+        names = ["section"] if len(self._sections) == 1 else [f"section{k}" for k in range(len(self._sections))]
+        self.modules = dict(zip(names, self._sections, strict=True))
 
     def stiffness(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
         """Stiffness at parts t of the elements; InputError where it is not positive definite."""
         at = positions(length, t)
-        found = self._at("stiffness", at)
-        good = torch.linalg.cholesky_ex(untransformed(found))[1] == 0
+        matrices = self._at("stiffness", at)
+        good = torch.linalg.cholesky_ex(untransformed(matrices))[1] == 0
         if not all_true(good):
             m, g = at.shape[-2:]
             k = int(good.reshape(-1, m * good.shape[-1]).all(0).logical_not().nonzero()[0, 0])
@@ -67,7 +67,7 @@ class SpanSections:
                 f"section of {self.name!r} at {place:.3g} of its length (element {element}) is not positive definite; "
                 "allowed: a stiffness that does work in every strain"
             )
-        return found
+        return matrices
 
     def mass(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
         """Mass per length at parts t of the elements."""
@@ -76,7 +76,7 @@ class SpanSections:
     def _at(self, what: str, at: Tensor) -> Tensor:
         if self._table is not None:
             return getattr(self._table, what)(at)
-        every = torch.stack(torch.broadcast_tensors(*(getattr(own, what)() for own in self._own)), -3)
+        every = torch.stack(torch.broadcast_tensors(*(getattr(section, what)() for section in self._sections)), -3)
         return every[..., self._index, None, :, :]
 
 
@@ -122,10 +122,10 @@ def element_properties(
     offset = offset.expand(len(matrices.elements), 2)[:, None]
     t = matrices.stations
     at = ends[..., :1] + t * (ends[..., 1:] - ends[..., :1])
-    own = block(_turn(at)).mT @ line_transform(
+    force_map = block(_turn(at)).mT @ line_transform(
         offset, at
     )  # forces of the section about the line, in the section's axes
-    stiffness = own @ sections.stiffness(matrices.length, t) @ own.mT
+    stiffness = force_map @ sections.stiffness(matrices.length, t) @ force_map.mT
     compliance = matrices.average(balanced_inverse(stiffness))
     turn = _turn(ends)
     axes = matrices.frames(_ENDS).mT @ turn

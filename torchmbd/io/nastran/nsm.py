@@ -94,29 +94,29 @@ def _chosen(data: BulkData, control: Control | None) -> list[Card]:
 def _carriers(
     data: BulkData, bulk: BulkMesh, units: Units, heights: Mapping[tuple[int, float], float]
 ) -> list[Carrier]:
-    none, found = (0.0, 0.0, 0.0), []
-    for own, kind, height in (
+    none, carriers = (0.0, 0.0, 0.0), []
+    for cell, kind, height in (
         *((x, data.properties[x.property].name, heights[x.property, x.offset]) for x in data.shells),
         *((x, "PSHEAR", 0.0) for x in data.panels),
     ):
-        x = np.array([data.grids[grid] for grid in own.grids])
+        x = np.array([data.grids[grid] for grid in cell.grids])
         normal = 0.5 * np.cross(x[2] - x[0], x[-1 if len(x) == 4 else 2] - x[1])
         area = float(np.linalg.norm(normal))
         arm = tuple((normal / area * height).tolist()) if height else none
-        nodes = tuple(bulk.index[grid] for grid in own.grids)
-        found.append(Carrier(kind, own.property, own.card.integer(1, "EID"), area, nodes, arm))
+        nodes = tuple(bulk.index[grid] for grid in cell.grids)
+        carriers.append(Carrier(kind, cell.property, cell.card.integer(1, "EID"), area, nodes, arm))
     places = bulk.mesh.nodes.detach().numpy()
     for bar, nodes, offset in zip(data.bars, bulk.bars.nodes, bulk.bars.offset, strict=True):
         length = float(np.linalg.norm(places[nodes[1]] - places[nodes[0]])) / units.length
         kind, arm = data.properties[bar.property].name, tuple((offset * units.length).tolist())
-        found.append(Carrier(kind, bar.property, bar.card.integer(1, "EID"), length, nodes, arm))
+        carriers.append(Carrier(kind, bar.property, bar.card.integer(1, "EID"), length, nodes, arm))
     for link in data.links:
         kind = {"CROD": "PROD", "CTUBE": "PTUBE", "CONROD": "CONROD"}.get(link.card.name)
         if kind is not None:
             a, b = (np.array(data.grids[grid]) for grid in link.grids)
             number, nodes = link.card.integer(1, "EID"), tuple(bulk.index[grid] for grid in link.grids)
-            found.append(Carrier(kind, link.property or number, number, float(np.linalg.norm(b - a)), nodes, none))
-    return [own._replace(kind="PCOMP" if own.kind == "PCOMPG" else own.kind) for own in found]
+            carriers.append(Carrier(kind, link.property or number, number, float(np.linalg.norm(b - a)), nodes, none))
+    return [x._replace(kind="PCOMP" if x.kind == "PCOMPG" else x.kind) for x in carriers]
 
 
 def _shares(card: Card, carriers: list[Carrier]) -> Iterator[tuple[Carrier, float]]:
@@ -124,9 +124,9 @@ def _shares(card: Card, carriers: list[Carrier]) -> Iterator[tuple[Carrier, floa
     kind = card.text(2).upper()
     kind = "PCOMP" if kind == "PCOMPG" else kind
     by_number: dict[int, list[Carrier]] = {}
-    for own in carriers:
-        if kind in ("ELEMENT", own.kind):
-            by_number.setdefault(own.number if kind == "ELEMENT" else own.property, []).append(own)
+    for carrier in carriers:
+        if kind in ("ELEMENT", carrier.kind):
+            by_number.setdefault(carrier.number if kind == "ELEMENT" else carrier.property, []).append(carrier)
     if card.name in ("NSM1", "NSML1"):
         every = [word for word in card.fields[3:] if word] == ["ALL"]
         groups = [(list(by_number) if every else card.integers(4, by_number), card.real(3, "VALUE"))]
@@ -140,10 +140,10 @@ def _shares(card: Card, carriers: list[Carrier]) -> Iterator[tuple[Carrier, floa
                 f"{card}: TYPE {kind}, ID {missing or numbers}, VALUE {value:g}; allowed: numbers of {kind} with shells, "
                 "panels, bars or rods, a value >= 0"
             )
-        members = [own for number in dict.fromkeys(numbers) for own in by_number[number]]
+        members = [carrier for number in dict.fromkeys(numbers) for carrier in by_number[number]]
         if card.name in ("NSML", "NSML1"):
-            if len({own.kind in _AREAS for own in members}) > 1:
+            if len({carrier.kind in _AREAS for carrier in members}) > 1:
                 raise InputError(f"{card}: its mass is spread over areas and lengths; allowed: one of both")
-            value = value / sum(own.measure for own in members)
-        for own in members:
-            yield own, value * own.measure
+            value = value / sum(carrier.measure for carrier in members)
+        for carrier in members:
+            yield carrier, value * carrier.measure

@@ -151,29 +151,29 @@ def followers(
     rigids: list[Rigid], constraints: list[Constraint], index: dict[int, int], axes: Axes, length: float
 ) -> list[Follower]:
     """Links of a body; `length`: meters per unit of the file. InputError names the cards that contradict each other."""
-    found: list[tuple[Card, Follower]] = []
-    for own in rigids:
-        if own.weights:
-            chosen = _basic_freedoms(own.card, own.grid, own.components, axes)
-            others = tuple(index[grid] for grid in own.others)
-            found.append((own.card, Average(index[own.grid], others, own.weights, chosen)))
+    links: list[tuple[Card, Follower]] = []
+    for rigid in rigids:
+        if rigid.weights:
+            chosen = _basic_freedoms(rigid.card, rigid.grid, rigid.components, axes)
+            others = tuple(index[grid] for grid in rigid.others)
+            links.append((rigid.card, Average(index[rigid.grid], others, rigid.weights, chosen)))
             continue
-        for grid in own.others:
-            chosen = _basic_freedoms(own.card, grid, own.components, axes)
-            found.append((own.card, RigidLink(index[grid], index[own.grid], chosen)))
-    found += [(own.card, _combination(own, index, axes, length)) for own in constraints]
-    _check_links(found, {node: grid for grid, node in index.items()})
-    return [link for _, link in found]
+        for grid in rigid.others:
+            chosen = _basic_freedoms(rigid.card, grid, rigid.components, axes)
+            links.append((rigid.card, RigidLink(index[grid], index[rigid.grid], chosen)))
+    links += [(x.card, _combination(x, index, axes, length)) for x in constraints]
+    _check_links(links, {node: grid for grid, node in index.items()})
+    return [link for _, link in links]
 
 
-def _combination(own: Constraint, index: dict[int, int], axes: Axes, length: float) -> Combination:
+def _combination(constraint: Constraint, index: dict[int, int], axes: Axes, length: float) -> Combination:
     """u1 = -(A2 u2 + ...) / A1 in meters, along the basic axes."""
-    first = own.terms[0]
-    (led,) = _basic_freedoms(own.card, first.grid, str(first.component), axes)
+    first = constraint.terms[0]
+    (led,) = _basic_freedoms(constraint.card, first.grid, str(first.component), axes)
     unit = _direction(first.component, axes(first.grid))[led]  # 1 or -1
     size = unit * first.factor * _per_meter(first.component, length)
     terms: dict[tuple[int, int], float] = {}
-    for grid, component, factor in own.terms[1:]:
+    for grid, component, factor in constraint.terms[1:]:
         for i, e in enumerate(_direction(component, axes(grid))):
             if e != 0.0 and factor != 0.0:
                 key = index[grid], i
@@ -195,25 +195,25 @@ def _direction(component: int, axes: np.ndarray) -> np.ndarray:
 
 def _basic_freedoms(card: Card, grid: int, components: str, axes: Axes) -> tuple[int, ...]:
     """Return the freedoms 0 to 5 along the basic axes of components of a grid in its system CD."""
-    own, chosen = axes(grid), []
+    system, chosen = axes(grid), []
     for triad in ("123", "456"):
-        wanted = [int(word) for word in triad if word in components]
-        directions = [_direction(component, own) for component in wanted]
-        if len(wanted) < 3 and any(np.count_nonzero(e) != 1 for e in directions):
+        numbers = [int(word) for word in triad if word in components]
+        directions = [_direction(component, system) for component in numbers]
+        if len(numbers) < 3 and any(np.count_nonzero(e) != 1 for e in directions):
             raise InputError(
                 f"{card}: components {components} of GRID {grid} are in a system CD that is turned; allowed: 123 or 456 "
                 "together, or axes along the basic ones"
             )
-        if len(wanted) == 3:
-            chosen += [wanted[0] - 1 + k for k in range(3)]
+        if len(numbers) == 3:
+            chosen += [numbers[0] - 1 + k for k in range(3)]
         else:
             chosen += [int(e.nonzero()[0][0]) for e in directions]
     return tuple(sorted(chosen))
 
 
-def _check_links(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
+def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
     led: dict[tuple[int, int], Card] = {}
-    for card, link in found:
+    for card, link in links:
         for i in link.components:
             if (link.node, i) in led:
                 raise InputError(
@@ -222,7 +222,7 @@ def _check_links(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
                 )
             led[link.node, i] = card
     order = graphlib.TopologicalSorter[tuple[int, int]]()
-    for _, link in found:
+    for _, link in links:
         for i in link.components:
             order.add((link.node, i), *(source for source in _sources(link) if source in led))
     try:
