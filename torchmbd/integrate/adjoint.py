@@ -39,6 +39,7 @@ from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.math.pair import value
+from torchmbd.math.pull_back import pull_back
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import History, segments
@@ -114,17 +115,10 @@ class Grid:
             of_motion.append(by.laws)
         used = [(y, x) for y, x in zip(outputs, of_motion, strict=True) if y.requires_grad]
         leaves = list(self.leaves.values())
-        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-
-        def pulled(*rows: Tensor) -> tuple[Tensor, ...]:
-            return torch.autograd.grad([y for y, _ in used], leaves, rows, **options)
-
         if not used:
             return {}
         rows = [x if x.shape[-1] == y.shape[-1] else x.sum(-1, keepdim=True) for y, x in used]
-        if rows[0].shape[-2] == 1:  # torch.vmap takes as long as another row
-            return dict(zip(self.leaves, pulled(*rows), strict=True))
-        found = torch.vmap(pulled)(*(x.movedim(-2, 0).unsqueeze(-2) for x in rows))
+        found = pull_back([y for y, _ in used], leaves, [x.movedim(-2, 0).unsqueeze(-2) for x in rows])
         return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, found, strict=True)}
 
 

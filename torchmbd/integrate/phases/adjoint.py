@@ -31,7 +31,7 @@ from torchmbd.errors import warn
 from torchmbd.integrate.adjoint import INACCURATE, AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pull_back, rows_first, zeros
+from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
 from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
 from torchmbd.integrate.phases.switch import data_with_marks
@@ -156,9 +156,9 @@ class PhaseAdjoint:
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
         kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
-        found = pull_back([end, *y], [x[..., own] for x in so_far.exit], inputs, rows)
+        found = pulled_back([end, *y], [x[..., own] for x in so_far.exit], inputs, rows)
         if g is not None:
-            slopes = pull_back([g], [torch.ones_like(g)[None]], inputs, 1)
+            slopes = pulled_back([g], [torch.ones_like(g)[None]], inputs, 1)
             mu = -found[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
             found = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(found, slopes, kinds, strict=True)]
         _, by_t, *by_state = found[: 2 + len(base)]
@@ -292,7 +292,7 @@ class PhaseAdjoint:
                 outputs.append(data[name])
                 of_outputs.append(so_far.by.pop(("data", name), None))
         inputs = [t, *x] if number else []
-        by_inputs = pull_back(outputs, of_outputs, [*inputs, *leaves.leaves.values()], rows)
+        by_inputs = pulled_back(outputs, of_outputs, [*inputs, *leaves.leaves.values()], rows)
         so_far.exit = by_inputs[: len(inputs)]
         for key, cotangent in zip(leaves.leaves, by_inputs[len(inputs) :], strict=True):
             so_far.add(key, every, cotangent)
