@@ -106,7 +106,8 @@ class ReverseIntegration:
         self.dynamics = with_backend(replace(self.model, data=data), self.backend, kind, also)
         if self.differentiated and self.segments is None:
             self._of_leaves = differentiable(self.dynamics, self.differentiated)
-        problem = self._problem = self._problem_of(self._of_leaves or self.dynamics, designs)
+        self._problem = self._problem_of(self.dynamics, designs)
+        problem = self._problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration)
         if self.steps is None:
             assert self.system is not None
             check_memory = memory_check(self.system, self.dynamics.lanes, 0, self.integrator)
