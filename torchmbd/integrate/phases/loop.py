@@ -35,6 +35,7 @@ from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import SEGMENT, History
 from torchmbd.results.state import State
@@ -220,7 +221,19 @@ class _PhaseLoop:
             rows = [rows[k] for k in c.rows.tolist()]
         self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
         if self.estimates is not None and errors is not None:
-            self.estimates.update(first, History(q, v, vd, lam), errors, stepped)
+            unknowns = states if c is None else self._unknowns(c, states)
+            self.estimates.update(first, unknowns, errors, stepped)
+
+    def _unknowns(self, c: Condensation, states: History) -> History:
+        """Condensed states as those of the whole system, zero where a body is no unknown: its motion has no error."""
+        T, (q, v, vd, lam) = self.dynamics.topology, states.states
+
+        def whole(x: Tensor, rows: Tensor, count: int) -> Tensor:
+            return x.new_zeros(len(x), count, 1, x.shape[-1]).index_copy(1, rows, x[:, :, :1])
+
+        return History(
+            whole(q, c.coordinates, T.n_q), whole(v, c.independent, T.n_v), whole(vd, c.independent, T.n_v), lam
+        )
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""
