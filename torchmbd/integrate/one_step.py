@@ -9,9 +9,9 @@ The methods of this family differ in the `Weights` (step.py) of a step of size h
 z = (v1', lam); constraint rows are divided by dq1/dv1', which makes the iteration matrix the saddle-point matrix of the
 accelerations, well scaled for every h.
 
-Iteration: z <- z - H R(z), a fixed number of times. H is the inverse of the iteration matrix, renewed before the last
-correction of values: the correction before that leaves little, so the last converges like Newton's, and the tangents of
-the *discrete* map are one more solution with nearly the exact matrix:
+Iteration: z <- z - H R(z), a fixed number of times, and further in lanes where an estimate says so (stepper.py). H is the
+inverse of the iteration matrix, renewed before the last correction of values: the correction before that leaves little, so the
+last converges like Newton's, and the tangents of the *discrete* map are one more solution with nearly the exact matrix:
 
     R_z dz + R_x dx + R_b = 0   by   dz <- dz - H (R_z dz + R_x dx + R_b)
 
