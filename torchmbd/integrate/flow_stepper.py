@@ -69,7 +69,7 @@ class FlowStepper:
         a, lam = f.accelerations(times[-1], y)
         return [*y.split([len(own[0]), len(own[1])]), a, a, lam]
 
-    def restart(self) -> None:
+    def restart(self, lanes: Tensor | None = None) -> None:
         """As of Stepper: nothing is kept."""
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:

@@ -16,7 +16,7 @@ Checked in tests/contracts/test_integrators.py.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 
@@ -39,6 +39,7 @@ class IntegrationResult:
     failed     lanes that were given up, with the reason; numbers count up to there only
     contacts   of lanes with contacts that the steps do not show, the first
     doubts     of lanes whose events the steps may have missed, the first
+    for_good   lanes among those that failed that would with smaller steps as well
     switches   between segments
     data       with the marks of locks; None: those of the problem
     """
@@ -48,6 +49,7 @@ class IntegrationResult:
     failed: Mapping[int, str] = field(default_factory=dict)
     contacts: Mapping[int, UnresolvedContact] = field(default_factory=dict)
     doubts: Mapping[int, str] = field(default_factory=dict)
+    for_good: Set[int] = frozenset()
     switches: list[Switch] = field(default_factory=list)
     data: Data | None = None
 
@@ -81,8 +83,8 @@ class Stepper(Protocol):
         """Algorithmic accelerations at all times of true ones vd [times, n_v, pair, lanes], the first being a."""
         ...
 
-    def restart(self) -> None:
-        """Discard what is kept: the state has jumped."""
+    def restart(self, lanes: Tensor | None = None) -> None:
+        """Discard what is kept: the state of all lanes, or of those of a mask, has jumped."""
         ...
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:

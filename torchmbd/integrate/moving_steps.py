@@ -40,7 +40,7 @@ class MovingSteps:
         """As of Stepper."""
         return algorithmic(self.integrator.weights(1.0), a, vd)
 
-    def restart(self) -> None:
+    def restart(self, lanes: Tensor | None = None) -> None:
         """As of Stepper: nothing is kept."""
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:

@@ -109,8 +109,9 @@ class LaneResults:
     ) -> None:
         """Take over the statistics of replaced lanes, and list them by how they were integrated again."""
         for name in (*STEP_STATISTICS, "tangent_error"):
-            if name in self.statistics:
-                self.statistics[name][targets] = other[name][sources]
+            if name in self.statistics or name in other:  # of a lane that has not come to a check there is none
+                none = torch.zeros(len(self.status), dtype=torch.float64)
+                self.statistics.setdefault(name, none)[targets] = other[name][sources] if name in other else 0.0
         if "valid_times" in self.statistics:
             self.statistics["valid_times"][targets] = (other["valid_times"][sources] + substeps - 1) // substeps
         by_smaller_steps = {lanes[source] for source in other.get("halved", [])}.intersection(targets)
@@ -160,7 +161,7 @@ def integrate_lanes(
     to_retry = [
         lane
         for lane, reason in enumerate(status)
-        if has_failed(reason) and lane not in dynamics.start_errors and lane not in contacts
+        if has_failed(reason) and lane not in {*dynamics.start_errors, *contacts, *first.for_good}
     ]
     results = LaneResults(first.history, statistics, status, first.switches, first.data)
     finer, lanes = _substeps_for_contacts(integrator, problem.dynamics, steps, substeps, contacts), list(contacts)

@@ -152,14 +152,18 @@ class ReverseIntegration:
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
-            result[DURATION] = torch.stack([(y * dx).flatten(0, -3).sum(0) for y, dx in pairs]).sum(0)
+            products = [
+                torch.where(y != 0.0, y * dx, 0.0) for y, dx in pairs
+            ]  # no number is asked of a motion without one
+            result[DURATION] = torch.stack([x.flatten(0, -3).sum(0) for x in products]).sum(0)
         return [result.get(name) for name in (*self.names, *self.designs)]
 
     @cached_property
     def _by_duration(self) -> list[Tensor]:
         """Tangents of all outputs by the duration, by operators of torch."""
         self.stats["gradient by the duration"] = "eager"
-        return self._integrated({DURATION: torch.ones(1, 1, dtype=torch.float64)}, {})
+        found = self._integrated({DURATION: torch.ones(1, 1, dtype=torch.float64)}, {})
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in found]
 
     @cached_property
     def adjoint(self) -> Adjoint:

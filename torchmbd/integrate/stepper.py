@@ -103,9 +103,10 @@ class EagerStepper:
         step = StepPullback(self.model, before, after, prescribed, self.least, self.negligible)
         return step(y, lambda K: self.factor(regularized(K.mT, self.diagonal)))
 
-    def restart(self) -> None:
+    def restart(self, lanes: Tensor | None = None) -> None:
         """As of Stepper."""
-        self.H = self.scale = None
+        self.H = None
+        self.scale = None if lanes is None or self.scale is None else torch.where(lanes, torch.nan, self.scale)
 
     def _step(self, i: int, x: State, prescribed: Prescribed) -> State:
         """The state after step i."""
@@ -135,7 +136,7 @@ class EagerStepper:
         self.scale = torch.where(reached > self.scale, reached, self.scale)
         further = torch.zeros_like(last)
         for _ in range(MORE):
-            open_lanes = last * last > PRECISE * self.scale * before
+            open_lanes = self.counts & (last * last > PRECISE * self.scale * before)
             if not bool(open_lanes.any()):
                 break
             self._factorize(step, z, open_lanes)
@@ -150,10 +151,11 @@ class EagerStepper:
 
     def _begin(self, x: State) -> None:
         """Accelerations of the first state are those of before; and what the rounding of coordinates makes of them."""
-        if self.scale is None:
+        if self.scale is None or bool(self.scale.isnan().any()):
             largest = value(x.vd).abs().amax((0, 1)).nan_to_num(0.0, 0.0)
-            rounding = _ROUNDING * value(x.q).abs().amax((0, 1)) * self.model.plain.inverse_scale
-            self.scale = largest.maximum(rounding).expand(self.dynamics.lanes).contiguous()
+            rounding = _ROUNDING * value(x.q).abs().amax((0, 1)).nan_to_num(0.0, 0.0) * self.model.plain.inverse_scale
+            start = largest.maximum(rounding).expand(self.dynamics.lanes).contiguous()
+            self.scale = start if self.scale is None else torch.where(self.scale.isnan(), start, self.scale)
 
     def _factorize(self, step: Any, z: Tensor, lanes: Tensor | None = None) -> None:
         """New matrices at z, of all lanes or of some."""

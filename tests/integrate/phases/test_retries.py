@@ -113,3 +113,23 @@ def test_checkpoints_keep_fewer_states_of_the_same_motion(name, backend):
     assert_close(few.q, every.q[:, ::6], rtol=0, atol=1e-9)
     assert_close(few.lam, every.lam[:, ::6], rtol=0, atol=1e-6 * float(every.lam.detach().abs().max()))
     assert_close(slopes_of_few, slopes, rtol=1e-6, atol=1e-7 * float(slopes.abs().max()))
+
+
+def test_a_lane_that_fails_in_an_early_phase_leaves_statistics_and_gradients_of_the_others():
+    """Its phase never ends, with smaller steps as well: it is not tried again. By the duration all outputs move at once."""
+    system = dropped(stiffness=mbd.variable(2e3), damping=0.1, height=0.005)
+    falls = mbd.Event(lambda m: m.v[..., 2] + 0.1, "rising")
+    phases = [mbd.Phase(until=falls), mbd.Phase(until=0.045), mbd.Phase()]
+    designs = {STIFFNESS: tensor(4e4, 2e3)}
+    options: dict[str, Any] = {"steps": 60, "phases": phases, "backend": "eager", "halvings": 0}
+    forward = mbd.simulate(system, 0.1, designs=designs, gradients="forward", variables=[STIFFNESS], **options)
+    assert [status.startswith("failed") for status in forward.status] == [False, True]
+    assert "renewed" not in forward.stats
+    assert "tangent_error" in forward.stats
+
+    def slope(k: Tensor) -> Tensor:
+        T = torch.tensor(0.1, dtype=torch.float64, requires_grad=True)
+        motion = mbd.simulate(system, T, designs={STIFFNESS: k}, **options)
+        return torch.autograd.grad(motion.q[0, -1, 2], T)[0]
+
+    assert_close(slope(designs[STIFFNESS]), slope(tensor(4e4)), rtol=1e-9, atol=0)

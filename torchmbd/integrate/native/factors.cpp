@@ -152,7 +152,7 @@ void renew(const In& in, const Mechanism& m, long unknowns, const double* row_ma
 }
 
 // Renews the factors and solves for the row sums: all rates must come out as one. A lane whose matrix is nan says nothing, nor
-// does one that does not count.
+// does one whose iterations do not converge (counted: 2 where they do).
 bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* row_mask, const double* diagonal_shift,
               const V& counted, V* K, V* b) {
   V sound = spread(0.0);
@@ -166,7 +166,7 @@ bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* r
   solve(m, c.unknowns, K, b);
   bool good = true;
   for (long i = 0; i < c.n_v; i++)
-    for (int l = 0; l < LANES; l++) good &= counted[l] == 0.0 || sound[l] != 0.0 || std::fabs(b[i][l] - 1.0) <= INACCURATE;
+    for (int l = 0; l < LANES; l++) good &= counted[l] != 2.0 || sound[l] != 0.0 || std::fabs(b[i][l] - 1.0) <= INACCURATE;
   return good;
 }
 

@@ -24,7 +24,7 @@ struct Job {
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
   const Feedback *feedback;                                      // or null
-  const double *counted;                                         // [block][LANES], one of lanes whose motion goes on, or zero
+  const double *counted;                                         // [block][LANES]: 0 of lanes without a motion, 1, 2: iterations converge
   double *scale;                                                 // [block][LANES], largest accelerations so far, in and out
 };
 
@@ -139,7 +139,8 @@ extern "C" long run_steps(const Job* job) {
       }
       const V reached = largest(z, c.n_v);
       scale = reached > scale ? reached : scale;
-      V open = imprecise(before, last_size, scale);
+      const V counted = ((const V*)J.counted)[block];
+      V open = counted != 0.0 ? imprecise(before, last_size, scale) : spread(0.0);
       V further = spread(0.0);
       for (long k = 0; k < MORE && any(open); k++) {  // of some lanes alone, each with a matrix of its own
         if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;

@@ -76,10 +76,10 @@ class NativeStepper(EagerStepper):
         self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
         self.scratch = torch.empty(code.steps_scratch(library.address, self.n_b) // 8, dtype=torch.float64)
 
-    def restart(self) -> None:
-        super().restart()
+    def restart(self, lanes: Tensor | None = None) -> None:
+        super().restart(lanes)
         self.fresh = 1
-        self.sound = torch.ones(self.lanes, dtype=torch.bool)
+        self.sound = torch.ones_like(self.sound) if lanes is None else self.sound | lanes
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         if self.code is None:
@@ -119,7 +119,7 @@ class NativeStepper(EagerStepper):
         arrays += [part[start:] for part in record.parts] + [sizes, errors, self.scratch, moved]
         assert self.scale is not None
         scale = blocks(self.scale[None, None])
-        counted = blocks((self.counts & self.sound).double()[None, None])
+        counted = blocks((self.counts * (1.0 + self.sound))[None, None].double())
         arrays += [blocks(self.passes[None, None]), counted, scale]
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)

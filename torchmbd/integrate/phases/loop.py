@@ -54,7 +54,7 @@ def integrate(
     phase_exit, errors = multiphase.start(), {}
     for number in range(len(multiphase.phase_models)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator, estimates).run()
-        errors = {name: x.maximum(errors.get(name, x)) for name, x in of_phase.items()} or errors
+        errors |= {name: x.maximum(errors.get(name, x)) for name, x in of_phase.items()}
     return errors
 
 
@@ -105,7 +105,7 @@ class _PhaseLoop:
             arriving = lane_numbers(self.alive & (self.first == i))
             if arriving:
                 x = put_states(x, arriving, pick_states(record.arrival, arriving))
-                stepper.restart()
+                stepper.restart(self.alive & (self.first == i))
                 inside |= self._arrived(i, arriving, x)
             if i == last or not bool(self.alive.any()):
                 break

@@ -36,7 +36,10 @@ class SeveralSegments:
         statistics = integrator.integrate_phases(run)
         failed = {lane: reason for lane, reason in enumerate(run.failures) if reason}
         contacts = run.watch.unresolved(self.duration / steps, by_steps=integrator.adjoint)
-        return IntegrationResult(run.history, statistics, failed, contacts, run.doubts, run.switches, run.whole.data)
+        run.watch.gaps_and_rates = None  # of all steps: the run is kept for the adjoint
+        return IntegrationResult(
+            run.history, statistics, failed, contacts, run.doubts, run.failed_for_good, run.switches, run.whole.data
+        )
 
     def select_lanes(self, lanes: Sequence[int]) -> SeveralSegments:
         """As of InitialValueProblem."""

@@ -126,6 +126,7 @@ class MultiphaseRun:
         T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.failures = [""] * lanes  # the first reason why a lane has failed
+        self.failed_for_good: set[int] = set()  # lanes that would with smaller steps as well
         self.doubts: dict[int, str] = {}  # of lanes whose numbers stay
         self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
@@ -328,6 +329,7 @@ class MultiphaseRun:
             return t + time
         for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
             begins = float(value(t)[0, lane])
+            self.failed_for_good.add(lane)
             self.fail(
                 lane, f"phase {phase_model.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s"
             )
@@ -351,6 +353,7 @@ class MultiphaseRun:
             reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
         else:
             reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
+        self.failed_for_good.add(lane)
         self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
 
     def record(self, number: int, first: int, counted: Tensor, states: Sequence[Tensor], rows: Sequence[int]) -> None:
