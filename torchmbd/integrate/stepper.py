@@ -32,7 +32,7 @@ TANGENT_ERROR = 2e-5
 MOST = 4  # corrections of tangents
 # Corrections of values that a step makes on top, each with a new matrix, in lanes whose estimated error is above a share of the
 # largest acceleration so far: gradients are those of equations that are solved.
-MORE, PRECISE = 6, 1e-4
+MORE, PRECISE = 6, 1e-6
 _NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.

@@ -6,7 +6,7 @@
 // If factors cannot be relied on, `run_steps` returns 1 and has done nothing; 2 where what was called back raised.
 
 constexpr int MOST = 4, MORE = 6;     // as in stepper.py
-constexpr double PRECISE = 1e-4;      // as in stepper.py
+constexpr double PRECISE = 1e-6;      // as in stepper.py
 
 struct Job {
   long lanes, n_b, data, data_tangents, uniform;                 // numbers of each
