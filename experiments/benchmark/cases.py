@@ -152,7 +152,15 @@ def differentiable_motion(
     model = replace(dynamics, data={})
     integrator = GeneralizedAlpha().with_defaults(dynamics.topology)
     made = ReverseIntegration(
-        None, model, tuple(data), duration, False, steps, integrator, with_gradients=True, differentiated=tuple(moving)
+        None,
+        None,
+        model,
+        tuple(data),
+        (),
+        duration,
+        steps,
+        integrator,
+        differentiated=tuple(moving),
     )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]

@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 import torchmbd as mbd
+from experiments import slider_crank
 from tests.mechanisms import pendulum
 from torchmbd.integrate import METHODS
 from torchmbd.integrate.registry import INTEGRATORS
@@ -94,3 +96,27 @@ def test_a_body_that_a_drive_moves_has_its_exact_motion_in_every_segment(phases)
         rows = [component * bodies + k for component in range(components)]
         x, y = (getattr(m, name)[..., rows] for m in (motion, plain))
         torch.testing.assert_close(x, y, rtol=0.0, atol=1e-13 * float(y.abs().max()))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("options", [{"steps": 240}, {"steps": 240, "checkpoint": 5}, {}])
+@pytest.mark.parametrize("gradients", ["none", "reverse"])
+def test_a_switch_that_changes_nothing(options, gradients):
+    """Status, statistics and numbers of the motion without it, to what two further steps leave."""
+    system = slider_crank.build(3, cells=(6, 2), modes=4)
+    name, found = "rod.laminate.angles", []
+    for phases in (None, [mbd.Phase(until=0.0107), mbd.Phase()]):
+        angles = mbd.deg([[20.0, -30.0, 40.0], [0.0, 5.0, -5.0]]).requires_grad_(gradients == "reverse")
+        motion = mbd.simulate(system, 0.024, designs={name: angles}, phases=phases, gradients=gradients, **options)
+        energy = mbd.Integral(mbd.StrainEnergy("rod"))(motion)
+        slopes = torch.autograd.grad(energy.sum(), angles) if gradients == "reverse" else ()
+        found.append((motion, [energy.detach(), *slopes]))
+    (plain, values), (switched, others) = found
+    assert switched.status == plain.status == ["ok", "ok"]
+    assert set(switched.stats) == set(plain.stats)
+    assert switched.stats["steps"] == plain.stats["steps"]
+    for statistic in ("turn", "step_error", "suggested_steps"):
+        assert_close(switched.stats[statistic], plain.stats[statistic], rtol=0.1, atol=0)
+    assert_close(switched.q, plain.q, rtol=0, atol=1e-6)
+    for x, y in zip(others, values, strict=True):
+        assert_close(x, y, rtol=0, atol=1e-3 * float(y.abs().max()))

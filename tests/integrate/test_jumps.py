@@ -159,7 +159,7 @@ def test_the_duration_of_the_values_is_not_that_of_the_motion():
     ("system", "options"),
     [
         (held(1.0, -1.0, 2.0), {"halvings": 0}),
-        (held(1.0, -1.0, 2.0), {"phases": [mbd.Phase(until=0.5), mbd.Phase()]}),
+        (held(1.0, -1.0, 2.0), {"halvings": 0, "phases": [mbd.Phase(until=0.5), mbd.Phase()]}),
         (held(1.0, -1.0, 2.0, wrap=nn.Linear(1, 1, dtype=torch.float64)), {"halvings": 0}),
         pytest.param(held(1.0, -1.0, 2.0), {"method": "midpoint"}, marks=pytest.mark.thorough),
     ],

@@ -74,9 +74,9 @@ def test_a_slider_driven_through_its_dead_point_fails_with_a_word():
         near = float(motion.status[0].partition("near t = ")[2].partition(" s")[0])
         assert near == pytest.approx(reach, rel=0.15)
     # An iteration that settles with the joints open has not converged to a motion.
-    motion = mbd.simulate(system, 1.5 * reach, steps=120, iterations=(8, 2), refresh=0, halvings=0)
-    assert float(motion.stats["iteration_error"]) < 1e-2
-    assert "the joints could not stay closed" in motion.status[0]
+    for steps in (60, 120, 240):
+        motion = mbd.simulate(system, 1.5 * reach, steps=steps, iterations=(8, 2), refresh=0, halvings=0)
+        assert motion.status[0].startswith("failed")
 
 
 def parallelogram(angle: float, speed: float, coupler: mbd.RigidBody | mbd.FlexibleBody, side: float) -> mbd.System:

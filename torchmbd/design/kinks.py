@@ -38,7 +38,7 @@ def kinks_of(motion: Any) -> list[Tensor] | None:
 
 def _kinks(motion: Any) -> list[Tensor] | None:
     times = [(t, kind) for history in _control_histories(motion.dynamics) for t, kind in _control_times(history)]
-    if ContactWatch(motion.dynamics).idle and not times:
+    if ContactWatch(motion.dynamics, 0).idle and not times:
         return None
     if not has_lane_times(motion):
         return list(_between(motion, times))
@@ -53,11 +53,12 @@ def _between(motion: Any, times: list[tuple[float, str]]) -> Tensor:
     for time, kind in times:
         ends = same if kind == "hold" else -same  # beside a sample at the jump both intervals have a part of it
         kinks = kinks | (t[:-1] - same <= time) & (time <= t[1:] + ends)
-    watch = ContactWatch(motion.dynamics)
+    watch = ContactWatch(motion.dynamics, len(t) - 1)
     if not watch.idle and len(t) > 1:
         q, v = (x.detach().permute(1, 2, 0)[:, :, None] for x in (motion.q, motion.v))
-        watch.update(t, q, v)
-        closed = torch.cat([gaps for gaps, _ in watch.parts], 1) < 0.0  # [gaps, times, lanes]
+        watch.update(0, t, q, v)
+        assert watch.gaps_and_rates is not None
+        closed = watch.gaps_and_rates[0] < 0.0  # [gaps, times, lanes]
         kinks = kinks | (closed[:, 1:] != closed[:, :-1]).any(0).T
     return kinks
 

@@ -119,7 +119,7 @@ class Problem(Summary):
             start, motion_start = None, start
         start_of(system, motion_start)
         phases = switching(phases)
-        integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(Problem))
+        integrator = checked_integrator(duration, method, steps, options, argument_names(Problem))
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
         segments_of(system, (Phase(),) if phases is None else phases, duration)

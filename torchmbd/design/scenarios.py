@@ -6,7 +6,8 @@
     problem = mbd.Scenarios(system, 0.1, mbd.Max(deflection), mbd.Max(failure) <= 1.0, scenarios=payloads)
 
 A scenario sets parameters of the system that are no design variables: lane l S + s of the batch is design l in scenario s, so
-each further scenario costs a lane. A scenario may have another system, also one of another topology. Scenarios of one system
+each further scenario costs a lane; the eigensolutions of a design are shared by its scenarios
+(fem/reduction/shared_modes.py). A scenario may have another system, also one of another topology. Scenarios of one system
 are one batch, and the batches are simulated one after another.
 
     {"alone": {}, "in pairs": {"system": build(arms=2), "tool.mass": 0.1}}

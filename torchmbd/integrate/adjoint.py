@@ -21,9 +21,11 @@ Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -37,6 +39,7 @@ from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.math.pair import value
+from torchmbd.math.pull_back import pull_back
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import History, segments
@@ -63,8 +66,11 @@ class Grid:
     leaves       data of the whole system by which gradients are wanted [component..., 1, lanes]
     dynamics     the equations of the condensed system, and
     start        its initial state: both functions of the leaves in reverse mode
-    times        of all steps [steps + 1];  every: steps between two states that are kept
-    corrections  of mu, at least
+    times        of all steps [steps + 1]
+    every        steps between two states that are outputs, from `offset` steps on
+    starts       states from which steps are made again, by their number; None: the history has the states of all steps
+    cuts         further numbers of states at which segments of steps end
+    integrator   that made the steps
     substeps     intervals of kept states for each of the batch
     """
 
@@ -75,8 +81,11 @@ class Grid:
     start: State
     weights: Weights
     times: Tensor
-    every: int
-    corrections: int
+    integrator: OneStep
+    every: int = 1
+    offset: int = 0
+    starts: dict[int, State] | None = None
+    cuts: Sequence[int] = ()
     substeps: int = 1
 
     def of_kept_states(self, of_motion: Tensor | None, of_steps: Tensor | None) -> Tensor | None:
@@ -106,17 +115,10 @@ class Grid:
             of_motion.append(by.laws)
         used = [(y, x) for y, x in zip(outputs, of_motion, strict=True) if y.requires_grad]
         leaves = list(self.leaves.values())
-        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-
-        def pulled(*rows: Tensor) -> tuple[Tensor, ...]:
-            return torch.autograd.grad([y for y, _ in used], leaves, rows, **options)
-
         if not used:
             return {}
         rows = [x if x.shape[-1] == y.shape[-1] else x.sum(-1, keepdim=True) for y, x in used]
-        if rows[0].shape[-2] == 1:  # torch.vmap takes as long as another row
-            return dict(zip(self.leaves, pulled(*rows), strict=True))
-        found = torch.vmap(pulled)(*(x.movedim(-2, 0).unsqueeze(-2) for x in rows))
+        found = pull_back([y for y, _ in used], leaves, [x.movedim(-2, 0).unsqueeze(-2) for x in rows])
         return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, found, strict=True)}
 
 
@@ -212,13 +214,26 @@ class Adjoint:
             of_leaves = differentiable(dynamics.select_lanes(lanes) if len(lanes) < dynamics.lanes else dynamics, names)
         leaves = {name: of_leaves.data[name] for name in names}
         _, condensed, start = prepare(of_leaves)
-        interval = history.checkpoints.interval if history.checkpoints else 1
-        steps = interval * (len(history.q) - 1)
+        checkpoints, states = history.checkpoints, history.lanes(columns)
+        every = checkpoints.interval if checkpoints else 1
+        steps = every * (len(history.q) - 1)
         h = self.duration / steps
-        times = h * torch.arange(steps + 1, dtype=torch.float64)
-        weights, corrections = self.integrator.weights(h), self.integrator.counts(dynamics)[1]
-        states = history.lanes(columns)
-        return Grid(lanes, states, leaves, condensed, start, weights, times, interval, corrections, substeps)
+        times, weights = h * torch.arange(steps + 1, dtype=torch.float64), self.integrator.weights(h)
+        integrator = checkpoints.integrator if checkpoints else self.integrator
+        starts = _starts(states, steps) if checkpoints else None
+        return Grid(
+            lanes, states, leaves, condensed, start, weights, times, integrator, every, starts=starts, substeps=substeps
+        )
+
+
+def _starts(history: History, steps: int) -> dict[int, State]:
+    """States from which the steps of a history with checkpoints are made again."""
+    result, checkpoints = {}, history.checkpoints
+    assert checkpoints is not None
+    for part, a in zip(segments(steps, checkpoints.interval), checkpoints.accelerations, strict=True):
+        q, v, vd, lam = (x[part.start // checkpoints.interval] for x in history.states)
+        result[part.start] = State(q, v, vd, a, lam)
+    return result
 
 
 class AdjointSolver:
@@ -232,16 +247,24 @@ class AdjointSolver:
         T, lanes = self.dynamics.topology, len(grid.lanes)
         self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(T, self.dynamics.saddle, grid.weights, self.data)
-        self.stepper = EagerStepper(self.dynamics, model, (1, grid.corrections), refresh=1)
-        checkpoints = grid.history.checkpoints
-        self.segments = segments(len(grid.times) - 1, checkpoints.interval if checkpoints else 1)
-        self.accelerations = checkpoints.accelerations if checkpoints else self._accelerations()
+        self.corrections, steps = grid.integrator.counts(self.dynamics)[1], len(grid.times) - 1
+        self.stepper = EagerStepper(self.dynamics, model, (1, self.corrections), refresh=1)
+        starts = [part.start for part in segments(steps)] if grid.starts is None else grid.starts
+        self.segments = [range(i, j) for i, j in itertools.pairwise(sorted({*starts, *grid.cuts, steps}))]
+        self.accelerations = self._accelerations() if grid.starts is None else []
 
-    def __call__(self, of_motion: MotionCotangents) -> tuple[Cotangents, Tensor]:
-        """Cotangents of the steps, from those of the outputs, and their estimated relative error [lanes]."""
+    def __call__(
+        self, of_motion: MotionCotangents, of_states: Mapping[int, State] = MappingProxyType({})
+    ) -> tuple[Cotangents, Tensor]:
+        """Cotangents of the steps, from those of the outputs, and their estimated relative error [lanes].
+
+        of_states   of states at ends of segments, by their number, as well: with algorithmic accelerations
+        """
         y, by, laws = self._of_outputs(of_motion, len(self.grid.times) - 1), {}, []
         error = torch.zeros(len(self.grid.lanes), dtype=torch.float64)
         for number in reversed(range(len(self.segments))):
+            more = of_states.get(self.segments[number].stop)
+            y = y if more is None else State(*(a + b for a, b in zip(y, more, strict=True)))
             found, left = self._segment(number, of_motion, y)
             by = {name: x + by.get(name, 0.0) for name, x in found.data.items()}
             laws.append(found.laws)
@@ -286,12 +309,11 @@ class AdjointSolver:
 
     def _history(self, number: int, schedule: Schedule) -> tuple[History, Tensor]:
         """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
-        h, steps, a = self.grid.history, self.segments[number], self.accelerations[number]
-        if h.checkpoints is None:
-            return h.at(slice(steps.start, steps.stop + 1)), a
-        q, v, vd, lam = (y[steps.start // h.checkpoints.interval] for y in (h.q, h.v, h.vd, h.lam))
-        stepper = h.checkpoints.integrator.stepper(self.dynamics.values(), float(self.grid.weights.h))
-        return resume(stepper, State(q, v, vd, a, lam), schedule, steps.start)[1], a
+        grid, steps = self.grid, self.segments[number]
+        if grid.starts is None:
+            return grid.history.at(slice(steps.start, steps.stop + 1)), self.accelerations[number]
+        stepper, x = grid.integrator.stepper(self.dynamics.values(), float(grid.weights.h)), grid.starts[steps.start]
+        return resume(stepper, x, schedule, steps.start)[1], value(x.a)
 
     def _states(self, known: tuple[History, Tensor]) -> list[State]:
         """States [n, 1, lanes] of a history at all its times."""
@@ -303,7 +325,7 @@ class AdjointSolver:
 
     def _of_outputs(self, of_motion: MotionCotangents, i: int) -> State:
         """Cotangents of the state after i steps, as an output of the motion."""
-        h, rows, (row, beside) = self.grid.history, rows_of(of_motion), divmod(i, self.grid.every)
+        h, rows, (row, beside) = self.grid.history, rows_of(of_motion), divmod(i - self.grid.offset, self.grid.every)
         both = zip(of_motion, (h.q, h.v, h.vd, h.lam), strict=True)
         parts = [y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None or beside else x[row] for x, y in both]
         q, v, vd, lam = parts

@@ -30,7 +30,7 @@ GRADIENTS = ("auto", "forward", "reverse", "none")
 
 
 def checked_integrator(
-    duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False, own: Collection[str] = ()
+    duration: Any, method: Any, steps: Any, options: Mapping[str, Any], own: Collection[str] = ()
 ) -> Integrator:
     """The integrator; InputError for arguments of `simulate` that are wrong for every system.
 
@@ -44,7 +44,7 @@ def checked_integrator(
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (is_whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
-    integrator = integrator_of(method, options, phases, own)
+    integrator = integrator_of(method, options, own)
     if steps is not None:
         integrator.stored_intervals(steps)
     return integrator

@@ -4,7 +4,7 @@
     short     bodies touch at fewer than STEPS consecutive times, between times at which they are apart; or they touch at the
               last time, and lose half of their speed in fewer than a third of STEPS, as in a contact of STEPS
 
-`ContactWatch` reads the states of a motion in order, and then names the first such contact of each lane, with the number of
+`ContactWatch` reads the states of a motion, and then names the first such contact of each lane, with the number of
 steps that should stand for one. retries.py makes them, for the whole motion of that lane, so that derivatives are those of
 equal steps. A linear spring in contact for STEPS steps gives the speed back to 0.05 %, with an error of the third order in
 the step. What changes the speed by less than a thousandth of the motion's largest is no contact.
@@ -104,14 +104,14 @@ def _law_gaps(actions: Sequence[Action]) -> list[_LawGap]:
 class ContactWatch:
     """Gaps and their rates along a motion, of all lanes."""
 
-    def __init__(self, dynamics: Dynamics):
-        """dynamics: of the whole system."""
-        self.dynamics = dynamics
+    def __init__(self, dynamics: Dynamics, steps: int):
+        """dynamics: of the whole system;  steps: intervals between times of the motion."""
+        self.dynamics, self.steps = dynamics, steps
         actions = dynamics.topology.actions
         links = dynamics.topology.links.each if actions else []
         contacts = [_ContactGaps(x.control, x.read) for x in links if isinstance(x.control, ContactControl)]
         self.gaps = [*contacts, *_law_gaps(actions)]
-        self.parts: list[tuple[Tensor, Tensor]] = []  # gaps and rates so far
+        self.gaps_and_rates: Tensor | None = None  # so far [2, gaps, times, lanes]; nan where nothing is known yet
 
     @property
     def idle(self) -> bool:
@@ -119,12 +119,19 @@ class ContactWatch:
         return not self.gaps
 
     @torch.no_grad()
-    def update(self, times: Tensor, q: Tensor, v: Tensor) -> None:
-        """Go on with states q, v [times, n, 1, lanes] of the whole system; the first was the last before."""
+    def update(self, first: int, times: Tensor, q: Tensor, v: Tensor, counted: Tensor | None = None) -> None:
+        """Note states q, v [times, n, 1, lanes] of the whole system at times [s], the first of number `first`.
+
+        counted   which lanes have these states [times, lanes]; None: all
+        """
         size = max(_AT_ONCE // q.shape[-1], 1)
-        for start in range(min(len(self.parts), 1), len(times), size):
+        for start in range(0, len(times), size):
             part = slice(start, start + size)
-            self.parts.append(self._gaps_and_rates(times[part], q[part], v[part]))
+            new = torch.stack(self._gaps_and_rates(times[part], q[part], v[part]))
+            if self.gaps_and_rates is None:
+                self.gaps_and_rates = new.new_full((*new.shape[:2], self.steps + 1, new.shape[-1]), torch.nan)
+            of_times = self.gaps_and_rates[:, :, first + start : first + start + new.shape[2]]
+            of_times.copy_(new if counted is None else torch.where(counted[part], new, of_times))
 
     def unresolved(self, h: float, by_steps: bool = True) -> dict[int, UnresolvedContact]:
         """The first contact of each lane that states h [s] apart do not show; no entry where they show all.
@@ -132,9 +139,9 @@ class ContactWatch:
         by_steps   the states are those of all steps; False: outputs of a method with steps of its own, which may have missed
                    no contact, and are long enough
         """
-        if not self.parts:
+        if self.gaps_and_rates is None:
             return {}
-        gaps, rates = (torch.cat(x, 1) for x in zip(*self.parts, strict=True))  # [gaps, times, lanes]
+        gaps, rates = self.gaps_and_rates
         labels = [label for gap in self.gaps for label in gap.labels]
         result: dict[int, UnresolvedContact] = {}
         for lane in range(gaps.shape[-1]):

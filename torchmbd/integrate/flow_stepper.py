@@ -23,7 +23,7 @@ from torchmbd.integrate.phases.switch import accelerations, at_time
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
-from torchmbd.results.history import History, Record
+from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 _SAME = 1e-15  # of a time: times that are equal
@@ -40,7 +40,7 @@ class FlowStepper:
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """As of Stepper; the right-hand side evaluates laws itself."""
-        moving = lane_numbers(self.counts)
+        moving, self.steps = lane_numbers(self.counts), len(schedule)
         for k in range(len(schedule)):
             full = [_full(y).clone() for y in x]
             for lane in moving:
@@ -53,9 +53,6 @@ class FlowStepper:
     def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
         """As of Stepper: they are the true ones."""
         return [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
-
-    def count_only(self, lanes: Tensor) -> None:
-        """As of Stepper: there are no errors."""
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
         own = [_full(pick_lanes(y, [lane])) for y in x]
@@ -75,8 +72,12 @@ class FlowStepper:
     def restart(self) -> None:
         """As of Stepper: nothing is kept."""
 
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
-        """As of Stepper: methods of torchdiffeq have no such estimates."""
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
+        """As of Stepper: there are none."""
+        return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
+
+    def statistics(self) -> dict[str, Tensor]:
+        """As of Stepper: there are none."""
         return {}
 
 

@@ -1,9 +1,7 @@
 """A motion with the tangents of its design variables, integrated together; see motion.py.
 
     inputs    designs by name [component..., 1, lanes]
-    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (lane_status.py), where lanes have smaller steps the
-              states at these (`History.at_steps`), the data of the reduced model that move with the design, and of every switch
-              between phases its time and the states on both sides
+    outputs   outputs.py, with the data of the reduced model that move with the design
 
 The structure stage is part of it. Serves every method, and phases; forward and reverse mode multiply with the tangents.
 Checked in tests/integrate/test_motion.py, tests/sensitivity/.
@@ -19,24 +17,24 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native.library import with_backend
+from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import integrate, steps_of_phases, switch_numbers, switches_with
-from torchmbd.integrate.phases.run import MultiphaseRun
-from torchmbd.integrate.retries import integrate_by_chosen_steps, integrate_lanes
+from torchmbd.integrate.phases.multiphase import SeveralSegments
+from torchmbd.integrate.retries import LaneResults, integrate_by_chosen_steps, integrate_lanes
 from torchmbd.integrate.segment import segments_of
-from torchmbd.math.pair import Pair, value
+from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.design_tangents import unit_directions
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
-from torchmbd.results.motion_data import Switch
 
 
 @dataclass(eq=False)
@@ -48,7 +46,7 @@ class ForwardIntegration:
     steps      their number; None: chosen from the data
     system     with the locks of its phases
 
-    Results: dynamics and history with tangents; status, stats, switches, actions.
+    Results: dynamics with tangents; results, status, stats, actions, outputs.
     """
 
     system: System
@@ -61,15 +59,26 @@ class ForwardIntegration:
     phases: Sequence[Phase] | None
     backend: str
     dynamics: Dynamics = field(init=False)
-    history: History = field(init=False)
-    status: list[str] = field(init=False)
+    results: LaneResults = field(init=False)
     validity: Tensor = field(init=False)
-    stats: dict[str, Any] = field(init=False)
-    switches: list[Switch] = field(default_factory=list, init=False)
+    outputs: Outputs = field(init=False)
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
-    output_data: tuple[str, ...] = field(default=(), init=False)
-    _multiphase: MultiphaseRun | None = field(default=None, init=False)
     _tangents: list[Tensor] = field(default_factory=list, init=False)
+
+    @property
+    def history(self) -> History:
+        """States of all lanes, with tangents."""
+        return self.results.history
+
+    @property
+    def status(self) -> list[str]:
+        """Of all lanes."""
+        return self.results.status
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """Statistics of the steps."""
+        return self.results.statistics
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -77,50 +86,34 @@ class ForwardIntegration:
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in given}
         lanes = max((len(x) for x in designs.values()), default=1)
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
-        if self.phases is None:
-            self._without_phases(designs)
-        else:
-            self._through_phases(designs, self.phases)
-        data = self.dynamics.data
-        self.output_data = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
-        h = self.history
-        self.validity = validity(h, self.status, self.stats)
-        numbers = [*(Pair(x) for x in h.states), self._constant(self.validity)]
-        at_steps = h.at_steps()
-        numbers += [*(Pair(x) for x in at_steps[:4]), *(self._constant(x) for x in at_steps[4:])]
-        numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.output_data)]
-        for switch in self.switches:
-            numbers += switch_numbers(switch)
-        self._tangents = [x.tangent for x in numbers]
-        return tuple(value(x) for x in numbers)
-
-    def _without_phases(self, designs: dict[str, Tensor]) -> None:
-        dynamics = self.system.dynamics(designs, tangents=self.variables)
-        self.dynamics = with_backend(dynamics, self.backend, self.integrator.native_kind)
-        args = self.integrator, self.dynamics, self.duration
-        with_gradients = self.dynamics.tangents > 0
+        problem = self._problem(designs)
         if self.steps is None:
-            check_memory = memory_check(self.system, self.dynamics.lanes, len(self.labels), self.integrator)
-            self.steps, results = integrate_by_chosen_steps(*args, with_gradients, check_memory)
+            check_memory = memory_check(self.system, problem.dynamics.lanes, len(self.labels), self.integrator)
+            self.steps, self.results = integrate_by_chosen_steps(self.integrator, problem, check_memory)
         else:
-            results = integrate_lanes(*args, self.steps, with_gradients)
-        self.history, self.stats, self.status = results.history, results.statistics, results.status
-        self.dynamics.evaluate_rank()
+            self.results = integrate_lanes(self.integrator, problem, self.steps)
+        self.dynamics = problem.dynamics
+        if self.results.data is None:
+            self.dynamics.evaluate_rank()
+        else:
+            self.dynamics = self.dynamics.with_data(self.results.data)
+        data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}
+        self.validity = validity(self.history, self.status, self.stats)
+        self.outputs = Outputs.of(self.results, self.validity, data)
+        self._tangents = self.outputs.tangents(len(self.labels))
+        return self.outputs.values()
 
-    def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
-        self.system, phase_models = segments_of(self.system, phases, self.duration)
+    def _problem(self, designs: dict[str, Tensor]) -> InitialValueProblem:
+        """The structure stage."""
+        if self.phases is None:
+            dynamics = self.system.dynamics(designs, tangents=self.variables)
+            return OneSegment(with_backend(dynamics, self.backend, self.integrator.native_kind), self.duration)
+        self.system, segments = segments_of(self.system, self.phases, self.duration)
+        self.actions = tuple(segment.topology.actions for segment in segments)
         dynamics = with_backend(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
-        check_memory = memory_check(self.system, dynamics.lanes, len(self.labels), self.integrator)
-        self.steps = steps = self.steps or steps_of_phases(
-            self.system, dynamics, phase_models, designs, self.duration, self.integrator, check_memory
-        )
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
-
-        multiphase, stats, status = integrate(dynamics, phase_models, views, self.duration, steps, self.integrator)
-        self._multiphase, self.dynamics, self.history = multiphase, multiphase.whole, multiphase.history
-        self.stats, self.status, self.switches = stats, status, multiphase.switches
-        self.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
+        return SeveralSegments(dynamics, segments, views, self.duration)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
@@ -159,16 +152,9 @@ class ForwardIntegration:
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """As of ReverseIntegration, with the tangents of the history."""
-        if self._multiphase is not None:
-            return self._multiphase.multipliers(history, data)
+        if self.history.run is not None:
+            return self.history.run.multipliers(history, data)
         return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
-
-    def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
-        """The switches with their numbers as differentiable outputs."""
-        return switches_with(self.switches, numbers)
 
     def _size(self, name: str) -> int:
         return dict(self.system.named_parameters())[name].numel()
-
-    def _constant(self, x: Tensor) -> Pair:
-        return Pair.of(x, x.new_zeros(*x.shape[:-2], len(self.labels), x.shape[-1]))

@@ -25,8 +25,10 @@ from torch import Tensor
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.equations import Data
 from torchmbd.multibody.system.topology import Schedule, Topology
 from torchmbd.results.history import History, Record
+from torchmbd.results.motion_data import Switch
 from torchmbd.results.state import State
 
 
@@ -34,14 +36,20 @@ from torchmbd.results.state import State
 class IntegrationResult:
     """States and statistics of all lanes.
 
-    failed     lanes that the integrator gave up, with the reason; their numbers are nan
+    failed     lanes that were given up, with the reason; numbers count up to there only
     contacts   of lanes with contacts that the steps do not show, the first
+    doubts     of lanes whose events the steps may have missed, the first
+    switches   between segments
+    data       with the marks of locks; None: those of the problem
     """
 
     history: History
     statistics: dict[str, Any]
     failed: Mapping[int, str] = field(default_factory=dict)
     contacts: Mapping[int, UnresolvedContact] = field(default_factory=dict)
+    doubts: Mapping[int, str] = field(default_factory=dict)
+    switches: list[Switch] = field(default_factory=list)
+    data: Data | None = None
 
 
 class Retry(NamedTuple):
@@ -73,16 +81,20 @@ class Stepper(Protocol):
         """Algorithmic accelerations at all times of true ones vd [times, n_v, pair, lanes], the first being a."""
         ...
 
-    def count_only(self, lanes: Tensor) -> None:
-        """Of the last steps, only those of the lanes of a mask [steps, lanes] count in the errors."""
-        ...
-
     def restart(self) -> None:
         """Discard what is kept: the state has jumped."""
         ...
 
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
-        """Estimated errors [lanes] of the steps to the times of these indices, for the statistics; None: of all steps."""
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
+        """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten.
+
+        counted   the steps of which lanes count [steps, lanes]; None: all
+        """
+        ...
+
+    def statistics(self) -> dict[str, Tensor]:
+        """Of all steps [lanes]: estimated relative error of tangents, if there were any ("tangent_error"), and how many further
+        corrections a step made at most ("further_corrections")."""
         ...
 
 
@@ -94,7 +106,6 @@ class Integrator(ABC):
     adjoint         whether its steps have a pullback: reverse mode
     condenses       whether its regular steps are those of the condensed system
     shortest_step   size of the shortest step that it makes, relative to a regular one
-    not_in_phases   options that have no effect where there are phases
     """
 
     name: str
@@ -102,14 +113,12 @@ class Integrator(ABC):
     adjoint: ClassVar[bool]
     condenses: ClassVar[bool] = False
     shortest_step: ClassVar[float] = 0.0
-    not_in_phases: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
-    def option_types(cls, phases: bool = False) -> dict[str, Any]:
+    def option_types(cls) -> dict[str, Any]:
         """Names of the options, and their types."""
         hints = get_type_hints(cls)
-        names = [f.name for f in fields(cls) if f.name != "name"]
-        return {name: hints[name] for name in names if not (phases and name in cls.not_in_phases)}
+        return {f.name: hints[f.name] for f in fields(cls) if f.name != "name"}
 
     def with_defaults(self, topology: Topology) -> Integrator:
         """The integrator with the defaults that depend on the system."""

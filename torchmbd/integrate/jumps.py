@@ -54,6 +54,12 @@ def held_times(control: Control, duration: float) -> list[float]:
     return distinct((t for m in histories for t in m.jumps), duration)
 
 
+def within_phases(times: Sequence[float], phases: Sequence[Phase] | None, duration: float) -> list[float]:
+    """Those of the times at which no phase ends: steps end there anyway."""
+    ends = [phase.end_time for phase in phases or () if phase.end_time is not None]
+    return [t for t in times if not any(abs(t - end) <= _SAME * duration for end in ends)]
+
+
 def steps_at(times: Sequence[float], duration: float) -> int | None:
     """The least number of equal steps some of which end at these times; None: it is beyond 20,000."""
     count = 1
@@ -106,7 +112,7 @@ def warn_of_jumps(
         ]
         held = distinct((t for x in controllers for t in held_times(x.control, duration)), duration)
         count = steps or steps_at(held, duration)
-        divides = phases is None and integrator.refines and count and substeps_at(held, duration, count)
+        divides = integrator.refines and count and substeps_at(within_phases(held, phases, duration), duration, count)
         for force in controllers:
             if not divides:
                 _warn_of_held(force, duration, steps, count, phases or ())
@@ -226,8 +232,7 @@ def _warn_of_held(
 ) -> None:
     """Of held values whose changes are no ends of the steps, a multiple of `count`; None: of no number of steps."""
     held = held_times(force.control, duration)
-    ends = [phase.end_time for phase in phases if phase.end_time is not None]
-    within = [t for t in held if not any(abs(t - end) <= _SAME * duration for end in ends)]
+    within = within_phases(held, phases, duration)
     fitting = steps_at(within, duration)
     if within and (count is None or fitting is None or count % fitting):
         fit = f"steps, a multiple of {fitting}" if fitting else "a duration in a simple ratio to that of the values"

@@ -15,12 +15,12 @@ from torch import Tensor
 from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
-from torchmbd.results.history import History, Record
+from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 
 class MovingSteps:
-    """As of Stepper; time(i): the time [1 + n, lanes] of the point i of the grid."""
+    """As of Stepper; time(i): the time [1 + n, lanes] at the end of step i."""
 
     def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
         self.integrator, self.dynamics, self.time = integrator, dynamics, time
@@ -29,6 +29,7 @@ class MovingSteps:
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """As of Stepper; laws are evaluated at times that move."""
+        self.steps = len(schedule)  # the last ones
         for k in range(len(schedule)):
             begin, end = self.time(first + k - 1), self.time(first + k)
             x = self.integrator.step_of_size(self.dynamics, x, end - begin, end)
@@ -42,9 +43,10 @@ class MovingSteps:
     def restart(self) -> None:
         """As of Stepper: nothing is kept."""
 
-    def count_only(self, lanes: Tensor) -> None:
-        """As of Stepper: there are no errors."""
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
+        """As of Stepper: there are none."""
+        return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
+    def statistics(self) -> dict[str, Tensor]:
         """As of Stepper: there are none."""
         return {}

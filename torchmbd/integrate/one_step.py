@@ -9,9 +9,9 @@ The methods of this family differ in the `Weights` (step.py) of a step of size h
 z = (v1', lam); constraint rows are divided by dq1/dv1', which makes the iteration matrix the saddle-point matrix of the
 accelerations, well scaled for every h.
 
-Iteration: z <- z - H R(z), a fixed number of times. H is the inverse of the iteration matrix, renewed before the last
-correction of values: the correction before that leaves little, so the last converges like Newton's, and the tangents of
-the *discrete* map are one more solution with nearly the exact matrix:
+Iteration: z <- z - H R(z), a fixed number of times, and further in lanes where an estimate says so (stepper.py). H is the
+inverse of the iteration matrix, renewed before the last correction of values: the correction before that leaves little, so the
+last converges like Newton's, and the tangents of the *discrete* map are one more solution with nearly the exact matrix:
 
     R_z dz + R_x dx + R_b = 0   by   dz <- dz - H (R_z dz + R_x dx + R_b)
 
@@ -34,21 +34,23 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.contacts import ContactWatch
-from torchmbd.integrate.estimates import StepErrors, alternating_share, alternations, second_halves, turns
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
+from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.native import steps
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
+from torchmbd.integrate.segment import DURATION
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
-from torchmbd.integrate.stepper import TURN, EagerStepper, IterationErrors, first_true, resume
+from torchmbd.integrate.step_estimates import StepEstimates
+from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.integrate.variable_step import step_of_size
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.pair import value
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.results.history import Checkpoints, History, Record, segments
+from torchmbd.results.history import Checkpoints, Record, segments
 from torchmbd.results.state import State
 
 _ITERATIONS, _OF_BEAMS = (3, 1), (4, 2)  # corrections of values and tangents
@@ -75,7 +77,6 @@ class OneStep(Integrator):
     adjoint: ClassVar[bool] = True
     condenses: ClassVar[bool] = True
     shortest_step: ClassVar[float] = 0.05  # index-3 equations do not bear much less
-    not_in_phases: ClassVar[tuple[str, ...]] = ("halvings", "checkpoint")
 
     def __post_init__(self) -> None:
         iterations = self.iterations if self.iterations is not None else _ITERATIONS
@@ -128,10 +129,11 @@ class OneStep(Integrator):
         h, every = duration / steps, self.checkpoint
         whole, condensed, x = prepare(dynamics).detached()
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
-        stepper = self.stepper(condensed, h)
+        stepper = self._stepper_of(condensed, duration, steps)
         record = Record(x, len(times))
         record.put(0, x)
-        estimates = _StepEstimates(self, whole, condensed, x, duration, steps)
+        estimates = self.estimates(condensed, duration, steps)
+        watch = ContactWatch(whole, steps)
         accelerations = []  # algorithmic ones at the first states of segments, where these are not all recorded
         announce(steps, condensed.lanes)
         for segment in segments(steps, every):
@@ -144,26 +146,37 @@ class OneStep(Integrator):
                 accelerations.append(value(x.a))
                 x, states = resume(stepper, x, schedule, segment.start)
                 record.put_all(segment.start // every + 1, states.at(slice(every, None, every)))
-            estimates.update(states, stepper.take_errors(), segment)
-        statistics = estimates.statistics() | stepper.tangent_errors()
+            estimates.update(segment.start, states, stepper.take_errors())
+            if not watch.idle:
+                times_of_states = h * torch.arange(segment.start, segment.stop + 1, dtype=torch.float64)
+                full = replace(states, expansion=_expansion(whole, condensed, times_of_states))
+                watch.update(segment.start, times_of_states, *(full.rows(order, pair=slice(1)) for order in range(2)))
+        statistics = estimates.statistics() | stepper.statistics()
         statistics["valid_times"] = (statistics["valid_times"] + every - 1) // every  # of the states that are kept
         history = replace(
-            record.history(estimates.expansion(times)),
+            record.history(_expansion(whole, condensed, times)),
             checkpoints=Checkpoints(every, accelerations, self) if every > 1 else None,
         )
-        return IntegrationResult(history, statistics, contacts=estimates.contacts.unresolved(h))
+        return IntegrationResult(history, statistics, contacts=watch.unresolved(h))
+
+    def _stepper_of(self, dynamics: Dynamics, duration: float, steps: int) -> EagerStepper | MovingSteps:
+        """Of equal steps, whose size moves where there are tangents by the duration."""
+        by_duration = dynamics.data.get(DURATION)
+        if not isinstance(by_duration, Pair):
+            return self.stepper(dynamics, duration / steps)
+        return MovingSteps(self, dynamics, lambda i: by_duration * ((i + 1) / steps))
+
+    def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
+        """Of the errors of equal steps, whose states are those of these dynamics."""
+        return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)
 
     def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
-        """As of Integrator; statistics as of `integrate`, without errors of steps; "alternation" of second halves of phases."""
-        errors = loop.integrate(multiphase, self)
-        h, whole, recorded = multiphase.duration / multiphase.steps, multiphase.whole, multiphase.recorded()
-        turn = turns(whole, recorded, h)
-        if whole.topology.beams is not None:
-            later = second_halves(multiphase.phase_number)
-            errors["alternation"] = alternating_share(alternations(whole, recorded), later)
-        valid_times = errors.get("valid_times", first_true(turn < 0.0))
-        errors["valid_times"] = valid_times.minimum(first_true(turn > TURN).clamp_min(1))
-        return {"steps": multiphase.steps, "step_size": h, "turn": turn.amax(0)} | errors
+        """As of Integrator; statistics as of `integrate`, "alternation" of second halves of phases."""
+        estimates = self.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
+        tangent_errors = loop.integrate(multiphase, self, estimates)
+        statistics = estimates.statistics(multiphase.phase_number) | tangent_errors
+        statistics["valid_times"] = (statistics["valid_times"] + self.checkpoint - 1) // self.checkpoint
+        return statistics
 
     @property
     def refines(self) -> bool:
@@ -182,45 +195,8 @@ class OneStep(Integrator):
         return Retry(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None
 
 
-class _StepEstimates:
-    """Estimates of the errors of equal steps, from their states as they come; see `OneStep.integrate`."""
-
-    def __init__(
-        self, integrator: OneStep, whole: Dynamics, condensed: Dynamics, start: State, duration: float, steps: int
-    ):
-        self.whole, self.condensed, self.steps, self.h = whole, condensed, steps, duration / steps
-        self.iterations = IterationErrors(value(start.q)[:, 0], duration, self.h)
-        self.errors = StepErrors(condensed, abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0), self.h)
-        self.contacts = ContactWatch(whole)
-        self.turns: list[Tensor] = []
-        self.alternations: list[Tensor] = []
-
-    def expansion(self, times: Tensor) -> Expansion | None:
-        """Leads from states at these times to those of the whole system; None: they are its own."""
-        if self.condensed.topology is self.whole.topology:
-            return None
-        return Expansion.of(self.condensed.initial.condensation, self.whole.data, times)
-
-    def update(self, states: History, errors: Tensor, segment: range) -> None:
-        """Go on with the states of a segment, the first of which was the last before, and the errors of its iterations."""
-        self.iterations.update(states, errors)
-        self.errors.update(states)
-        self.turns.append(turns(self.condensed, states, self.h)[min(segment.start, 1) :])
-        if self.condensed.topology.beams is not None:
-            self.alternations.append(alternations(self.condensed, states))
-        if not self.contacts.idle:
-            times = self.h * torch.arange(segment.start, segment.stop + 1, dtype=torch.float64)
-            full = replace(states, expansion=self.expansion(times))
-            self.contacts.update(times, *(full.rows(order, pair=slice(1)) for order in range(2)))
-
-    def statistics(self) -> dict[str, Any]:
-        """Of all lanes."""
-        turn = torch.cat(self.turns)
-        result: dict[str, Any] = {"steps": self.steps, "step_size": self.h, "turn": turn.amax(0)}
-        result |= self.errors.statistics(self.steps) | self.iterations.statistics()
-        if self.alternations:
-            parts = torch.cat(self.alternations, 1)
-            later = torch.arange(parts.shape[1]) >= parts.shape[1] // 2
-            result["alternation"] = alternating_share(parts, later[:, None])
-        result["valid_times"] = result["valid_times"].minimum(first_true(turn > TURN).clamp_min(1))
-        return result
+def _expansion(whole: Dynamics, condensed: Dynamics, times: Tensor) -> Expansion | None:
+    """Leads from states of the condensed system at these times to those of the whole; None: they are its own."""
+    if condensed.topology is whole.topology:
+        return None
+    return Expansion.of(condensed.initial.condensation, whole.data, times)

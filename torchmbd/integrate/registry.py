@@ -44,9 +44,7 @@ DEFAULT = METHODS[0]
 REFUSED = {"scipy_solver": "returns gradients of zero in reverse mode, silently"}
 
 
-def integrator_of(
-    method: Any, options: Mapping[str, Any], phases: bool = False, own: Collection[str] = ()
-) -> Integrator:
+def integrator_of(method: Any, options: Mapping[str, Any], own: Collection[str] = ()) -> Integrator:
     """The integrator of a name with options; InputError says which names and options there are.
 
     own  the other arguments of the function that takes the options, of which one may be meant
@@ -55,7 +53,7 @@ def integrator_of(
         raise InputError(f"method {method!r} {REFUSED[method]}; allowed: any other")
     if not isinstance(method, str) or method not in INTEGRATORS:
         raise unknown("method", method, METHODS)
-    allowed = INTEGRATORS[method].option_types(phases)
+    allowed = INTEGRATORS[method].option_types()
     for name in options:
         if name not in allowed:
             raise unknown(f"{name} = {options[name]!r}: for method {method!r} the option", name, [*allowed, *own])

@@ -3,69 +3,105 @@
     1. all lanes, by the steps asked for
     2. lanes with contacts that these steps do not show, by smaller steps (contacts.py); all lanes where held values of a
        controller change within a step (jumps.py)
-    3. lanes that failed, and with gradients those whose iteration is imprecise, as `Integrator.retry` says: one-step methods
-       with a new matrix for every correction, then with half the step
+    3. lanes that failed, as `Integrator.retry` says: one-step methods with a new matrix for every correction, then with half
+       the step
 
+It is the same for motions of one segment and of several (initial_value.py).
 A lane that succeeds has the states of its smaller steps at the times of the others, and all of them for the adjoint
-(`History.refined`).
-Checked in tests/integrate/test_simulate.py, tests/integrate/test_contacts.py.
+(`History.refined`). Of a lane that fails in all of them the motion counts that gets furthest, of equal ones the last: what it
+reports is not that iterations were too few or steps too long.
+Checked in tests/integrate/test_simulate.py, tests/integrate/test_contacts.py, tests/integrate/phases/test_retries.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
 from torchmbd.integrate.contacts import MOST_SUBSTEPS, UnresolvedContact
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.jumps import held_times_of, substeps_at
+from torchmbd.integrate.jumps import substeps_at
 from torchmbd.integrate.lane_status import (
-    IMPRECISE,
     STEP_STATISTICS,
+    mark_doubts,
     mark_open_joints,
     mark_unresolved_contacts,
     status_of_lanes,
+    validity,
     warn_unresolved,
 )
+from torchmbd.integrate.phases.lanes import pick_lanes, put_lanes
 from torchmbd.integrate.step_count import Trial, choose_steps
-from torchmbd.multibody.system import Dynamics
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.equations import ATTACHED, Data
 from torchmbd.results.history import History, RefinedLane
-from torchmbd.results.motion_data import has_failed
+from torchmbd.results.motion_data import OK, Switch, has_failed
 
 _MOST_NUMBERS = 2e8  # of a motion whose steps are made smaller for its contacts
 
 
+class Steps(NamedTuple):
+    """Steps of an integrator, so many of which stand for one."""
+
+    integrator: Integrator
+    substeps: int
+
+
 @dataclass
 class LaneResults:
-    """History, statistics and status of lanes; `replaced`: lanes whose first motion gave way to a better one."""
+    """History, statistics, status, switches and data of lanes, as of IntegrationResult.
+
+    replaced   lanes whose first motion gave way to a better one, and how that was made
+    """
 
     history: History
     statistics: dict[str, Any]
     status: list[str]
-    replaced: list[int] = field(default_factory=list)
+    switches: list[Switch] = field(default_factory=list)
+    data: Data | None = None
+    replaced: dict[int, Steps] = field(default_factory=dict)
 
-    def replace_lanes(self, lanes: Sequence[int], substeps: int, other: LaneResults) -> list[int]:
-        """Put those lanes of another integration into this one that did not fail there; returns them.
+    def replace_lanes(self, lanes: Sequence[int], by: Steps, other: LaneResults) -> list[int]:
+        """Put those lanes of another integration into this one that failed there no more, or later; returns them.
 
-        other   has these lanes only, `substeps` steps for each one here
+        other   has these lanes only, integrated `by` other steps
         """
-        pairs = [(source, lane) for source, lane in enumerate(lanes) if not has_failed(other.status[source])]
+        substeps = by.substeps
+        reached, reached_there = (validity(x.history, x.status, x.statistics)[0, 0] for x in (self, other))
+        further = (reached_there - 1.0) / substeps >= reached[list(lanes)] - 1.0
+        pairs = [
+            (source, lane)
+            for source, lane in enumerate(lanes)
+            if not has_failed(other.status[source]) or (has_failed(self.status[lane]) and further[source])
+        ]
         if not pairs:
             return []
         sources, targets = (list(x) for x in zip(*pairs, strict=True))
+        source_lanes, target_lanes = torch.tensor(sources), torch.tensor(targets)
         states = {}
-        for name in ("q", "v", "vd", "lam"):
-            new = getattr(other.history, name)[::substeps].index_select(-1, torch.tensor(sources))
-            states[name] = getattr(self.history, name).index_copy(-1, torch.tensor(targets), new)
+        for name in ("q", "v", "vd", "lam", "segment"):
+            if getattr(self.history, name) is not None:
+                new = getattr(other.history, name)[::substeps].index_select(-1, source_lanes)
+                states[name] = getattr(self.history, name).index_copy(-1, target_lanes, new)
         refined = self.history.refined | _refined_lanes(other.history, substeps, pairs)
         self.history = replace(self.history, **states, refined=refined)
+        both = zip(self.switches, other.switches, strict=True)
+        self.switches = [switch.with_lanes(target_lanes, new, source_lanes) for switch, new in both]
+        if self.data is not None and other.data is not None:
+            self.data = self.data | {
+                name: put_lanes(self.data[name], targets, pick_lanes(other.data[name], sources))
+                for name in ATTACHED
+                if name in self.data and self.data[name].shape[-1] == len(self.status)
+            }
         self._replace_statistics(lanes, targets, sources, substeps, other.statistics)
         for source, lane in pairs:
             self.status[lane] = other.status[source]
-        self.replaced += targets
+            deeper = other.replaced.get(source, Steps(by.integrator, 1))
+            self.replaced[lane] = Steps(deeper.integrator, deeper.substeps * substeps)
         return targets
 
     def _replace_statistics(
@@ -75,9 +111,11 @@ class LaneResults:
         for name in (*STEP_STATISTICS, "tangent_error"):
             if name in self.statistics:
                 self.statistics[name][targets] = other[name][sources]
+        if "valid_times" in self.statistics:
+            self.statistics["valid_times"][targets] = (other["valid_times"][sources] + substeps - 1) // substeps
         by_smaller_steps = {lanes[source] for source in other.get("halved", [])}.intersection(targets)
         halved = set(targets) if substeps > 1 else by_smaller_steps
-        failed = {lane for lane in targets if has_failed(self.status[lane])}  # the others were imprecise
+        failed = {lane for lane in targets if has_failed(self.status[lane])}
         self._list("halved", halved)
         self._list("renewed", set(targets) - halved)
         self._list("failed_first", failed.union(lanes[source] for source in other.get("failed_first", [])))
@@ -94,33 +132,27 @@ def _refined_lanes(history: History, substeps: int, pairs: Sequence[tuple[int, i
         if source in history.refined:
             deeper = history.refined[source]
             result[lane] = deeper._replace(substeps=deeper.substeps * substeps)
-        elif substeps > 1 or history.checkpoints:
+        elif substeps > 1 or history.checkpoints or history.run is not None:
             result[lane] = RefinedLane(history, source, substeps)
     return result
 
 
 def integrate_lanes(
     integrator: Integrator,
-    dynamics: Dynamics,
-    duration: float,
+    problem: InitialValueProblem,
     steps: int,
-    with_gradients: bool,
     first: IntegrationResult | None = None,
     substeps: int = 1,
 ) -> LaneResults:
     """The motion of all lanes by equal steps; see the module header.
 
-    with_gradients   lanes whose iteration is imprecise are integrated again as well
-    first            the first integration, where it was made before
-    substeps         how many of these steps stand already for one that the caller asked for
+    first      the first integration, where it was made before
+    substeps   how many of these steps stand already for one that the caller asked for
     """
-    first = first or integrator.integrate(dynamics, duration, steps)
-    statistics, retry = first.statistics, integrator.retry()
+    first = first or problem.integrate(integrator, steps)
+    dynamics, duration, statistics, retry = problem.dynamics, problem.duration, first.statistics, integrator.retry()
     status = status_of_lanes(first.history, duration, statistics, first.failed)
-    mark_open_joints(status, dynamics, first.history, duration, statistics)
-    imprecise = torch.zeros(len(status), dtype=torch.bool)
-    if with_gradients and retry is not None and retry.substeps == 1:
-        imprecise = statistics["iteration_error"] > IMPRECISE
+    mark_open_joints(status, problem, first)
     for lane, reason in dynamics.start_errors.items():  # no initial state: no time has numbers
         status[lane] = f"failed: {reason}"
         statistics.setdefault("valid_times", torch.full((len(status),), len(first.history.q)))[lane] = 0
@@ -128,33 +160,63 @@ def integrate_lanes(
     to_retry = [
         lane
         for lane, reason in enumerate(status)
-        if (has_failed(reason) or imprecise[lane]) and lane not in dynamics.start_errors and lane not in contacts
+        if has_failed(reason) and lane not in dynamics.start_errors and lane not in contacts
     ]
-    results = LaneResults(first.history, statistics, status)
-    finer, lanes = _substeps_for_contacts(integrator, dynamics, steps, substeps, contacts), list(contacts)
-    held = substeps_at(held_times_of(dynamics, duration), duration, steps) if integrator.refines else None
+    results = LaneResults(first.history, statistics, status, first.switches, first.data)
+    finer, lanes = _substeps_for_contacts(integrator, problem.dynamics, steps, substeps, contacts), list(contacts)
+    held = substeps_at(problem.held_times(), duration, steps) if integrator.refines else None
     if held is not None and held > 1:  # contacts are looked at again, in these steps
         finer, lanes = held, [lane for lane in range(len(status)) if lane not in dynamics.start_errors]
     if finer > 1 and lanes:
-        other = integrate_lanes(
-            integrator, dynamics.select_lanes(lanes), duration, finer * steps, with_gradients, substeps=finer * substeps
-        )
-        for lane in results.replace_lanes(lanes, finer, other):
+        other = integrate_lanes(integrator, problem.select_lanes(lanes), finer * steps, substeps=finer * substeps)
+        for lane in results.replace_lanes(lanes, Steps(integrator, finer), other):
             contacts.pop(lane, None)
         to_retry = [lane for lane in to_retry if lane not in results.replaced]
+    mark_doubts(results.status, {lane: x for lane, x in first.doubts.items() if lane not in results.replaced})
     mark_unresolved_contacts(results.status, contacts)
     if to_retry and retry is not None:
         other = integrate_lanes(
-            retry.integrator,
-            dynamics.select_lanes(to_retry),
-            duration,
-            retry.substeps * steps,
-            with_gradients,
-            substeps=substeps,
+            retry.integrator, problem.select_lanes(to_retry), retry.substeps * steps, substeps=substeps
         )
-        results.replace_lanes(to_retry, retry.substeps, other)
+        results.replace_lanes(to_retry, Steps(*retry), other)
     warn_unresolved([reason for lane, reason in enumerate(results.status) if lane not in results.replaced])
     return results
+
+
+def integrate_again(
+    results: LaneResults, problem: InitialValueProblem, integrator: Integrator, steps: int
+) -> LaneResults:
+    """A motion with the same values as `results` by the steps that each of its lanes took in the end: states and switches."""
+    groups: dict[Steps, list[int]] = {}
+    for lane in range(len(results.status)):
+        groups.setdefault(results.replaced.get(lane, Steps(integrator, 1)), []).append(lane)
+    found: LaneResults | None = None
+    for by, lanes in groups.items():
+        part = problem.select_lanes(lanes).integrate(by.integrator, by.substeps * steps)
+        errors = {name: x for name, x in part.statistics.items() if name == "tangent_error"}
+        other = LaneResults(part.history, errors, [OK] * len(lanes), part.switches, part.data)
+        if found is None:
+            found = _spread(other, lanes, by.substeps, len(results.status))
+        found.replace_lanes(lanes, by, other)
+    assert found is not None
+    return found
+
+
+def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, count: int) -> LaneResults:
+    """Results of some lanes as those of so many, at fewer times: the others have any numbers."""
+    index = torch.zeros(count, dtype=torch.long)
+    index[list(lanes)] = torch.arange(len(lanes))
+    h, every = results.history, slice(None, None, substeps)
+    q, v, vd, lam = (x[every].index_select(-1, index) for x in h.states)
+    segment = None if h.segment is None else h.segment[every].index_select(-1, index)
+    history = replace(h, q=q, v=v, vd=vd, lam=lam, segment=segment, refined={})
+    data = results.data
+    if data is not None:
+        marks = {name: x for name, x in data.items() if name in ATTACHED and x.shape[-1] == len(lanes)}
+        data = data | {name: pick_lanes(x, index.tolist()) for name, x in marks.items()}
+    switches = [x.of_lanes(index) for x in results.switches]
+    statistics = {name: x[index] for name, x in results.statistics.items()}
+    return LaneResults(history, statistics, [OK] * count, switches, data)
 
 
 def _substeps_for_contacts(
@@ -173,22 +235,22 @@ def _substeps_for_contacts(
 
 def integrate_by_chosen_steps(
     integrator: Integrator,
-    dynamics: Dynamics,
-    duration: float,
-    with_gradients: bool,
+    problem: InitialValueProblem,
     check_memory: Callable[[int], None],
 ) -> tuple[int, LaneResults]:
     """The number of steps that the motion needs (step_count.py), and the motion of all lanes by these.
 
     check_memory   raises InputError for a number of steps that does not fit into memory
     """
-    values = dynamics.values() if dynamics.tangents else dynamics
+    values, duration = problem.values(), problem.duration
 
     def integrate(steps: int) -> Trial[IntegrationResult]:
-        found = integrator.integrate(values, duration, steps)
-        status = status_of_lanes(found.history, duration, found.statistics, found.failed)
-        return Trial(found, found.statistics, status, found.contacts)
+        result = values.integrate(integrator, steps)
+        status = status_of_lanes(result.history, duration, result.statistics)
+        # What was given up, as a phase that never ends, is with more steps as well.
+        status = [OK if lane in result.failed else reason for lane, reason in enumerate(status)]
+        return Trial(result, result.statistics, status, result.contacts)
 
-    steps, found = choose_steps(integrator, values, duration, integrate, check_memory)
-    first = None if dynamics.tangents else found  # a motion of values alone has no tangents
-    return steps, integrate_lanes(integrator, dynamics, duration, steps, with_gradients, first)
+    steps, result = choose_steps(integrator, values.dynamics, duration, integrate, check_memory)
+    first = None if problem.dynamics.tangents else result  # a motion of values alone has no tangents
+    return steps, integrate_lanes(integrator, problem, steps, first)

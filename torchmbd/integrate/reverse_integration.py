@@ -1,16 +1,17 @@
-"""A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
+"""A motion by a one-step method whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
-    inputs    the data of the reduced model, in the order of `names`; with `duration_is_input` the duration [1, 1] behind them
-    outputs   q, v, v', lam [times, n, 1, lanes] of the condensed system, the validity of the lanes
-              (lane_status.py), and, where lanes have smaller steps, the states at these (`History.at_steps`)
+    inputs    the data of the reduced model, in the order of `names`; of several segments also designs [component..., 1, lanes]:
+              events and impact maps may depend on these, and on the mode shapes that follow from them
+    outputs   outputs.py; states of one segment are those of its condensed system
 
-Tangents are integrated when they are asked for, together with the values once more.
-Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py.
+Tangents are integrated when they are asked for, together with the values once more, by the steps that gave these. Those by the
+duration are made by operators of torch (moving_steps.py).
+Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py, tests/sensitivity/test_phase_adjoint.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -20,16 +21,22 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
-from torchmbd.integrate.duration_derivative import tangents
+from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.outputs import Outputs
+from torchmbd.integrate.phases.adjoint import MARKED
+from torchmbd.integrate.phases.events import Views
+from torchmbd.integrate.phases.multiphase import SeveralSegments
+from torchmbd.integrate.phases.pullback import SegmentsPullback
 from torchmbd.integrate.prepared import differentiable
-from torchmbd.integrate.retries import integrate_by_chosen_steps, integrate_lanes
-from torchmbd.math.pair import Pair
+from torchmbd.integrate.retries import LaneResults, integrate_again, integrate_by_chosen_steps, integrate_lanes
+from torchmbd.integrate.segment import DURATION, Segment
+from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
@@ -38,114 +45,133 @@ from torchmbd.results.motion_data import has_failed
 
 @dataclass(eq=False)
 class ReverseIntegration:
-    """Equal steps over a duration [s].
+    """Equal steps over a duration [s], and steps of other sizes at switches.
 
-    system           the mechanism, or None where steps are given
+    system           the mechanism, with the locks of its phases, or None where steps are given
+    segments         of a motion through phases; None: there is one segment, that of the model
     model            topology and options of its equations; its data are not used
-    names            of the inputs;  duration_is_input: whether the duration is one as well
+    names            of the data;  designs: of the designs
     steps            their number; None: chosen from the data
     integrator       with a pullback of its steps
-    with_gradients   whether derivatives may be taken
     backend          of the steps, as of `simulate`
-    differentiated   names of inputs that are, as far as known before the integration: the initial state is then made once
+    differentiated   names of data that are, as far as known before the integration: the initial state is then made once
 
-    Results: dynamics, history, status, stats.
+    Results: dynamics, history, status, stats, outputs.
     """
 
     system: System | None
+    segments: list[Segment] | None
     model: Dynamics
     names: tuple[str, ...]
+    designs: tuple[str, ...]
     duration: float
-    duration_is_input: bool
     steps: int | None
     integrator: OneStep
-    with_gradients: bool
     backend: str = "auto"
     differentiated: tuple[str, ...] = ()
     dynamics: Dynamics = field(init=False)
-    history: History = field(init=False)
-    status: list[str] = field(init=False)
+    outputs: Outputs = field(init=False)
+    results: LaneResults = field(init=False)
     validity: Tensor = field(init=False)
-    stats: dict[str, Any] = field(init=False)
     variables: tuple[str, ...] = ()  # none carries tangents along
+    _problem: InitialValueProblem = field(init=False, repr=False)
     _of_leaves: Dynamics | None = field(default=None, init=False, repr=False)  # the dynamics as a function of leaves
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_of_leaves": None}  # has a graph of torch
 
+    @property
+    def history(self) -> History:
+        """States of all lanes."""
+        return self.results.history
+
+    @property
+    def status(self) -> list[str]:
+        """Of all lanes."""
+        return self.results.status
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """Statistics of the steps."""
+        return self.results.statistics
+
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
-        data = inputs[: len(self.names)]
-        if self.duration_is_input and inputs[-1].shape[-1] > 1:
+        data = dict(zip(self.names, inputs, strict=False))
+        if DURATION in data and data[DURATION].shape[-1] > 1:
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
-        if self.duration_is_input and self.integrator.checkpoint > 1:
-            raise InputError(
-                f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
-            )
-        self.dynamics = with_backend(self._with(data), self.backend, also=["adjoint"])
-        if self.differentiated:
+        moves = zip(self.designs, inputs[len(self.names) :], strict=True)
+        designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
+        kind, also = ("step", ["adjoint"]) if self.segments is None else (None, [])
+        self.dynamics = with_backend(replace(self.model, data=data), self.backend, kind, also)
+        if self.differentiated and self.segments is None:
             self._of_leaves = differentiable(self.dynamics, self.differentiated)
-        dynamics = self._of_leaves or self.dynamics
-        args = self.integrator, dynamics, self.duration
+        self._problem = self._problem_of(self.dynamics, designs)
+        problem = self._problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration)
         if self.steps is None:
             assert self.system is not None
-            check_memory = memory_check(self.system, dynamics.lanes, 0, self.integrator)
-            self.steps, results = integrate_by_chosen_steps(*args, self.with_gradients, check_memory)
+            check_memory = memory_check(self.system, self.dynamics.lanes, 0, self.integrator)
+            args = self.integrator, problem, check_memory
+            self.steps, self.results = integrate_by_chosen_steps(*args)
         else:
-            results = integrate_lanes(*args, self.steps, self.with_gradients)
-        h = self.history = results.history
-        self.stats, self.status = results.statistics, results.status
-        self.validity = validity(h, self.status, self.stats)
-        self.dynamics.share_rank(dynamics)
-        self.dynamics.evaluate_rank()
-        return *h.states, self.validity, *h.at_steps()
+            self.results = integrate_lanes(self.integrator, problem, self.steps)
+        if self.segments is None:
+            self.dynamics.share_rank(problem.dynamics)
+            self.dynamics.evaluate_rank()
+        else:
+            assert self.results.data is not None
+            self.dynamics = self.dynamics.with_data(self.results.data)
+        self.validity = validity(self.history, self.status, self.stats)
+        self.outputs = self._outputs(self.results)
+        return self.outputs.values()
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
-        given = zip(self.names, directions[: len(self.names)], strict=True)
-        data, parts = self.dynamics.data, []
-        moving = {name: Pair.of(data[name], dx) for name, dx in given if dx is not None}
-        if moving:
-            moved = replace(self._with({**data, **moving}.values()), backend=self.dynamics.backend)
-            assert self.steps is not None
-            results = integrate_lanes(self.integrator, moved, self.duration, self.steps, with_gradients=True)
-            self.stats["tangent_error"] = results.statistics.get("tangent_error")
-            h = results.history
-            parts.append([x[:, :, 1:] for x in (*h.states, *h.at_steps()[:4])])
-        if self.duration_is_input and directions[-1] is not None:
-            parts.append([x * directions[-1] for states in self.by_duration for x in states[:4]])
-        found = [torch.where(self.validity[1] > 0.0, sum(x), 0.0) for x in zip(*parts, strict=True)]
-        counts, rest = self.validity.new_zeros(1, found[0].shape[2], len(self.status)), found[4:]
-        return [*found[:4], counts.expand(2, -1, -1), *rest, *([counts] if rest else [])]
+        along = dict(zip(self.names, directions, strict=False))
+        moves = zip(self.designs, directions[len(self.names) :], strict=True)
+        designs = {name: dx.movedim((-2, -1), (0, 1)) for name, dx in moves if dx is not None}
+        data = {name: dx for name, dx in along.items() if dx is not None and name != DURATION}
+        parts = [self._integrated(data, designs)] if data or designs else []
+        by_duration = along.get(DURATION)
+        if by_duration is not None:
+            parts.append([x * by_duration for x in self._by_duration])
+        sums = (x[0] if len(x) == 1 else sum(x) for x in zip(*parts, strict=True))
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in sums]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
-        names = [name for name, one in zip(self.names, needs_grad, strict=False) if one]
-        of_times, of_steps = outputs[:4], outputs[5:9] or (None,) * 4
-        found = self.adjoint(of_times, names, of_steps) if names else {}
-        result = [found.get(name) for name in self.names]
-        if self.duration_is_input:
-            pairs = [
-                *zip(of_times, self.by_duration[0], strict=True),
-                *zip(of_steps, self.by_duration[1], strict=False),
-            ]
-            both = [(bar, dx) for bar, dx in pairs if bar is not None]
-            parts = [torch.einsum("tnrl,tnl->rl", bar, dx.squeeze(2)) for bar, dx in both]
-            result.append(torch.stack(parts).sum(0) if parts else None)
-        return result
+        differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
+        names, by_designs = [name for name in differentiated if name != DURATION], any(needs_grad[len(self.names) :])
+        result: dict[str, Tensor] = {}
+        if (names or by_designs) and self.segments is None:
+            bar = self.outputs.like(outputs)
+            result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
+        elif names or by_designs:
+            rows = next(x.shape[-2] for x in outputs if x is not None)
+            pullback = SegmentsPullback(self._several, self.results, backward.adjoint_solver)
+            result = pullback(self.outputs.like(outputs), rows, names, by_designs)
+        if DURATION in differentiated:
+            pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
+            result[DURATION] = torch.stack([(y * dx).flatten(0, -3).sum(0) for y, dx in pairs]).sum(0)
+        return [result.get(name) for name in (*self.names, *self.designs)]
 
     @cached_property
-    def by_duration(self) -> tuple[list[Tensor], list[Tensor]]:
-        """Derivatives of the states by the duration, as of `duration_derivative.tangents`, by operators of torch."""
+    def _by_duration(self) -> list[Tensor]:
+        """Tangents of all outputs by the duration, by operators of torch."""
         self.stats["gradient by the duration"] = "eager"
-        return tangents(self.adjoint.grids(), self.integrator, self.history)
+        return self._integrated({DURATION: torch.ones(1, 1, dtype=torch.float64)}, {})
 
     @cached_property
     def adjoint(self) -> Adjoint:
-        """Of the motion."""
+        """Of a motion of one segment."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
         args = self.dynamics, self.history, self.duration, self.integrator, failed
         return Adjoint(*args, backward.adjoint_solver, self._of_leaves)
+
+    @property
+    def _several(self) -> SeveralSegments:
+        assert isinstance(self._problem, SeveralSegments)
+        return self._problem
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from the condensed to the whole system, as a function of the data; None: it is the whole."""
@@ -153,7 +179,39 @@ class ReverseIntegration:
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """All multipliers [times, rows, 1, lanes]; of redundant rows those of least norm."""
+        if self.history.run is not None:
+            return self.history.run.multipliers(history, data)
         return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
-    def _with(self, inputs: Any) -> Dynamics:
-        return replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
+    def _problem_of(
+        self, dynamics: Dynamics, designs: dict[str, Tensor], along: dict[str, Tensor] | None = None
+    ) -> InitialValueProblem:
+        """along: tangents of the designs [k, lanes, ...]."""
+        if self.segments is None:
+            return OneSegment(dynamics, self.duration)
+        return SeveralSegments(dynamics, self.segments, Views.of(self.system, dynamics, designs, along), self.duration)
+
+    def _integrated(self, data: Mapping[str, Tensor], designs: Mapping[str, Tensor]) -> list[Tensor]:
+        """Tangents of all outputs along directions of the data [component..., k, lanes] and the designs [k, lanes, ...]."""
+        count = next((x.shape[-2] for x in data.values()), 0) or next(len(x) for x in designs.values())
+        values, own = self._problem.dynamics, {}
+        moving = {name: Pair.of(values.data[name].detach(), dx) for name, dx in data.items()}
+        if isinstance(self._problem, SeveralSegments):
+            own = self._problem.views.whole.designs
+        along = {name: dx.expand(len(dx), len(own[name]), *dx.shape[2:]) for name, dx in designs.items()}
+        dynamics = replace(values, data={name: x.detach() for name, x in values.data.items()} | moving)
+        assert self.steps is not None
+        problem = self._problem_of(dynamics, own, along)
+        again = integrate_again(self.results, problem, self.integrator, self.steps)
+        if "tangent_error" in again.statistics:
+            self.stats["tangent_error"] = again.statistics["tangent_error"]
+        return self._outputs(again).tangents(count)
+
+    def _outputs(self, results: LaneResults) -> Outputs:
+        """With the data that locks change."""
+        data = {}
+        if results.data is not None and any(segment.locks for segment in self.segments or ()):
+            lanes = results.history.q.shape[-1]
+            wide = {name: results.data[name] for name in MARKED if name in self.names}
+            data = {name: linear(lambda y: y.expand(*y.shape[:-1], lanes), x) for name, x in wide.items()}
+        return Outputs.of(results, self.validity, data)

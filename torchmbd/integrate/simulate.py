@@ -37,8 +37,8 @@ from torchmbd.integrate.jumps import warn_of_jumps
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.outputs import switches_with
 from torchmbd.integrate.phase import Phase
-from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
 from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
@@ -54,6 +54,7 @@ from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
 from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
+from torchmbd.results.motion_data import Switch
 from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.time_rows import IntegratedSignals, StepStates
@@ -105,7 +106,7 @@ def simulate(
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
-                halvings, and checkpoint=k, which keeps every k-th state (not with phases); torchdiffeq: rtol, atol, options
+                halvings, and checkpoint=k, which keeps every k-th state; torchdiffeq: rtol, atol, options
 
     `status` reports a lane that fails; it is nan from there on and adds nothing to a gradient. `status` also reports a lane
     whose steps do not resolve its vibrations; this lane has all numbers. `stats` has the mode of gradients and the backend.
@@ -124,13 +125,13 @@ def simulate(
     given = checked_designs(system, designs)
     system.join_again()
     phases = switching(phases)
-    integrator = checked_integrator(duration, method, steps, options, phases is not None, argument_names(simulate))
+    integrator = checked_integrator(duration, method, steps, options, argument_names(simulate))
     initial = start_of(system, start)
     model = system  # without the start, which `arguments` have
     system = system if start == "assembled" else system.starting(initial)
     integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
-    seconds = seconds_of(duration)
+    seconds = float(seconds_of(duration))  # a float of NumPy may be one of single precision
     check_gradients(gradients, integrator)
     check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
@@ -162,11 +163,9 @@ def simulate(
                 system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
             )
             motion = _forward(integration, batch)
-        elif phases is not None:
-            length = duration if by_duration else seconds
-            motion = _reverse_phases(system, batch, names, length, steps, integrator, backend, phases)
         else:
-            motion = _reverse(system, batch, names, duration if by_duration else seconds, steps, integrator, backend)
+            length = duration if by_duration else seconds
+            motion = _reverse(system, batch, names, length, steps, integrator, backend, phases)
         motion.stats["backend"] = motion.integration.dynamics.backend
         mode = "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
         motion.stats["gradients"] = mode if names or by_times or initial.is_differentiated else "none"
@@ -193,7 +192,8 @@ def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
     made = motion.integration
     dynamics, h = made.dynamics.values(), made.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
-    signals = IntegratedSignals(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data, valid_times)
+    history = History(q, v, vd, lam, made.expansion(dynamics.data), segment=h.segment)
+    signals = IntegratedSignals(history, made, dynamics.data, valid_times)
     return replace(
         motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None, t=motion.t.detach()
     )
@@ -237,29 +237,36 @@ def _reverse(
     steps: int | None,
     integrator: OneStep,
     backend: str,
+    phases: Sequence[Phase] | None,
 ) -> Trajectory:
     """A motion whose structure stage is differentiated by torch, and its steps by their adjoint; also by a `duration` []."""
-    by_duration = isinstance(duration, Tensor)
+    seconds, segments = seconds_of(duration), None
+    if phases is not None:
+        system, segments = outside_transforms(lambda: segments_of(system, phases, seconds))
     dynamics, shapes = system.stages(batch)
-    data = dynamics.data
+    data = dynamics.data | times_of(segments or ())
+    if isinstance(duration, Tensor):
+        data[DURATION] = duration[None, None]
     integration = ReverseIntegration(
         system,
+        segments,
         replace(dynamics, data={}),
         tuple(data),
-        seconds_of(duration),
-        by_duration,
+        tuple(batch) if segments else (),
+        seconds,
         steps,
         integrator,
-        bool(names) or by_duration or any(x.requires_grad for x in data.values()),
         backend,
-        tuple(name for name, x in data.items() if x.requires_grad),
+        tuple(name for name, x in data.items() if x.requires_grad and name != DURATION),
     )
-    inputs = (*data.values(), duration[None, None]) if by_duration else data.values()
-    outputs: Any = Motion.apply(integration, *inputs)
+    designs = _lanes_last(batch) if segments else []
+    outputs: Any = Motion.apply(integration, *data.values(), *designs)
     if not torch.is_grad_enabled():
         shapes = {}  # made on demand: they take memory
-    motion = trajectory_of(system, integration, outputs, dict(data), batch, entry_labels(system, names), names, shapes)
-    return _at_moving_times(motion, duration) if by_duration else motion
+    labels, switches = entry_labels(system, names), integration.results.switches
+    motion = trajectory_of(system, integration, outputs, data, batch, labels, names, shapes, switches)
+    motion.actions = tuple(segment.topology.actions for segment in segments or ())
+    return _at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
 
 def _at_moving_times(motion: Trajectory, duration: Tensor) -> Trajectory:
@@ -274,35 +281,6 @@ def _at_moving_times(motion: Trajectory, duration: Tensor) -> Trajectory:
     return replace(motion, t=t, signals=signals)
 
 
-def _reverse_phases(
-    system: System,
-    batch: dict[str, Tensor],
-    names: list[str],
-    duration: float | Tensor,
-    steps: int | None,
-    integrator: OneStep,
-    backend: str,
-    phases: Sequence[Phase],
-) -> Trajectory:
-    """As `_reverse`, through phases."""
-    seconds = seconds_of(duration)
-    whole, phase_models = outside_transforms(lambda: segments_of(system, phases, seconds))
-    dynamics = whole.reduced(batch)
-    data, model = dynamics.data | times_of(phase_models), replace(dynamics, data={})
-    if isinstance(duration, Tensor):
-        data[DURATION] = duration[None, None]
-    integration = ReversePhaseIntegration(
-        whole, phase_models, model, tuple(data), tuple(batch), seconds, steps, integrator, backend
-    )
-    outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
-    end = 5 + len(integration.output_data)
-    data = dict(data) | dict(zip(integration.output_data, outputs[5:end], strict=True))
-    motion = trajectory_of(whole, integration, outputs[:5], data, batch, entry_labels(system, names), names)
-    motion.switches = integration.switches_of(outputs[end:])
-    motion.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
-    return _at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
-
-
 def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
     """Designs [lanes, ...] as inputs [..., 1, lanes] of `Motion`."""
     return [x.movedim(0, -1).unsqueeze(-2) for x in batch.values()]
@@ -311,12 +289,10 @@ def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
     """A motion whose tangents are integrated with it."""
     outputs: Any = Motion.apply(integration, *_lanes_last(batch))
-    first = 10 if integration.history.has_smaller_steps else 5
-    end = first + len(integration.output_data)
-    data = dict(integration.dynamics.data) | dict(zip(integration.output_data, outputs[first:end], strict=True))
-    names, labels = list(integration.variables), integration.labels
-    motion = trajectory_of(integration.system, integration, outputs[:first], data, batch, labels, names)
-    motion.switches = integration.switches_of(outputs[end:])
+    made, names = integration, list(integration.variables)
+    motion = trajectory_of(
+        made.system, made, outputs, made.dynamics.data, batch, made.labels, names, switches=made.results.switches
+    )
     motion.actions = integration.actions
     return motion
 
@@ -325,23 +301,27 @@ def trajectory_of(
     system: System,
     integration: Any,
     outputs: Sequence[Tensor],
-    data: dict[str, Tensor],
+    data: dict[str, Any],
     designs: dict[str, Tensor],
     labels: tuple[str, ...],
     names: list[str],
     shapes: Mapping[str, Tensor] = MappingProxyType({}),
+    switches: Sequence[Switch] = (),
 ) -> Trajectory:
     """The motion as a function of the outputs of `Motion`, the data of the reduced model and the designs.
 
-    labels   one for each entry of the variables `names`;  shapes: mode shapes that were made already
+    labels     one for each entry of the variables `names`
+    shapes     mode shapes that were made already
+    switches   without a graph of torch
     """
-    q, v, vd, lam, (valid_times, good) = outputs[:5]
-    valid_times, good = valid_times[0].detach(), good[0] > 0.0
+    motion = integration.outputs.like(outputs)
+    q, v, vd, lam = motion.states
+    valid_times, good = motion.validity[0, 0].detach(), motion.validity[1, 0] > 0.0
     whole = integration.dynamics
-    data = without_failed(data, good)
+    data = without_failed(dict(data) | motion.data, good)
     dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
-    history = History(q, v, vd, lam, integration.expansion(data))
-    at_steps = StepStates(*outputs[5:]) if len(outputs) > 5 else None
+    history = History(q, v, vd, lam, integration.expansion(data), segment=next(iter(motion.segment), None))
+    at_steps = StepStates(*motion.at_steps) if motion.at_steps else None
     signals = IntegratedSignals(history, integration, data, valid_times, at_steps)
     return Trajectory(
         t=torch.linspace(0.0, integration.duration, len(q), dtype=torch.float64),
@@ -355,6 +335,7 @@ def trajectory_of(
         designs=designs,
         parameters=labels,
         variables={name: designs[name] for name in names},
+        switches=switches_with(switches, motion.switches),
         integration=integration,
     )
 

@@ -21,6 +21,7 @@ from torch.autograd.forward_ad import unpack_dual
 from torchmbd.errors import InputError, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
+from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import entry_labels, lanes_of_batch, plain, trajectory_of, variable_names
 from torchmbd.math.checked_numbers import reals
@@ -104,6 +105,7 @@ class StaticIntegration:
     history: History = field(init=False)
     status: list[str] = field(init=False)
     validity: Tensor = field(init=False)
+    outputs: Outputs = field(init=False)
     stats: dict[str, Any] = field(default_factory=dict, init=False)
     variables: tuple[str, ...] = ()
     _balances: list[list[Balance]] = field(default_factory=list, init=False, repr=False)
@@ -126,7 +128,8 @@ class StaticIntegration:
         self.history = History(q, v, a, lam, times=self.times)
         self.dynamics.evaluate_rank()
         self.validity = torch.tensor([[float(len(q))], [1.0]], dtype=torch.float64).expand(2, q.shape[-1])[:, None]
-        return q, v, a, lam, self.validity.clone()
+        self.outputs = Outputs([q, v, a, lam], self.validity.clone(), [], [], {}, [])
+        return self.outputs.values()
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""

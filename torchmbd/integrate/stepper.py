@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.pullback import PulledBack, StepPullback
 from torchmbd.integrate.step import algorithmic
 from torchmbd.math.pair import Pair, value
@@ -29,6 +30,9 @@ CHECK = 25  # steps between two estimates of what the correction of tangents lea
 # Relative; more than this gets another correction. Gradients have 20 times that at most, as measured.
 TANGENT_ERROR = 2e-5
 MOST = 4  # corrections of tangents
+# Corrections of values that a step makes on top, each with a new matrix, in lanes whose estimated error is above a share of the
+# largest acceleration so far: gradients are those of equations that are solved.
+MORE, PRECISE = 6, 1e-4
 _NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
@@ -79,7 +83,10 @@ class EagerStepper:
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.failed: dict[int, str] = {}  # none: a lane that fails is nan
         self.H: Any = None
-        self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
+        self.K = mass.new_zeros(0)  # the matrices of which H are factors
+        self.scale: Tensor | None = None  # largest accelerations so far [lanes]
+        self.sizes: list[Tensor] = []  # of the last two corrections of values, and further ones [steps, 3, lanes]
+        self.further = mass.new_zeros(dynamics.lanes)  # corrections of values in one step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each check
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
@@ -98,12 +105,13 @@ class EagerStepper:
 
     def restart(self) -> None:
         """As of Stepper."""
-        self.H = None
+        self.H = self.scale = None
 
     def _step(self, i: int, x: State, prescribed: Prescribed) -> State:
         """The state after step i."""
         reach(value(prescribed.t))
         first, step = self.H is None, self.model.step(x, prescribed)
+        self._begin(x)
         start = step.uniform() if self.begins_uniformly else torch.cat([value(x.vd), value(x.lam)])
         z = self._values(step, start, self.refresh == 0 or i % self.refresh == 0)
         if not isinstance(x.q, Pair):
@@ -121,14 +129,37 @@ class EagerStepper:
                 self._factorize(step, z)
             z, correction = step.correct(self.H, z)
             corrections.append(correction)
+        before, last = (step.size(x)[0] for x in (corrections[max(self.corrections - 2, 0)], corrections[-1]))
+        assert self.scale is not None
+        reached = step.size(z)[0]
+        self.scale = torch.where(reached > self.scale, reached, self.scale)
+        further = torch.zeros_like(last)
+        for _ in range(MORE):
+            open_lanes = last * last > PRECISE * self.scale * before
+            if not bool(open_lanes.any()):
+                break
+            self._factorize(step, z, open_lanes)
+            better, correction = step.correct(self.H, z)
+            z, size = torch.where(open_lanes, better, z), step.size(correction)[0]
+            further = further + open_lanes.double()
+            before, last = torch.where(open_lanes, last, before), torch.where(open_lanes, size, last)
         if renews and self.corrections == 1:
             self._factorize(step, z)
-        last = corrections[max(self.corrections - 2, 0)], corrections[-1]
-        self.sizes.append(torch.stack([step.size(x)[0] for x in last]))
+        self.sizes.append(torch.stack([before, last, further])[None])
         return z
 
-    def _factorize(self, step: Any, z: Tensor) -> None:
-        self.H = self.factor(regularized(step.matrix(z), self.diagonal))
+    def _begin(self, x: State) -> None:
+        """Accelerations of the first state are those of before; and what the rounding of coordinates makes of them."""
+        if self.scale is None:
+            largest = value(x.vd).abs().amax((0, 1)).nan_to_num(0.0, 0.0)
+            rounding = _ROUNDING * value(x.q).abs().amax((0, 1)) * self.model.plain.inverse_scale
+            self.scale = largest.maximum(rounding).expand(self.dynamics.lanes).contiguous()
+
+    def _factorize(self, step: Any, z: Tensor, lanes: Tensor | None = None) -> None:
+        """New matrices at z, of all lanes or of some."""
+        K = regularized(step.matrix(z), self.diagonal)
+        self.K = K if lanes is None else torch.where(lanes[:, None, None], K, self.K)
+        self.H = self.factor(self.K)
 
     def _tangents(self, step: Any, z: Tensor, dz: Tensor, first: bool, checks: bool) -> Tensor:
         """Tangents [n, n_b, lanes] of the unknowns from those of the step before.
@@ -169,29 +200,22 @@ class EagerStepper:
         """As of Stepper."""
         return algorithmic(self.model.w, a, vd)
 
-    def count_only(self, lanes: Tensor) -> None:
+    def take_errors(self, counted: Tensor | None = None) -> Tensor:
         """As of Stepper."""
-        for k, counted in enumerate(lanes, len(self.sizes) - len(lanes)):
-            self.sizes[k] = torch.where(counted, self.sizes[k], 0.0)
-
-    def take_errors(self) -> Tensor:
-        """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten."""
-        before, last = torch.stack(self.sizes, -1)
+        counted = self.counts if counted is None else counted
+        before, last, further = torch.cat(self.sizes).unbind(1)
         self.sizes = []
-        return last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
+        self.further = self.further.maximum(torch.where(counted, further, 0.0).amax(0))
+        errors = last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
+        return torch.where(counted, errors, 0.0).T
 
-    def errors(self, history: History, duration: float, indices: list[int] | None = None) -> dict[str, Tensor]:
-        """As of Stepper: relative errors of the iteration, and how many times come before one of which it did not converge."""
-        iterations = IterationErrors(history.q[0, :, 0], duration, duration / (len(history.q) - 1))
-        iterations.update(history, self.take_errors(), indices)
-        return iterations.statistics() | self.tangent_errors()
-
-    def tangent_errors(self) -> dict[str, Tensor]:
-        """Estimated relative error of tangents [lanes], if there were any."""
-        return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
+    def statistics(self) -> dict[str, Tensor]:
+        """As of Stepper."""
+        errors = {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
+        return errors | {"further_corrections": self.further}
 
 
-def resume(stepper: EagerStepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
+def resume(stepper: Stepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
     """The last state of steps from x, the first of that number, and all states.
 
     The stepper starts without factors: so the steps can be made again as they were.
@@ -203,35 +227,34 @@ def resume(stepper: EagerStepper, x: State, schedule: Schedule, number: int) -> 
 
 
 class IterationErrors:
-    """Estimated errors of the iterations of steps of size h [s], and the first time of which they did not converge.
+    """Estimated errors of the iterations of steps of size h [s], and the first time of which they did not converge [lanes].
 
     The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the motion, or to
     the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what the rounding of
-    coordinates q [n, lanes] at the start makes of them: a system at rest has nothing else.
+    coordinates at the start makes of them: a system at rest has nothing else.
     """
 
-    def __init__(self, q: Tensor, duration: float, h: float):
-        self.duration, rounding = duration, _ROUNDING * q.abs().amax(0) / (h * h)
-        self.scale, self.largest = rounding, torch.zeros_like(rounding)  # so far
-        self.valid_times, self.seen = torch.zeros_like(rounding, dtype=torch.long), 0
+    def __init__(self, lanes: int, duration: float, h: float):
+        self.duration, self.h = duration, h
+        self.scale: Tensor | None = None  # so far
+        self.largest = torch.zeros(lanes, dtype=torch.float64)
+        self.first_bad = torch.full((lanes,), torch.iinfo(torch.long).max)
 
-    def update(self, history: History, errors: Tensor, indices: list[int] | None = None) -> None:
-        """Go on with states at further times, the first of which was the last before, and errors of steps [lanes, steps].
-
-        indices: times of the history to which the steps led; None: 1, 2, 3, ...
-        """
+    def update(self, first: int, history: History, errors: Tensor) -> None:
+        """Go on with states from the time of number `first` on, and errors of the steps between them [lanes, steps]."""
+        if self.scale is None:
+            self.scale = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (self.h * self.h)
         largest = (x[:, :, 0].abs().amax(1) for x in (history.vd, history.v))
         reached, speed = (x.cummax(0).values for x in largest)
         # Up to every time: what comes after a failure is no measure of it.
         scale = self.scale.maximum(reached.maximum(speed / self.duration))
-        bad = torch.zeros_like(scale, dtype=torch.bool)
-        steps = torch.arange(1, errors.shape[-1] + 1) if indices is None else torch.tensor(indices)
-        bad[steps] = ~(ITERATION_ERROR * scale[steps] >= errors.T)
-        converged, shared = self.valid_times == self.seen, min(self.seen, 1)  # so far; times that were seen before
-        self.valid_times = torch.where(converged, self.seen - shared + first_true(bad), self.valid_times)
-        self.seen += len(history.q) - shared
+        bad = ~(ITERATION_ERROR * scale[1:] >= errors.T)
+        times = first + 1 + first_true(bad)
+        self.first_bad = torch.where(bad.any(0), self.first_bad.minimum(times), self.first_bad)
         self.scale, self.largest = scale[-1], self.largest.maximum(errors.amax(-1))
 
-    def statistics(self) -> dict[str, Tensor]:
-        """ "iteration_error", relative, and "valid_times", those before the first bad one [lanes]."""
-        return {"iteration_error": self.largest / self.scale, "valid_times": self.valid_times}
+    def statistics(self, times: int) -> dict[str, Tensor]:
+        """ "iteration_error", relative, and "valid_times", those before the first bad one of so many [lanes]."""
+        scale = torch.ones_like(self.largest) if self.scale is None else self.scale
+        tiny = torch.finfo(scale.dtype).tiny
+        return {"iteration_error": self.largest / scale.clamp_min(tiny), "valid_times": self.first_bad.clamp_max(times)}

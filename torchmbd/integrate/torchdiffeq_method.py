@@ -71,10 +71,10 @@ class Torchdiffeq(Integrator):
             return _joined_lanes(
                 [self.integrate(dynamics.select_lanes([i]), duration, steps) for i in range(dynamics.lanes)]
             )
-        watch, h = ContactWatch(dynamics), duration / steps
+        watch, h = ContactWatch(dynamics, steps), duration / steps
         if not watch.idle:
             times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-            watch.update(times, *(history.rows(order, pair=slice(1)) for order in range(2)))
+            watch.update(0, times, *(history.rows(order, pair=slice(1)) for order in range(2)))
         evaluations = dynamics.statistics["evaluations"] - before
         return IntegrationResult(history, {"evaluations": evaluations}, contacts=watch.unresolved(h, by_steps=False))
 

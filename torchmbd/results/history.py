@@ -60,6 +60,8 @@ class History:
     times         [times] [s]; None: equal intervals over the duration
     refined       lanes that were integrated by smaller steps
     checkpoints   how the steps between the states are made again; None: there are none between
+    segment       number of the segment that each state is in, -1: in none [times, 1, lanes]; None: there is one segment
+    run           record of the segments (integrate/phases/run.py); None: there is one segment
     """
 
     q: Tensor
@@ -70,6 +72,8 @@ class History:
     times: Tensor | None = None
     refined: dict[int, RefinedLane] = field(default_factory=dict)
     checkpoints: Checkpoints | None = None
+    segment: Tensor | None = None
+    run: Any = None
 
     @property
     def states(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -84,21 +88,25 @@ class History:
     def at_steps(self) -> list[Tensor]:
         """The states of lanes at the times of the steps of each; [] unless some lanes have smaller ones.
 
-        q, v, v', lam [most, n, pair, lanes], zero beyond the last time of a lane, and how many times it has [1, 1, lanes].
+        q, v, v', lam [most, n, pair, lanes], zero beyond the last time of a lane, how many times it has [1, 1, lanes], and,
+        of several segments, the segment of each state [most, 1, lanes].
         """
         if not self.has_smaller_steps:
             return []
         counts = torch.full((1, 1, self.q.shape[-1]), float(len(self.q)), dtype=torch.float64)
         for lane, refined in self.refined.items():
             counts[..., lane] = len(refined.history.q)
+        states = [*self.states, *([] if self.segment is None else [self.segment])]
         most, result = int(counts.max()), []
-        for k, x in enumerate(self.states):
+        for k, x in enumerate(states):
             steps = x.new_zeros(most, *x.shape[1:])
             steps[: len(x)] = x
             for lane, (history, source, _) in self.refined.items():
-                steps[: len(history.q), ..., lane] = history.states[k][..., source]
+                own = history.segment if k == len(self.states) else history.states[k]
+                assert own is not None
+                steps[: len(own), ..., lane] = own[..., source]
             result.append(steps)
-        return [*result, counts]
+        return [*result[:4], counts, *result[4:]]
 
     def at(self, times: slice) -> History:
         """The states of some of the times, without an expansion."""

@@ -77,8 +77,8 @@ def lane_motion(motion: MotionData, lane: int) -> LaneMotion:
 def _dynamics_of(motion: MotionData, lane: int) -> Any:
     """The dynamics of one lane; its rank, which is that of all lanes, is not computed again."""
     dynamics = motion.dynamics.select_lanes([lane])
-    if "rank" in vars(motion.dynamics):
-        vars(dynamics)["rank"] = motion.dynamics.rank
+    if motion.dynamics.known_rank is not None:
+        dynamics.known_rank = motion.dynamics.known_rank
     return dynamics
 
 
@@ -115,7 +115,8 @@ def _steps(motion: MotionData, lane: int) -> tuple[Tensor, Signals, Tensor]:
     whole = signals.history.expansion
     expansion = None if whole is None else Expansion.of(whole.condensation, data, t)
     q, v, vd, lam = (x[..., lane : lane + 1].index_select(0, k) for x in at_steps[:4])
-    history = History(q, v, vd, lam, expansion, t)
+    segment = None if at_steps.segment is None else at_steps.segment[..., lane : lane + 1].index_select(0, k)
+    history = History(q, v, vd, lam, expansion, t, segment=segment)
     valid = signals.valid_times
     if valid is not None:  # of a lane that has not failed: all
         valid = torch.where(valid >= count, most, valid)[lane : lane + 1]

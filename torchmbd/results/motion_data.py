@@ -5,7 +5,7 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -45,6 +45,17 @@ class Moment:
         """The same numbers without a graph of torch."""
         return replace(self, **{name: getattr(self, name).detach() for name in ("q", "v", "a", "lam")})
 
+    def of_lanes(self, lanes: Tensor) -> Moment:
+        """Of some lanes."""
+        parts = (getattr(self, f.name) for f in fields(self))
+        return Moment(*(None if x is None else x.index_select(0, lanes) for x in parts))  # pyright: ignore[reportArgumentType]
+
+    def with_lanes(self, lanes: Tensor, other: Moment, sources: Tensor) -> Moment:
+        """The same with some lanes from another one."""
+        return Moment(
+            *(_with_lanes(getattr(self, f.name), lanes, getattr(other, f.name), sources) for f in fields(self))
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Switch:
@@ -62,6 +73,27 @@ class Switch:
     def detach(self) -> Switch:
         """The same numbers without a graph of torch."""
         return replace(self, t=self.t.detach(), before=self.before.detach(), after=self.after.detach())
+
+    def of_lanes(self, lanes: Tensor) -> Switch:
+        """Of some lanes."""
+        dt_db = None if self.dt_db is None else self.dt_db.index_select(0, lanes)
+        sides = self.before.of_lanes(lanes), self.after.of_lanes(lanes)
+        return Switch(self.phase, self.t.index_select(0, lanes), *sides, dt_db)
+
+    def with_lanes(self, lanes: Tensor, other: Switch, sources: Tensor) -> Switch:
+        """The same switch with some lanes from another motion."""
+        return replace(
+            self,
+            t=_with_lanes(self.t, lanes, other.t, sources),
+            before=self.before.with_lanes(lanes, other.before, sources),
+            after=self.after.with_lanes(lanes, other.after, sources),
+            dt_db=_with_lanes(self.dt_db, lanes, other.dt_db, sources),
+        )
+
+
+def _with_lanes(x: Tensor | None, lanes: Tensor, other: Tensor | None, sources: Tensor) -> Any:
+    """Numbers [lanes, ...] with some lanes from others."""
+    return x if x is None or other is None else x.index_copy(0, lanes, other.index_select(0, sources))
 
 
 @dataclass(eq=False, repr=False)

@@ -20,6 +20,8 @@ from torchmbd.multibody.system.rank import RELATIVE, dominant_rows, jacobians
 from torchmbd.results.law_faults import laws_at_fault
 from torchmbd.results.motion_data import MotionData, has_failed
 
+_MANY = 3  # further corrections of a step, each with a new matrix: elsewhere one is mostly enough
+
 NEAR = 2e-2  # of the largest singular value
 
 
@@ -76,13 +78,13 @@ def _minima(x: Tensor, below: float) -> list[int]:
 def report_singular_positions(motion: MotionData) -> None:
     """Add singular positions, and laws of forces that are not finite, to the status of lanes that failed.
 
-    Of lanes that succeeded when they were integrated again they are a warning.
+    Of lanes that succeeded when they were integrated again, or in which a step took many corrections, they are a warning.
     """
-    failed_first = motion.stats.get("failed_first", ())
+    failed_first, further = motion.stats.get("failed_first", ()), motion.stats.get("further_corrections")
     for lane, status in enumerate(motion.status):
         if has_failed(status):
             near = positions_of_lane(motion, lane)[:1]  # after the first the motion means little
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
-        elif lane in failed_first:
+        elif lane in failed_first or (further is not None and float(further[lane]) >= _MANY):
             for near in positions_of_lane(motion, lane):
                 warn(f"{near}; from there the motion may go on in several ways")

@@ -87,6 +87,7 @@ class StepStates(NamedTuple):
     """States at the times of the steps by which each lane was integrated, differentiable as the motion is.
 
     q, v, vd, lam   [most, n, 1, lanes], without meaning beyond the last time of a lane;  counts: of times [1, 1, lanes]
+    segment         as of `History` [most, 1, lanes]
     """
 
     q: Tensor
@@ -94,6 +95,11 @@ class StepStates(NamedTuple):
     vd: Tensor
     lam: Tensor
     counts: Tensor
+    segment: Tensor | None = None
+
+    def detach(self) -> StepStates:
+        """The same numbers without a graph of torch."""
+        return self._replace(**{name: x.detach() for name, x in self._asdict().items() if x is not None})
 
 
 class IntegratedSignals(Signals):
@@ -130,8 +136,9 @@ class IntegratedSignals(Signals):
             h.lam.detach(),
             expansion,
             None if h.times is None else h.times.detach(),
+            segment=None if h.segment is None else h.segment.detach(),
         )
-        at_steps = None if self.at_steps is None else StepStates(*(x.detach() for x in self.at_steps))
+        at_steps = None if self.at_steps is None else self.at_steps.detach()
         return IntegratedSignals(plain, self.integration, data, self.valid_times, at_steps)
 
     def _values(self, name: str, rows: Rows) -> Tensor:

@@ -29,7 +29,7 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     simulation: Simulation | None = sections.get("simulate")
     if simulation is not None:
         integrator = INTEGRATORS[simulation.method]
-        types = integrator.option_types(simulation.phases is not None)
+        types = integrator.option_types()
         own = ("duration", "method", "steps", "phases", "gradients", "backend")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
         try:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.mechanisms import linked
-from torchmbd.integrate.native.elimination import Elimination, elimination
+from torchmbd.integrate.native.elimination import SparseElimination, elimination
 from torchmbd.integrate.native.mechanism import Mechanism
 
 
-def solved(e: Elimination, K: np.ndarray, b: np.ndarray) -> np.ndarray:
+def solved(e: SparseElimination, K: np.ndarray, b: np.ndarray) -> np.ndarray:
     """As factors.cpp does it, one number after another."""
     n, row, column = len(K), np.nonzero(K)[0], np.nonzero(K)[1]
     memory = np.zeros(e.size)

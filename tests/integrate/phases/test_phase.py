@@ -281,10 +281,6 @@ class TestDoor:
         phases = [mbd.Phase(until=mbd.Event(lambda m: m.t.expand(m.lanes, -1) - 0.01), impact=velocities), mbd.Phase()]
         self.refused(rf"the impact of a phase returned {words}.*allowed: a tensor \[lanes, times, n_v\]", phases)
 
-    def test_options(self):
-        with pytest.raises(mbd.InputError, match="halvings"):
-            mbd.simulate(rotors(), 0.1, steps=10, phases=[mbd.Phase(until=0.05), mbd.Phase()], halvings=1)
-
     def test_a_joint_that_begins_to_act_must_be_closed(self):
         phases = [mbd.Phase(until=0.05, release=["hinge"]), mbd.Phase()]
         motion = mbd.simulate(rotors(), 0.1, steps=10, phases=phases)

@@ -123,7 +123,7 @@ extern "C" long adjoint(const Job* job) {
       in.strengths = (const V*)J.strengths + step * m.called;
       if (m.called) in.slopes = (const V*)J.law_slopes + step * 2 * m.pairs;
       in.signal_bars = worth;
-      if (i % CHECK == 0 && !reliable(in, m, c, J.row_mask, J.diagonal_shift, K, R)) return 1;
+      if (i % CHECK == 0 && !reliable(in, m, c, J.row_mask, J.diagonal_shift, spread(1.0), K, R)) return 1;
       if (i % CHECK) renew(in, m, N_, J.row_mask, J.diagonal_shift, K);
       boundary(in);
       for (long s = 0; s < S; s++) {

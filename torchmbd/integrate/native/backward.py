@@ -89,7 +89,7 @@ class NativeAdjointSolver(AdjointSolver):
             self.code.adjoint_scratch(self.library.address, rows, len(steps)) // 8, dtype=torch.float64
         )
         arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
-        arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in of_motion]
+        arrays += [x if x is None else _spaced(x, steps, self.grid) for x in of_motion]
         arrays += [blocks(in_all_lanes(a, lanes)), self.values, moved]
         arrays += [
             *(self.stepper.diagonal or (None, None)),
@@ -101,7 +101,7 @@ class NativeAdjointSolver(AdjointSolver):
             scratch,
         ]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
-        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
+        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.corrections, self.library.address)
         called, of_strengths = self._called(job, schedule) if self.library.called.actions else (None, new(0))
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
@@ -142,12 +142,13 @@ def _blocks(x: Tensor) -> Tensor:
     return x.unflatten(-1, (-1, LANES)).movedim(-2, 1).contiguous()
 
 
-def _spaced(x: Tensor, steps: range, every: int) -> Tensor:
+def _spaced(x: Tensor, steps: range, grid: Grid) -> Tensor:
     """Cotangents [outputs, ...] of the states of a segment, zero where a state is no output."""
-    first, last = -(-steps.start // every), steps.stop // every
-    some = x[first : last + 1]
-    if every == 1:
-        return some.contiguous()
+    every, offset = grid.every, grid.offset
+    if every == 1 and not offset:
+        return x[steps.start : steps.stop + 1].contiguous()
+    first, last = max(-((offset - steps.start) // every), 0), (steps.stop - offset) // every
     result = x.new_zeros(len(steps) + 1, *x.shape[1:])
-    result[first * every - steps.start :: every] = some
+    if last >= first:
+        result[first * every + offset - steps.start :: every] = x[first : last + 1]
     return result

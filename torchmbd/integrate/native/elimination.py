@@ -24,7 +24,7 @@ Integers = NDArray[np.intc]
 
 
 @dataclass(frozen=True)
-class Elimination:
+class SparseElimination:
     """See the module header; as `Mechanism` in factors.cpp. size: numbers in memory."""
 
     size: int
@@ -47,7 +47,7 @@ class Elimination:
         return self._addresses[np.searchsorted(self._keys, keys)].astype(np.intc)
 
 
-def elimination(n: int, first: int, row: NDArray[np.int64], column: NDArray[np.int64]) -> Elimination:
+def elimination(n: int, first: int, row: NDArray[np.int64], column: NDArray[np.int64]) -> SparseElimination:
     """Of a matrix of n unknowns with entries at (row, column), or their mirror images: the `first` unknowns come first."""
     order, neighbors = _order(n, first, row, column)
     pivot = np.empty(n, dtype=np.int64)
@@ -74,7 +74,7 @@ def elimination(n: int, first: int, row: NDArray[np.int64], column: NDArray[np.i
     def integers(x: NDArray) -> Integers:
         return np.ascontiguousarray(x, dtype=np.intc)
 
-    return Elimination(
+    return SparseElimination(
         int(base[-1]),
         integers(order_array),
         integers(start),

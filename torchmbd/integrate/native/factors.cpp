@@ -151,8 +151,10 @@ void renew(const In& in, const Mechanism& m, long unknowns, const double* row_ma
   factor(m, unknowns, K);
 }
 
-// Renews the factors and solves for the row sums: all rates must come out as one. A lane whose matrix is nan says nothing.
-bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* row_mask, const double* diagonal_shift, V* K, V* b) {
+// Renews the factors and solves for the row sums: all rates must come out as one. A lane whose matrix is nan says nothing, nor
+// does one that does not count.
+bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* row_mask, const double* diagonal_shift,
+              const V& counted, V* K, V* b) {
   V sound = spread(0.0);
   fill(in, m, row_mask, diagonal_shift, K);
   std::memset((void*)b, 0, c.unknowns * sizeof(V));
@@ -164,7 +166,7 @@ bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* r
   solve(m, c.unknowns, K, b);
   bool good = true;
   for (long i = 0; i < c.n_v; i++)
-    for (int l = 0; l < LANES; l++) good &= sound[l] != 0.0 || std::fabs(b[i][l] - 1.0) <= INACCURATE;
+    for (int l = 0; l < LANES; l++) good &= counted[l] == 0.0 || sound[l] != 0.0 || std::fabs(b[i][l] - 1.0) <= INACCURATE;
   return good;
 }
 

@@ -56,7 +56,7 @@ extern "C" long rates(const Job* job) {
     };
     take(x, 0);
     if (J.check) {
-      if (!reliable(in, m, c, nullptr, nullptr, K, R)) return 1;
+      if (!reliable(in, m, c, nullptr, nullptr, spread(1.0), K, R)) return 1;
     } else {
       renew(in, m, c.unknowns, nullptr, nullptr, K);
     }

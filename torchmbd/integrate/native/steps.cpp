@@ -5,7 +5,8 @@
 // A block is LANES lanes. Arrays of a block: state [column][number], data [number], tangents of data [tangent][number].
 // If factors cannot be relied on, `run_steps` returns 1 and has done nothing; 2 where what was called back raised.
 
-constexpr int MOST = 4;  // as in stepper.py
+constexpr int MOST = 4, MORE = 6;     // as in stepper.py
+constexpr double PRECISE = 1e-4;      // as in stepper.py
 
 struct Job {
   long lanes, n_b, data, data_tangents, uniform;                 // numbers of each
@@ -17,13 +18,21 @@ struct Job {
   double *factors;                                               // [block][numbers of the matrix][LANES]
   const double *row_mask, *diagonal_shift;                       // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + n_b][lanes]
-  double *sizes, *errors;                                        // [steps][2][lanes], [3][n_b][lanes]
+  double *sizes, *errors;                                        // [steps][3][lanes], [3][n_b][lanes]
   double *scratch;
   const double *moved;                                           // [steps][block][1 + n_b][moving][LANES]
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
   const Feedback *feedback;                                      // or null
+  const double *counted;                                         // [block][LANES], one of lanes whose motion goes on, or zero
+  double *scale;                                                 // [block][LANES], largest accelerations so far, in and out
 };
+
+static bool any(const V& mask) {
+  bool found = false;
+  for (int l = 0; l < LANES; l++) found |= mask[l] != 0.0;
+  return found;
+}
 
 // Bytes of scratch memory, and of the factors of a block.
 extern "C" long steps_scratch(const Mechanism* m, long n_b) {
@@ -45,6 +54,12 @@ static void start_uniformly(const Counts& c, const V* x, const double* u, V* z) 
   const V *vd = x + c.n_q + c.n_v, *a = vd + c.n_v;
   const double by_vd = -u[5] * u[1] * u[10], by_a = -(u[4] + u[5] * u[2]) * u[10];
   for (long n = 0; n < c.n_v; n++) z[n] = by_vd * vd[n] + by_a * a[n];
+}
+
+// One where the next correction of values, as estimated from the last two, is no rounding (IterationErrors in stepper.py).
+static V imprecise(const V& before, const V& last, const V& scale) {
+  const V one = spread(1.0), zero = spread(0.0), goal = PRECISE * scale * before;
+  return last * last > goal ? one : zero;  // zero of a lane that is nan
 }
 
 // The data that move, as they are at the end of a step.
@@ -80,7 +95,7 @@ extern "C" long run_steps(const Job* job) {
       in.u = J.shared;
       start(c, in.x, z);
       if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
-      if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, trial, R)) return 1;
+      if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, ((const V*)J.counted)[block], trial, R)) return 1;
     }
   }
   for (long block = 0; block * LANES < J.lanes; block++) {
@@ -90,6 +105,7 @@ extern "C" long run_steps(const Job* job) {
     V* factors = (V*)J.factors + block * m.size;
     point_data(in, (const V*)J.values + block * J.data);
     const V passes = ((const V*)J.passes)[block];
+    V& scale = ((V*)J.scale)[block];
     bool fresh = J.fresh;
     for (long i = 0; i < J.steps; i++) {
       in.u = J.shared + i * J.uniform;
@@ -109,6 +125,7 @@ extern "C" long run_steps(const Job* job) {
       }
       const bool begins = fresh;
       fresh = false;
+      V before = spread(0.0), last_size = before;
       for (long k = 0; k < J.corrections; k++) {
         const bool anew = always || (due && k == renewed);
         if (ask(in, m, J.feedback, anew ? SLOPES : STRENGTHS, i, block)) return 2;
@@ -116,10 +133,29 @@ extern "C" long run_steps(const Job* job) {
         residual(in);
         solve(m, N_, factors, R);
         for (long n = 0; n < N_; n++) z[n] -= R[n];
-        const long kept = k == J.corrections - 1 ? 1 : 0;
-        if (kept || k == J.corrections - 2) put(J.sizes + (2 * i + kept) * J.lanes + block * LANES, largest(R, c.n_v), valid);
-        if (kept && J.corrections == 1) put(J.sizes + 2 * i * J.lanes + block * LANES, largest(R, c.n_v), valid);
+        before = last_size;
+        last_size = largest(R, c.n_v);
+        if (k == 0) before = last_size;
       }
+      const V reached = largest(z, c.n_v);
+      scale = reached > scale ? reached : scale;
+      V open = imprecise(before, last_size, scale);
+      V further = spread(0.0);
+      for (long k = 0; k < MORE && any(open); k++) {  // of some lanes alone, each with a matrix of its own
+        if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
+        renew(in, m, N_, J.row_mask, J.diagonal_shift, trial);
+        residual(in);
+        solve(m, N_, trial, R);
+        for (long n = 0; n < N_; n++) z[n] = open != 0.0 ? z[n] - R[n] : z[n];
+        for (long e = 0; e < m.size; e++) factors[e] = open != 0.0 ? trial[e] : factors[e];
+        further += open;
+        before = open != 0.0 ? last_size : before;
+        last_size = open != 0.0 ? largest(R, c.n_v) : last_size;
+        open = open != 0.0 ? imprecise(before, last_size, scale) : open;
+      }
+      put(J.sizes + 3 * i * J.lanes + block * LANES, before, valid);
+      put(J.sizes + (3 * i + 1) * J.lanes + block * LANES, last_size, valid);
+      put(J.sizes + (3 * i + 2) * J.lanes + block * LANES, further, valid);
       const bool last = due && J.corrections == 1;
       if ((S || last) && ask(in, m, J.feedback, S ? TANGENTS : SLOPES, i, block)) return 2;
       if (last) renew(in, m, N_, J.row_mask, J.diagonal_shift, factors);

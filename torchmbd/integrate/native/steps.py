@@ -24,7 +24,7 @@ from torchmbd.integrate.native.simd_layout import (
     varied_blocks,
 )
 from torchmbd.integrate.step import Model, Weights
-from torchmbd.integrate.stepper import CHECK, EagerStepper, Record, check_intervals
+from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper, Record, check_intervals
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -35,7 +35,7 @@ _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "uniform", "first", "steps"
 _NUMBERS += ("check", "fresh", "moving")
 _ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
 _ARRAYS += ("sizes", "errors")
-_ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback")
+_ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback", "counted", "scale")
 
 
 class _Job(ctypes.Structure):
@@ -67,6 +67,7 @@ class NativeStepper(EagerStepper):
         self.code: ctypes.CDLL | None = library.code
         code, self.library = library.code, library
         self.lanes, self.n_b, self.fresh = dynamics.lanes, dynamics.tangents, 1
+        self.sound = torch.ones(self.lanes, dtype=torch.bool)  # lanes in which the iterations converge
         code.steps_scratch.restype = code.steps_factors.restype = code.run_steps.restype = ctypes.c_long
         code.steps_scratch.argtypes, code.steps_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
         self.weights = torch.tensor(w, dtype=torch.float64)
@@ -78,10 +79,12 @@ class NativeStepper(EagerStepper):
     def restart(self) -> None:
         super().restart()
         self.fresh = 1
+        self.sound = torch.ones(self.lanes, dtype=torch.bool)
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         if self.code is None:
             return super().run(x, schedule, record, first, start)
+        self._begin(x)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
         table = uniform(self.dynamics.topology, self.weights, schedule)
@@ -96,7 +99,7 @@ class NativeStepper(EagerStepper):
 
     def _run_part(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, start: int) -> bool:
         """Make steps without a check in between; False if the factors cannot be relied on, and no step is made."""
-        sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
+        sizes = torch.empty(len(table), 3, self.lanes, dtype=torch.float64)
         errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
         check = int(first % CHECK == 0)
         numbers = (self.lanes, self.n_b, self.values.shape[2], self.tangents.shape[2])
@@ -114,17 +117,23 @@ class NativeStepper(EagerStepper):
         row_mask, diagonal_shift = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, row_mask, diagonal_shift]
         arrays += [part[start:] for part in record.parts] + [sizes, errors, self.scratch, moved]
-        arrays.append(blocks(self.passes[None, None]))
+        assert self.scale is not None
+        scale = blocks(self.scale[None, None])
+        counted = blocks((self.counts & self.sound).double()[None, None])
+        arrays += [blocks(self.passes[None, None]), counted, scale]
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
-        *found, passes = addresses(arrays)
+        *found, passes, counted_at, scale_at = addresses(arrays)
         back = None if self.feedback is None else self.feedback.address
-        job = _Job(*numbers, *found, self.library.address, passes, back)
+        job = _Job(*numbers, *found, self.library.address, passes, back, counted_at, scale_at)
         if self._called(partial(self.code.run_steps, ctypes.byref(job))):
             self.code = None
             return False
         self.fresh = 0
-        self.sizes += sizes.unbind(0)
+        self.scale = lanes_out(scale, self.lanes)[0, 0]
+        self.sizes.append(sizes)
+        before, last, _ = sizes.unbind(1)
+        self.sound &= (last * last <= ITERATION_ERROR * self.scale * before).all(0)
         if check and self.n_b:
             self.check(*errors)
         return True

@@ -31,7 +31,7 @@ from torchmbd.errors import warn
 from torchmbd.integrate.adjoint import INACCURATE, AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pull_back, rows_first, zeros
+from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
 from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
 from torchmbd.integrate.phases.switch import data_with_marks
@@ -92,7 +92,6 @@ class _Cotangents:
 class PhaseAdjoint:
     """The adjoint of one multiphase run, of values only.
 
-    integrator       that made the steps
     wanted           names of data by which gradients are wanted
     failed           lanes whose cotangents are zero
     adjoint_solver   makes the AdjointSolver of a grid
@@ -100,13 +99,13 @@ class PhaseAdjoint:
     """
 
     multiphase: MultiphaseRun
-    integrator: OneStep
     wanted: Sequence[str]
     failed: Sequence[int]
     adjoint_solver: Callable[[Grid], AdjointSolver]
 
     def __post_init__(self) -> None:
         self.h = self.multiphase.duration / self.multiphase.steps
+        self.integrator: OneStep = self.multiphase.integrator
         self.weights: Weights = self.integrator.weights(self.h)
         self.error = torch.zeros(self.multiphase.whole.lanes, dtype=torch.float64)
         locks = any(phase_model.locks for phase_model in self.multiphase.phase_models)
@@ -157,9 +156,9 @@ class PhaseAdjoint:
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
         kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
-        found = pull_back([end, *y], [x[..., own] for x in so_far.exit], inputs, rows)
+        found = pulled_back([end, *y], [x[..., own] for x in so_far.exit], inputs, rows)
         if g is not None:
-            slopes = pull_back([g], [torch.ones_like(g)[None]], inputs, 1)
+            slopes = pulled_back([g], [torch.ones_like(g)[None]], inputs, 1)
             mu = -found[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
             found = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(found, slopes, kinds, strict=True)]
         _, by_t, *by_state = found[: 2 + len(base)]
@@ -176,83 +175,73 @@ class PhaseAdjoint:
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
         so_far.arrival = [torch.zeros_like(x) for x in so_far.end]
-        groups: dict[tuple[int, int], list[int]] = {}  # lanes counted among those of so_far
+        groups: dict[tuple[int, int, int], list[int]] = {}  # lanes counted among those of so_far
         for i, lane in enumerate(so_far.lanes):
-            first, in_phase = int(record.first[lane]), self.multiphase.phase_number[:, lane] == record.number
-            last = max([first - 1, int(record.base_point[lane]), *torch.nonzero(in_phase)[:, 0].tolist()])
+            first, base = int(record.first[lane]), int(record.base_point[lane])
+            in_phase = torch.nonzero(self.multiphase.phase_number[:, lane] == record.number)[:, 0]
+            last = max([first - 1, base, *in_phase[-1:].tolist()])
             if last >= first:
-                groups.setdefault((first, last), []).append(i)
-        for (first, last), group in groups.items():
-            self._steps_of_group(record, range(first, last + 1), group, so_far, cotangents, rows)
+                groups.setdefault((first, base, last), []).append(i)
+        for (first, base, last), group in groups.items():
+            self._steps_of_group(record, range(first, last + 1), base - first, group, so_far, cotangents, rows)
 
     def _steps_of_group(
         self,
         record: PhaseRecord,
         points: range,
+        base: int,
         group: list[int],
         so_far: _Cotangents,
         cotangents: MotionCotangents,
         rows: int,
     ) -> None:
-        """As `_steps`, for lanes with the same first and last point of the grid."""
+        """As `_steps`, for lanes with the same points of the grid, and the same number `base` of steps to their base."""
         multiphase, lanes = self.multiphase, [so_far.lanes[i] for i in group]
-        at, phase_model = slice(points.start, points.stop), multiphase.phase_models[record.number]
-        h, c = multiphase.history, record.condensation
-        rows_of_steps = phase_model.rows if c is None else [phase_model.rows[k] for k in c.rows.tolist()]
+        every, c = multiphase.every, record.condensation
+        phase_rows = multiphase.phase_models[record.number].rows
+        rows_of_steps = phase_rows if c is None else [phase_rows[k] for k in c.rows.tolist()]
+        at = slice(-(-points.start // every), points[-1] // every + 1)
+        h = multiphase.history
         q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, rows_of_steps]))
         if c is not None:
             q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
         history = History(q, v, vd, lam)
-        in_phase = (multiphase.phase_number[at, lanes] == record.number)[:, None, None]
+        kept = slice(at.start * every, points.stop, every)
+        in_phase = (multiphase.phase_number[kept, lanes] == record.number)[:, None, None]
         of_states = []
-        for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True)):
+        for i, (x, n) in enumerate(zip(cotangents, history.states, strict=True)):
             if x is None:
-                of_states.append(torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64))
+                of_states.append(torch.zeros(len(n), n.shape[1], rows, len(lanes), dtype=torch.float64))
                 continue
             of_points = torch.where(in_phase, (x[:, rows_of_steps] if i == 3 else x)[at, :, :, lanes], 0.0)
             of_states.append(of_points if c is None or i == 3 else c.of_whole(i, of_points))
-        by_a = torch.zeros_like(of_states[2][0])
-        for i, (one, lane) in enumerate(zip(group, lanes, strict=True)):
-            k = int(record.base_point[lane]) - points.start
-            if k >= 0:
-                by_a[..., i] = self._add_state(of_states, k, [x[..., one] for x in so_far.end], i)
+        end = State(*(x[..., 0, group].movedim(0, -2) for x in so_far.end))
         start = pick_states(record.arrival, lanes).map(leaf)
         if len(points) == 1:
-            by_q, by_v, by_vd, by_lam = (x[0] for x in of_states)
-            by_start, by_data = State(by_q, by_v, by_vd, by_a, by_lam), {}
+            by_start, by_data = end if base == 0 else end.map(torch.zeros_like), {}
+            if len(of_states[0]):
+                by_q, by_v, by_vd, by_lam = (x[0] for x in of_states)
+                q, v, vd, a, lam = by_start
+                by_start = State(q + by_q, v + by_v, vd + by_vd, a, lam + by_lam)
         else:
-            by_start, by_data = self._adjoint_of_steps(record, points, lanes, history, start, of_states)
-            by_start = by_start._replace(a=by_start.a + by_a)
+            grid = self._grid(record, points, base, lanes, history, start)
+            more = {base: end} if base > 0 else {}
+            of_steps, error = self.adjoint_solver(grid)(of_states, more)
+            self.error[lanes] = self.error[lanes].maximum(error)
+            by_leaf = grid.cotangents(of_steps)
+            by_start = State(*(by_leaf.pop(f"state {name}") for name in State._fields))
+            if base == 0:
+                by_start = State(*(x + y for x, y in zip(by_start, end, strict=True)))
+            by_data = {("data", name): x for name, x in by_leaf.items()}
         for total, x in zip(so_far.arrival, by_start, strict=True):
             total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
         for key, x in by_data.items():
             so_far.add(key, group, x.movedim(-2, 0).unsqueeze(-2))
 
-    def _add_state(self, of_states: list[Tensor], k: int, end: list[Tensor], lane: int) -> Tensor:
-        """Add the cotangents of the state at the point k of one lane to those of the states of the motion.
-
-        The algorithmic acceleration is not among these: a1 = w(v0', v1') + c a0, so it is a sum over all steps before. Returns
-        the cotangents of the first one.
-        """
-        q, v, vd, a, lam = (x[..., 0].T for x in end)
-        for x, cotangent in zip(of_states, (q, v, vd, lam), strict=True):
-            x[k, :, :, lane] += cotangent
-        w = self.weights
-        powers = (w.a_from_a ** torch.arange(k, dtype=torch.float64).flip(0))[:, None, None] * a
-        of_states[2][:k, :, :, lane] += w.a_from_vd * powers
-        of_states[2][1 : k + 1, :, :, lane] += w.share * powers
-        return w.a_from_a**k * a
-
-    def _adjoint_of_steps(
-        self,
-        record: PhaseRecord,
-        points: range,
-        lanes: list[int],
-        history: History,
-        start: State,
-        cotangents: list[Tensor],
-    ) -> tuple[State, dict[Key, Tensor]]:
-        """Cotangents [..., rows, lanes] of the state at the first point, and by data."""
+    def _grid(
+        self, record: PhaseRecord, points: range, base: int, lanes: list[int], history: History, start: State
+    ) -> Grid:
+        """The regular steps of some lanes; leaves are the data and the state at the first point."""
         dynamics = record.dynamics.select_lanes(lanes)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
@@ -260,13 +249,19 @@ class PhaseAdjoint:
         with torch.enable_grad():
             dynamics = _condensed(record, dynamics)
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
-        times = self.multiphase.times[points.start : points.stop]
-        corrections = self.integrator.counts(dynamics)[1]
-        grid = Grid(lanes, history, leaves | state, dynamics, start, self.weights, times, 1, corrections)
-        of_steps, error = self.adjoint_solver(grid)(cotangents)
-        self.error[lanes] = self.error[lanes].maximum(error)
-        by_leaf = grid.cotangents(of_steps)
-        return State(*(by_leaf[name] for name in state)), {("data", name): by_leaf[name] for name in leaves}
+        times, every = self.multiphase.times[points.start : points.stop], self.multiphase.every
+        offset, cuts, starts = -points.start % every, [base] if 0 < base < len(points) - 1 else [], None
+        if every > 1:
+            starts = {0: start.map(Tensor.detach)}
+            for k, a in record.checkpoints.items():
+                if points.start < k < points[-1]:
+                    q, v, vd, lam = (x[(k - points.start - offset) // every] for x in history.states)
+                    starts[k - points.start] = State(q, v, vd, a[..., lanes], lam)
+            if cuts:
+                starts[base] = pick_states(record.base, lanes)
+        integrator = self.multiphase.integrator
+        args = lanes, history, leaves | state, dynamics, start, self.weights, times, integrator, every, offset
+        return Grid(*args, starts=starts, cuts=cuts)
 
     def _entry(self, record: PhaseRecord, so_far: _Cotangents, cotangents: PhaseCotangents, rows: int) -> None:
         """From the first points of the grid, and the states after the switch, to the states before it."""
@@ -297,7 +292,7 @@ class PhaseAdjoint:
                 outputs.append(data[name])
                 of_outputs.append(so_far.by.pop(("data", name), None))
         inputs = [t, *x] if number else []
-        by_inputs = pull_back(outputs, of_outputs, [*inputs, *leaves.leaves.values()], rows)
+        by_inputs = pulled_back(outputs, of_outputs, [*inputs, *leaves.leaves.values()], rows)
         so_far.exit = by_inputs[: len(inputs)]
         for key, cotangent in zip(leaves.leaves, by_inputs[len(inputs) :], strict=True):
             so_far.add(key, every, cotangent)
@@ -328,10 +323,10 @@ class PhaseAdjoint:
             x = record.retained(pick_states(after, own))
             outputs += self.integrator.step_of_size(some, x, end - begin, end, near)
             of_outputs += [x[..., own] for x in so_far.arrival]
-        between = multiphase.phase_number[:, lanes] == record.number
-        between &= torch.arange(len(between))[:, None] < first
+        between = multiphase.phase_number[:: multiphase.every, lanes] == record.number
+        between &= multiphase.every * torch.arange(len(between))[:, None] < first
         for k in lane_numbers(between.any(1)):
-            y = shortly_after(dynamics.topology, after, float(multiphase.times[k]) - t)
+            y = shortly_after(dynamics.topology, after, float(multiphase.kept_times[k]) - t)
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)

@@ -214,6 +214,16 @@ class Views:
         )
         return cls(whole, directions or {})
 
+    def select_lanes(self, lanes: Sequence[int], dynamics: Dynamics) -> Views:
+        """Views of some lanes alone; dynamics: of these."""
+        index = list(lanes)
+        designs = {name: x[index] for name, x in self.whole.designs.items()}
+        return Views.of(self.whole.system, dynamics, designs, {k: dx[:, index] for k, dx in self.directions.items()})
+
+    def values(self, dynamics: Dynamics) -> Views:
+        """Views without tangents; dynamics: without these."""
+        return Views.of(self.whole.system, dynamics, self.whole.designs)
+
     def along(self, event: Event, dynamics: Dynamics, times: Tensor, history: History) -> Tensor:
         """The function of all lanes at several times [lanes, times], the states at which are a history of these dynamics."""
         signals = IntegratedSignals(history, _Multipliers(dynamics), dynamics.data)

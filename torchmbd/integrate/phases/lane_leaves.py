@@ -8,7 +8,6 @@ Checked in tests/sensitivity/test_phase_adjoint.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,6 +15,7 @@ from torch import Tensor
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lanes import expanded
 from torchmbd.integrate.pullback import leaf
+from torchmbd.math.pull_back import pull_back
 from torchmbd.multibody.system.dynamics import Dynamics
 
 Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its name
@@ -44,7 +44,7 @@ class LaneLeaves:
         return self.leaves.setdefault((kind, name), leaf(x))
 
 
-def pull_back(
+def pulled_back(
     outputs: Sequence[Tensor], cotangents: Sequence[Tensor | None], inputs: Sequence[Tensor], rows: int
 ) -> list[Tensor]:
     """Cotangents [rows, ...] of the inputs from those of the outputs."""
@@ -52,9 +52,10 @@ def pull_back(
     if not used or not inputs:
         return zeros(rows, inputs)
     of = [y for y, _ in used]
-    options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-    found = [torch.autograd.grad(of, list(inputs), [x[row] for _, x in used], **options) for row in range(rows)]
-    return [torch.stack(x) for x in zip(*found, strict=True)]
+    found = [
+        pull_back(of, inputs, [x[row : row + 1] for _, x in used]) for row in range(rows)
+    ]  # steps are not for vmap
+    return [torch.cat(x) for x in zip(*found, strict=True)]
 
 
 def zeros(rows: int, like: Sequence[Tensor]) -> list[Tensor]:

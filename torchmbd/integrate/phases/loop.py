@@ -31,9 +31,11 @@ from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
+from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import SEGMENT, History
 from torchmbd.results.state import State
@@ -42,21 +44,32 @@ _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the p
 _SAME = 1e-9  # of a regular step: times that are equal
 
 
-def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
-    """Integrate all lanes through all phases; errors as of Stepper.errors, the largest of all phases."""
+def integrate(
+    multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None
+) -> dict[str, Tensor]:
+    """Integrate all lanes through all phases; statistics as of Stepper, the largest of all phases.
+
+    estimates   take the states and the errors of regular steps
+    """
     phase_exit, errors = multiphase.start(), {}
     for number in range(len(multiphase.phase_models)):
-        phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator).run()
-        for name, x in of_phase.items():
-            errors[name] = (torch.minimum if name == "valid_times" else torch.maximum)(errors.get(name, x), x)
+        phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator, estimates).run()
+        errors = {name: x.maximum(errors.get(name, x)) for name, x in of_phase.items()} or errors
     return errors
 
 
 class _PhaseLoop:
     """All lanes in one phase, from `entry` to where they leave it."""
 
-    def __init__(self, multiphase: MultiphaseRun, number: int, entry: PhaseExit, integrator: Integrator):
-        self.multiphase, self.number, self.integrator = multiphase, number, integrator
+    def __init__(
+        self,
+        multiphase: MultiphaseRun,
+        number: int,
+        entry: PhaseExit,
+        integrator: Integrator,
+        estimates: StepEstimates | None,
+    ):
+        self.multiphase, self.number, self.integrator, self.estimates = multiphase, number, integrator, estimates
         self.phase_model = multiphase.phase_models[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(integrator.shortest_step, _SAME)
@@ -79,7 +92,7 @@ class _PhaseLoop:
     def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
         """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
-        i, steps = int(self.first.min()), None
+        i, steps, every = int(self.first.min()), None, self.multiphase.every
         stepper: Stepper = (
             MovingSteps(self.integrator, self.condensed, self._time)
             if self.multiphase.duration_moves
@@ -87,7 +100,7 @@ class _PhaseLoop:
         )
         self._record_shortly_after()
         self._arrive()
-        inside, indices = torch.zeros_like(self.alive), []
+        inside = torch.zeros_like(self.alive)
         while i <= last:
             arriving = lane_numbers(self.alive & (self.first == i))
             if arriving:
@@ -98,22 +111,28 @@ class _PhaseLoop:
                 break
             j = self._boundary(i, last)
             if bool(inside.any()):
+                if every > 1 and i % every == 0:
+                    record.checkpoints[i] = value(x.a).clone()
+                    stepper.restart()
                 steps = RegularSteps(stepper, self.condensed, self.times, i, j, x, inside, steps)
-                x, indices = steps.end, [*indices, *range(i + 1, j + 1)]
+                x = steps.end
                 inside = self._left_behind(steps, inside)
             i = j
-        errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, indices) if indices else {}
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
         self.multiphase.never_left(self.phase_model, self.alive)
         if bool(record.left.any()):
             self._leave(lane_numbers(record.left))
-        return record.exit, errors
+        return record.exit, stepper.statistics()
 
     def _boundary(self, i: int, last: int) -> int:
-        """The point at which the steps from the point i are interrupted: where lanes arrive, and for events."""
-        later = [k for k in self.first.tolist() if i < k]
-        return min([last, i + (SEGMENT if self.event is None else _BETWEEN_EVENTS), *later])
+        """The point at which the steps from the point i are interrupted: where lanes arrive, for events, at checkpoints."""
+        later, every = [k for k in self.first.tolist() if i < k], self.multiphase.every
+        most = SEGMENT if self.event is None else _BETWEEN_EVENTS
+        if every == 1:
+            return min([last, i + most, *later])
+        most = every * max(most // every, 1)
+        return min([last, i + most - i % most, *later])
 
     def _arrived(self, i: int, lanes: list[int], x: State) -> Tensor:
         """Record lanes at their first point i of the grid, where all have the condensed states x; which stay in the phase."""
@@ -124,7 +143,8 @@ class _PhaseLoop:
         passed = self._passed(i, new, g)
         short = self._short_events(i, x, x, new & ~passed, g)
         passed = passed if short is None else passed | short.found
-        self._record(i, history, (new & ~(passed & self._beyond(i)))[None])
+        counted = (new & ~(passed & self._beyond(i)))[None]
+        self._record(i, history, counted, counted)
         for lane in lane_numbers(passed):
             self._note_base(lane, i, (x, x), g, short)
         self.g = torch.where(new, g, self.g)
@@ -155,8 +175,8 @@ class _PhaseLoop:
                 self._note_base(lane, p, (steps.state(p - 1), steps.state(p - 2)), g[:, k], short)
             counted[k] = inside & ~(passed & self._beyond(p))
             inside, self.alive = inside & ~passed, self.alive & ~passed
-        steps.stepper.count_only(stepped[1:])
-        self._record(i + 1, history.at(slice(1, None)), counted[1:])
+        stepped[0] = stepped[1]
+        self._record(i, history, counted, stepped, steps.stepper.take_errors(stepped[1:]))
         self.g, self.change = g[:, -1], change[:, -1]
         return inside
 
@@ -181,8 +201,13 @@ class _PhaseLoop:
             history = replace(history, expansion=Expansion.of(self.record.condensation, dynamics.data, times))
         return self.multiphase.views.along(self.event, dynamics, times, history)
 
-    def _record(self, first: int, states: History, counted: Tensor) -> None:
-        """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes]."""
+    def _record(
+        self, first: int, states: History, counted: Tensor, stepped: Tensor, errors: Tensor | None = None
+    ) -> None:
+        """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
+
+        stepped   lanes that have these states;  errors: of the iterations of the steps between them
+        """
         c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
         q, v, vd, lam = states.states
         if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
@@ -195,6 +220,20 @@ class _PhaseLoop:
         if c is not None:
             rows = [rows[k] for k in c.rows.tolist()]
         self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
+        if self.estimates is not None and errors is not None:
+            unknowns = states if c is None else self._unknowns(c, states)
+            self.estimates.update(first, unknowns, errors, stepped)
+
+    def _unknowns(self, c: Condensation, states: History) -> History:
+        """Condensed states as those of the whole system, zero where a body is no unknown: its motion has no error."""
+        T, (q, v, vd, lam) = self.dynamics.topology, states.states
+
+        def whole(x: Tensor, rows: Tensor, count: int) -> Tensor:
+            return x.new_zeros(len(x), count, 1, x.shape[-1]).index_copy(1, rows, x[:, :, :1])
+
+        return History(
+            whole(q, c.coordinates, T.n_q), whole(v, c.independent, T.n_v), whole(vd, c.independent, T.n_v), lam
+        )
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.switch import (
@@ -27,6 +28,7 @@ from torchmbd.integrate.phases.switch import (
     velocities_after_impact,
 )
 from torchmbd.integrate.segment import DURATION, Segment
+from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system import equations, reactions
 from torchmbd.multibody.system.condensation import Condensation
@@ -35,7 +37,7 @@ from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
 from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.results.history import History
-from torchmbd.results.motion_data import OK, Moment, Switch
+from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
 
 CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
@@ -65,6 +67,7 @@ class PhaseRecord:
     exit        where lanes left the phase, with the multipliers of retained rows;  left: which did [lanes]
     base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
     base        the condensed state there
+    checkpoints  algorithmic accelerations [n_v, 1, lanes] at points of the grid from which steps can be made again
     """
 
     number: int
@@ -74,6 +77,7 @@ class PhaseRecord:
     start: State
     first: Tensor
     on_grid: Tensor
+    checkpoints: dict[int, Tensor] = field(default_factory=dict)
     arrival: State = field(init=False)
     exit: PhaseExit = field(init=False)
     base: State = field(init=False)
@@ -104,6 +108,8 @@ class MultiphaseRun:
     """One simulation through all phases.
 
     whole   dynamics of the system with all joints and locks; its data receive the marks of the locks
+    integrator  that makes the steps
+    every   steps between two states that are kept: all between them are made again for the adjoint
     """
 
     whole: Dynamics
@@ -111,13 +117,15 @@ class MultiphaseRun:
     views: Views
     duration: float
     steps: int
+    integrator: Any
+    every: int = 1
     switches: list[Switch] = field(default_factory=list)
     records: list[PhaseRecord] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
-        self.status = [OK] * lanes
+        self.failures = [""] * lanes  # the first reason why a lane has failed
         self.doubts: dict[int, str] = {}  # of lanes whose numbers stay
         self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
@@ -130,11 +138,13 @@ class MultiphaseRun:
         self.least_norm: list[LeastNorm | None] = []
 
         def not_recorded(rows: int) -> Tensor:
-            return torch.full((self.steps + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
+            return torch.full((self.steps // self.every + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
-        self.views = self.views.continuing(self.times, self.q, self.v)
+        self.kept_times = self.times[:: self.every]  # of the states that are kept
+        self.views = self.views.continuing(self.kept_times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
+        self.watch = ContactWatch(self.whole, self.steps)
 
     @property
     def duration_moves(self) -> bool:
@@ -150,20 +160,21 @@ class MultiphaseRun:
 
     @property
     def history(self) -> History:
-        """The motion on the grid."""
-        return History(self.q, self.v, self.vd, self.lam)
+        """The motion at the times that are kept."""
+        segment = self.phase_number[:: self.every, None].double()
+        return History(self.q, self.v, self.vd, self.lam, segment=segment, run=self)
 
     def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
-        """Multipliers of all rows [times, rows, pair, lanes]; of redundant ones those of least norm.
+        """Multipliers of all rows [times, rows, pair, lanes] of states; of redundant ones those of least norm.
 
         data   instead of those of the whole
         """
-        lam, data = history.lam, data or self.whole.data
-        at = self.times if history.times is None else history.times
-        phase_number = self._phase_number_of(lam.shape[-1])
+        lam, data, segment = history.lam, data or self.whole.data, history.segment
+        at = self.kept_times if history.times is None else history.times
+        assert segment is not None
         for record, least in zip(self.records, self.least_norm, strict=True):
-            in_phase = phase_number == record.number
-            times = in_phase.any(1)
+            in_phase = segment == record.number
+            times = (untransformed(segment) == record.number).flatten(-2).any(-1).reshape(-1, len(at)).any(0)
             if (least is None and record.condensation is None) or not bool(times.any()):
                 continue
             q, v, a, multipliers = history.q[times], history.v[times], history.vd[times], lam[times]
@@ -173,31 +184,15 @@ class MultiphaseRun:
                 multipliers = torch.zeros_like(multipliers).index_copy(1, rows, of_phase)
             if least is not None:
                 multipliers = least.at_times(data, at[times], q, multipliers)
-            lam = lam.index_put((times,), torch.where(in_phase[times][:, None, None], multipliers, lam[times]))
+            lam = lam.index_put((times,), torch.where(in_phase[times][:, None], multipliers, lam[times]))
         return lam
-
-    def _phase_number_of(self, lanes: int) -> Tensor:
-        """Phases at the times of the grid [times, lanes]; a lane of torch.func.vmap, which is one of many, has those of all."""
-        if lanes == self.phase_number.shape[1]:
-            return self.phase_number
-        if bool((self.phase_number != self.phase_number[:, :1]).any()):
-            raise InputError(
-                "multipliers of lanes that change phases at steps of their own are asked for in torch.func.vmap; "
-                "allowed: designs [lanes, ...] in one simulate"
-            )
-        return self.phase_number[:, :1].expand(-1, lanes)
-
-    def recorded(self) -> History:
-        """The motion on the grid, with zeros where nothing is recorded."""
-        q, v, vd = (torch.nan_to_num(x, 0.0, 0.0, 0.0) for x in (self.q, self.v, self.vd))
-        return History(q, v, vd, self.lam)
 
     def fail_if_not_finite(self, lane: int) -> bool:
         """Fail a lane that was integrated to the end, but is not finite at some time; whether it is so."""
         bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
         first = torch.nonzero(bad[0] | bad[1] | bad[2])
         if len(first):
-            self.fail(lane, f"the motion is not finite from t = {float(self.times[first[0, 0]]):.6g} s on")
+            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first[0, 0]]):.6g} s on")
         return bool(len(first))
 
     def start(self) -> PhaseExit:
@@ -319,7 +314,7 @@ class MultiphaseRun:
 
     def entered_lanes(self, phase_exit: PhaseExit) -> Tensor:
         """Which lanes enter the next phase [lanes]."""
-        good = torch.tensor([status == OK for status in self.status])
+        good = torch.tensor([not reason for reason in self.failures])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
     def end_times(self, phase_model: Segment, t: Any, data: equations.Data) -> Any:
@@ -340,8 +335,7 @@ class MultiphaseRun:
 
     def fail(self, lane: int, reason: str) -> None:
         """Note the first reason why a lane failed."""
-        if self.status[lane] == OK:
-            self.status[lane] = f"failed: {reason}"
+        self.failures[lane] = self.failures[lane] or reason
 
     def doubt(self, lane: int, phase_model: Segment, t: float) -> None:
         """Note the first time after which the steps of a lane are too long to know whether its phase ends."""
@@ -364,13 +358,20 @@ class MultiphaseRun:
 
         states   q, v, a [points, n, pair, lanes] of the whole system, and multipliers of some rows of it
         """
-        at, index = slice(first, first + len(counted)), torch.tensor(list(rows), dtype=torch.long)
-        *motion, lam = states
+        self.phase_number[first : first + len(counted)] = torch.where(
+            counted, number, self.phase_number[first : first + len(counted)]
+        )
+        if not self.watch.idle:
+            q, v = (x[:, :, :1] for x in states[:2])
+            self.watch.update(first, self.times[first : first + len(counted)], q, v, counted)
+        kept = slice(-first % self.every, None, self.every)
+        *motion, lam = (x[kept] for x in states)
+        counted, begin = counted[kept], -(-first // self.every)
+        at, index = slice(begin, begin + len(counted)), torch.tensor(list(rows), dtype=torch.long)
         for of_all, x in zip((self.q, self.v, self.vd), motion, strict=True):
             of_all[at] = torch.where(counted[:, None, None], x, of_all[at])
         new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
         self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
-        self.phase_number[at] = torch.where(counted, number, self.phase_number[at])
 
     def never_left(self, phase_model: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""

@@ -198,12 +198,18 @@ class Links:
         return [total[a:b] for a, b in pairwise(ends)]
 
     def slopes(
-        self, states: Sequence[tuple], t: Any, data: Mapping[str, Any], stiffness: float, damping: float
+        self, states: Sequence[tuple], t: Any, data: Mapping[str, Any], stiffness: Any, damping: Any
     ) -> Tensor | None:
-        """stiffness df/ds + damping df/ds' of the controllers [lanes or 1, actions, actions]; None without controllers."""
+        """stiffness df/ds + damping df/ds' of the controllers [lanes or 1, actions, actions]; None without controllers.
+
+        stiffness, damping   one number, or [1, lanes]
+        """
         if not self.each:
             return None
         x = self._signals(states, t)
+        stiffness, damping = (
+            y.reshape(-1, 1, 1) if isinstance(y, Tensor) and y.dim() else y for y in (stiffness, damping)
+        )
         parts = []
         for link in self.each:
             factor = stiffness * (1.0 - link.rates) + damping * link.rates

@@ -1,0 +1,141 @@
+"""The pullback of a motion through phases: each run by its adjoint, and mode shapes through the structure stage.
+
+Lanes that were integrated again are those of another run, by other steps (retries.py).
+Checked in tests/sensitivity/test_phase_adjoint.py, tests/integrate/phases/test_retries.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.adjoint import AdjointSolver, Grid
+from torchmbd.integrate.outputs import STATES, Outputs
+from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
+from torchmbd.integrate.phases.lane_leaves import Key
+from torchmbd.integrate.phases.multiphase import SeveralSegments
+from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.retries import LaneResults
+from torchmbd.results.mode_shapes import DesignShapes
+from torchmbd.results.motion_data import has_failed
+
+
+class _Lanes(NamedTuple):
+    """Lanes of a batch that one run integrated.
+
+    lanes      their numbers in the batch;  sources: and in the run
+    substeps   steps of the run for each of the batch
+    """
+
+    run: MultiphaseRun
+    lanes: list[int]
+    sources: list[int]
+    substeps: int
+
+    def of_batch(self, x: Tensor | None) -> Tensor | None:
+        """Cotangents [..., lanes] of the lanes of the run, zero where a lane of the batch is not one of it."""
+        if x is None:
+            return None
+        result = x.new_zeros(*x.shape[:-1], self.run.whole.lanes)
+        result[..., self.sources] = x[..., self.lanes] if x.shape[-1] > 1 else x
+        return result
+
+    def of_states(self, at_times: Tensor | None, at_steps: Tensor | None) -> Tensor | None:
+        """Cotangents [times, n, rows, lanes] of the states of the run, from those at output times and at steps."""
+        coarse, fine = self.of_batch(at_times), self.of_batch(at_steps)
+        count = len(self.run.q)
+        if coarse is None:
+            return None if fine is None else fine[:count]
+        result = coarse.new_zeros(count, *coarse.shape[1:]) if fine is None else fine[:count].clone()
+        result[:: self.substeps] += coarse
+        return result
+
+
+@dataclass(eq=False)
+class SegmentsPullback:
+    """The pullback of the motion of a problem by a one-step method."""
+
+    problem: SeveralSegments
+    results: LaneResults
+    adjoint_solver: Callable[[Grid], AdjointSolver]
+
+    def __call__(self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool) -> dict[str, Tensor]:
+        """By data of these names, and by designs where wanted: [component..., rows, lanes]; of lanes that failed zero."""
+        lanes: list[int] = []
+        parts: list[dict[Key, Tensor]] = []
+        for part in self._parts():
+            sources, found = self._of_run(part, bar, rows, names)
+            to_batch = dict(zip(part.sources, part.lanes, strict=True))
+            lanes += [to_batch[source] for source in sources]
+            parts.append(found)
+        of_lanes = _joined(parts)
+        data = self.problem.dynamics.data
+        result = {name: self._of_data(lanes, of_lanes.get(("data", name)), data[name], rows) for name in names}
+        return result | (self._of_designs(lanes, of_lanes, rows) if by_designs else {})
+
+    def _parts(self) -> list[_Lanes]:
+        """Lanes that have not failed, by their runs."""
+        history, parts = self.results.history, {}
+        for lane, status in enumerate(self.results.status):
+            if has_failed(status):
+                continue
+            refined = history.refined.get(lane)
+            run, source, substeps = (history.run, lane, 1) if refined is None else (refined.history.run, *refined[1:])
+            part = parts.setdefault(id(run), _Lanes(run, [], [], substeps))
+            part.lanes.append(lane)
+            part.sources.append(source)
+        return list(parts.values())
+
+    def _of_run(
+        self, part: _Lanes, bar: Outputs, rows: int, names: Sequence[str]
+    ) -> tuple[list[int], dict[Key, Tensor]]:
+        """Lanes of a run, and their cotangents."""
+        at_steps = list(bar.at_steps[:STATES]) or [None] * STATES
+        motion = [part.of_states(*x) for x in zip(bar.states, at_steps, strict=True)]
+        data = {name: part.of_batch(x) for name, x in bar.data.items()}
+        switches = [[part.of_batch(x) for x in numbers] for numbers in bar.switches]
+        rest = [lane for lane in range(part.run.whole.lanes) if lane not in part.sources]
+        adjoint = PhaseAdjoint(part.run, names, rest, self.adjoint_solver)
+        return adjoint(PhaseCotangents(motion, data, switches), rows)
+
+    def _of_data(self, lanes: list[int], by: Tensor | None, like: Tensor, rows: int) -> Tensor:
+        result = like.new_zeros(*like.shape[:-2], rows, len(self.results.status))
+        if by is not None:
+            result[..., lanes] = by[..., 0, :].movedim(0, -2)
+        return result
+
+    def _of_designs(self, lanes: list[int], by: dict[Key, Tensor], rows: int) -> dict[str, Tensor]:
+        """Their own, and those of the mode shapes through the structure stage."""
+        whole, count = self.problem.views.whole, len(self.results.status)
+        kinds = {key for key in by if key[0] != "data"}
+        with torch.enable_grad():
+            designs = {name: x.detach().clone().requires_grad_() for name, x in whole.designs.items()}
+            shapes = DesignShapes(whole.system, designs, count)
+            outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
+        cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
+        for key in kinds:
+            cotangents[key][:, lanes] += by[key]
+        used = [key for key in kinds if outputs[key].requires_grad]
+        result = {name: x.new_zeros(rows, *x.shape) for name, x in designs.items()}
+        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+        for row in range(rows) if used else ():
+            of, weights = [outputs[key] for key in used], [cotangents[key][row] for key in used]
+            slopes = torch.autograd.grad(of, list(designs.values()), weights, **options)
+            for name, x in zip(designs, slopes, strict=True):
+                result[name][row] = x
+        return {name: x.movedim((0, 1), (-2, -1)) for name, x in result.items()}
+
+
+def _joined(parts: Sequence[dict[Key, Tensor]]) -> dict[Key, Tensor]:
+    """Cotangents [rows, component..., lanes] of data, [rows, lanes, ...] of the rest, of the lanes of all parts."""
+    if len(parts) == 1:
+        return parts[0]
+    result = {}
+    for key in {key: None for part in parts for key in part}:
+        axis = -1 if key[0] == "data" else 1
+        result[key] = torch.cat([part[key] for part in parts], axis)
+    return result
