@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -79,6 +80,7 @@ class AtPeaks(OfHistory):
     """
 
     count: int = 8
+    error_note: ClassVar[str] = "of each peak; holds while peaks keep their order and number with finer steps"
 
     def __post_init__(self) -> None:
         super().__post_init__()

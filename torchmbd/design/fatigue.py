@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -46,6 +46,11 @@ def _positive(name: str, x: Any) -> None:
         raise InputError(f"{name} is {x!r}; allowed: a positive number")
 
 
+COUNT_NOTE = (
+    "holds while the counted cycles stay the same: cycles that appear or vanish with finer steps make it a jump"
+)
+
+
 @dataclass(frozen=True)
 class EquivalentLoad(OfHistory):
     """Range of a load that does the same damage in `cycles` cycles [lanes], in the unit of the history.
@@ -62,6 +67,7 @@ class EquivalentLoad(OfHistory):
 
     exponent: float = 10.0
     cycles: float | None = None
+    error_note: ClassVar[str] = COUNT_NOTE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,6 +101,7 @@ class Damage(OfHistory):
 
     curve: SNCurve | None = None
     repeats: float = 1.0
+    error_note: ClassVar[str] = COUNT_NOTE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -126,6 +133,7 @@ class FatigueDamage(Measure):
     exponent: float | Mapping[str, float] = 10.0
     curves: Mapping[str, SNCurve] | None = None
     repeats: float = 1.0
+    error_note: ClassVar[str] = COUNT_NOTE
 
     def __post_init__(self) -> None:
         _positive("repeats", self.repeats)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -136,6 +137,11 @@ class RMS(OfHistory):
         return torch.sqrt(curve.mean(power=2))
 
 
+PEAK_NOTE = (
+    "holds while the same peak is the largest: where another one becomes it, only the difference of the two runs"
+)
+
+
 class Max(OfHistory):
     """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
@@ -146,6 +152,8 @@ class Max(OfHistory):
     >>> round(top(motion).item(), 3)  # v^2 / (2 g) above -1 m
     -0.949
     """
+
+    error_note: ClassVar[str] = PEAK_NOTE
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.maximum()
@@ -158,6 +166,8 @@ class Min(OfHistory):
     >>> round(mbd.Min(mbd.Position("bob", "y"))(motion).item(), 3)  # [m]
     -1.0
     """
+
+    error_note: ClassVar[str] = PEAK_NOTE
 
     def reduce(self, curve: Spline) -> Tensor:
         return -curve.negative().maximum()

@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import ROWS, differentiate
+from torchmbd.design.problem_errors import problem_errors
 from torchmbd.design.problem_parts import (
     Reference,
     constraints_of,
@@ -288,15 +289,15 @@ class Problem(Summary):
             assert slopes is not None
             return values[0, : self.peaks], slopes[0, : self.peaks]
 
-        space = self.space
-        return ExtraVariable.at(rows, space.start, space.lower, space.upper, float(self._bound[1]))
+        return ExtraVariable.at(rows, self.space.start, self.space.lower, self.space.upper, float(self._bound[1]))
 
     @property
     def _refers_to_start(self) -> bool:
         """Whether the problem has numbers of the initial design: limits, scales of a weighted sum."""
         measures = [self.objective, *(c.measure for c in self.constraints)]
-        initial = any(c.limit == "initial" for c in self.constraints)
-        return initial or any(measure.refers_to_start for measure in measures)
+        return any(c.limit == "initial" for c in self.constraints) or any(m.refers_to_start for m in measures)
+
+    errors = problem_errors
 
     @property
     def limits(self) -> np.ndarray:
@@ -333,8 +334,7 @@ class Problem(Summary):
         X = self._checked(X, len(self.names))
         batch = max(1, self._lanes_at_once(gradients) // self.simulations) if len(X) > 1 else 1
         if len(X) > batch:
-            parts = [X[first : first + batch] for first in range(0, len(X), batch)]
-            return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
+            return [e for k in range(0, len(X), batch) for e in self.evaluate(X[k : k + batch], gradients)]
         try:
             motions = self._motions(X, gradients)
         except CutCluster as error:  # names its lanes, so that the other designs remain one batch

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, NoReturn, Self
+from typing import Any, ClassVar, NoReturn, Self
 
 import torch
 from torch import Tensor
@@ -39,7 +39,7 @@ class _Constant:
     """A class whose arguments are constants: InputError names an argument that contains a tensor with a gradient."""
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        names = [f.name for f in fields(cls)] if is_dataclass(cls) else []
+        names = (f.name for f in fields(cls)) if is_dataclass(cls) else ()
         for name, x in (*zip(names, args, strict=False), *kwargs.items()):
             refuse_lost_gradients(f"{name} of {cls.__name__}", x, "constants")
         return super().__new__(cls)
@@ -144,8 +144,7 @@ class Combined(History):
             return torch.func.jvp(at_delay, (tau,), (torch.ones_like(tau),))[1]
 
         zero = torch.zeros((), dtype=torch.float64)
-        first, second, *_ = torch.func.jvp(rate, (zero,), (torch.ones_like(zero),))
-        return first, second
+        return torch.func.jvp(rate, (zero,), (torch.ones_like(zero),))[:2]
 
     def check(self, system: System) -> None:
         for part in self.parts:
@@ -166,6 +165,7 @@ class Measure(_Constant):
     """
 
     rows: int = 1
+    error_note: ClassVar[str] = ""  # what an estimate of its error by the steps is worth
 
     def value(self, motion: Trajectory) -> Tensor:
         """Value [lanes], or [lanes, rows]: a differentiable function of the motion."""

@@ -42,6 +42,7 @@ from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
 from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
+from torchmbd.integrate.simulation import Simulation, parameters_of
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
@@ -126,6 +127,7 @@ def simulate(
     phases = switching(phases)
     integrator = checked_integrator(duration, method, steps, options, argument_names(simulate))
     initial = start_of(system, start)
+    model = system  # without the start, which `arguments` have
     system = system if start == "assembled" else system.starting(initial)
     integrator = integrator.with_defaults(system.topology)
     steps = None if steps is None else int(steps)
@@ -175,6 +177,10 @@ def simulate(
             warn_of_spin(values)
             warn_of_loads(values)
             warn_of_displacements(values)
+        arguments = {"duration": seconds, "method": method, "designs": {k: x.detach() for k, x in given.items()}}
+        arguments |= {"phases": phases, "backend": backend, "start": start}
+        count = motion.integration.steps or len(motion.t) - 1
+        motion.simulation = Simulation(simulate, model, integrator, count, arguments, options, parameters_of(model))
         return motion
 
 

@@ -14,10 +14,12 @@ mode_shapes.py). A lane that failed says why in `status`; its numbers are nan fr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 
 from torchmbd.errors import one_of
 from torchmbd.results.beam_motion import BeamMotion
@@ -25,6 +27,7 @@ from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.energies import Energies, energies
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.reaction import JointReaction, reaction
+from torchmbd.results.response_error import ResponseError, response_error
 from torchmbd.results.singular_positions import SingularPosition, singular_positions
 
 if TYPE_CHECKING:
@@ -44,7 +47,9 @@ class Trajectory(MotionData):
     (41, 13)
     """
 
+    simulation: Any = field(default=None, init=False, repr=False)  # integrate/simulation.py; None: a part of a motion
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
+    _finer: dict[int, Trajectory] = field(default_factory=dict, init=False, repr=False)
 
     def body(self, name: str) -> Any:
         """The motion of one body (BodyMotion), or of one flexible beam (BeamMotion)."""
@@ -68,6 +73,20 @@ class Trajectory(MotionData):
         if mode not in self._energies:
             self._energies[mode] = energies(self)
         return self._energies[mode]
+
+    def finer(self, factor: int) -> Trajectory:
+        """The same motion with 2 or 4 times the steps, values only; it is kept for other responses."""
+        if factor not in self._finer:
+            self._finer[factor] = self.simulation.finer(factor)
+        return self._finer[factor]
+
+    def error_of(self, response: Callable[[Any], Tensor]) -> ResponseError:
+        """Estimated error of a measure by the steps: the motion is simulated once more with half the step, or twice.
+
+        response   a measure, such as mbd.Max(...), or a function of a motion that returns [lanes] or [lanes, rows]
+        Raises InputError for a history, and for a method of fixed steps of torchdiffeq.
+        """
+        return response_error(self, response)
 
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""
