@@ -87,7 +87,8 @@ class LaneResults:
             if getattr(self.history, name) is not None:
                 new = getattr(other.history, name)[::substeps].index_select(-1, source_lanes)
                 states[name] = getattr(self.history, name).index_copy(-1, target_lanes, new)
-        refined = self.history.refined | _refined_lanes(other.history, substeps, pairs)
+        sound = [(source, lane) for source, lane in pairs if not has_failed(other.status[source])]
+        refined = self.history.refined | _refined_lanes(other.history, substeps, sound)
         self.history = replace(self.history, **states, refined=refined)
         both = zip(self.switches, other.switches, strict=True)
         self.switches = [switch.with_lanes(target_lanes, new, source_lanes) for switch, new in both]
@@ -195,17 +196,17 @@ def integrate_again(
     for by, lanes in groups.items():
         part = problem.select_lanes(lanes).integrate(by.integrator, by.substeps * steps)
         errors = {name: x for name, x in part.statistics.items() if name == "tangent_error"}
-        other = LaneResults(part.history, errors, [OK] * len(lanes), part.switches, part.data)
+        other = LaneResults(part.history, errors, [results.status[k] for k in lanes], part.switches, part.data)
         if found is None:
-            found = _spread(other, lanes, by.substeps, len(results.status))
+            found = _spread(other, lanes, by.substeps, results.status)
         found.replace_lanes(lanes, by, other)
     assert found is not None
     return found
 
 
-def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, count: int) -> LaneResults:
-    """Results of some lanes as those of so many, at fewer times: the others have any numbers."""
-    index = torch.zeros(count, dtype=torch.long)
+def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, status: Sequence[str]) -> LaneResults:
+    """Results of some lanes as those of all that have a status, at fewer times: the others have any numbers."""
+    index = torch.zeros(len(status), dtype=torch.long)
     index[list(lanes)] = torch.arange(len(lanes))
     h, every = results.history, slice(None, None, substeps)
     q, v, vd, lam = (x[every].index_select(-1, index) for x in h.states)
@@ -217,7 +218,7 @@ def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, count: in
         data = data | {name: pick_lanes(x, index.tolist()) for name, x in marks.items()}
     switches = [x.of_lanes(index) for x in results.switches]
     statistics = {name: x[index] for name, x in results.statistics.items()}
-    return LaneResults(history, statistics, [OK] * count, switches, data)
+    return LaneResults(history, statistics, list(status), switches, data)
 
 
 def _substeps_for_contacts(
