@@ -58,6 +58,26 @@ def rows_of(of_motion: MotionCotangents) -> int:
     return next((x.shape[2] for x in of_motion if x is not None), 0)
 
 
+def of_kept_states(coarse: Tensor | None, fine: Tensor | None, count: int, substeps: int) -> Tensor | None:
+    """Cotangents [count, n, rows, lanes] of the states that are kept, from those of every `substeps`-th and those of all."""
+    if coarse is None:
+        return None if fine is None else fine[:count]
+    if fine is None and substeps == 1:
+        return coarse
+    result = coarse.new_zeros(count, *coarse.shape[1:]) if fine is None else fine[:count].clone()
+    result[::substeps] += coarse
+    return result
+
+
+def warn_inaccurate(error: Tensor) -> None:
+    """Warn of lanes whose gradients have a large estimated relative error [lanes]."""
+    for lane in torch.nonzero(error > INACCURATE)[:, 0].tolist():
+        warn(
+            f"lane {lane}: the adjoint leaves an error of {float(error[lane]):.1e} of its gradients; more steps help, "
+            "or gradients='forward'",
+        )
+
+
 @dataclass
 class Grid:
     """Lanes that were integrated with the same equal steps.
@@ -93,14 +113,7 @@ class Grid:
         coarse, fine = (
             x if x is None or x.shape[-1] == len(self.lanes) else x[..., self.lanes] for x in (of_motion, of_steps)
         )
-        count = len(self.history.q)
-        if coarse is None:
-            return None if fine is None else fine[:count]
-        if fine is None and self.substeps == 1:
-            return coarse
-        result = coarse.new_zeros(count, *coarse.shape[1:]) if fine is None else fine[:count].clone()
-        result[:: self.substeps] += coarse
-        return result
+        return of_kept_states(coarse, fine, len(self.history.q), self.substeps)
 
     def cotangents(self, by: Cotangents) -> dict[str, Tensor]:
         """By the leaves [component..., rows, lanes]: through the start, the laws of drives and the condensation."""
@@ -181,11 +194,7 @@ class Adjoint:
             for name, x in solver.grid.cotangents(cotangents).items():
                 result[name][..., part] = x
             self.error[part] = self.error[part].maximum(error)
-        for lane in torch.nonzero(self.error > INACCURATE)[:, 0].tolist():
-            warn(
-                f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
-                "or gradients='forward'",
-            )
+        warn_inaccurate(self.error)
         return result
 
     def _solvers_of(self, names: tuple[str, ...]) -> list[AdjointSolver]:

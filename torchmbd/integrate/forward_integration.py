@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
+from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
@@ -33,12 +33,10 @@ from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.design_tangents import unit_directions
-from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.results.history import History
 
 
 @dataclass(eq=False)
-class ForwardIntegration:
+class ForwardIntegration(IntegratedMotion):
     """Any integrator over a duration [s].
 
     names      of the inputs;  variables: those among them whose tangents are integrated
@@ -64,21 +62,6 @@ class ForwardIntegration:
     outputs: Outputs = field(init=False)
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
     _tangents: list[Tensor] = field(default_factory=list, init=False)
-
-    @property
-    def history(self) -> History:
-        """States of all lanes, with tangents."""
-        return self.results.history
-
-    @property
-    def status(self) -> list[str]:
-        """Of all lanes."""
-        return self.results.status
-
-    @property
-    def stats(self) -> dict[str, Any]:
-        """Statistics of the steps."""
-        return self.results.statistics
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -145,16 +128,6 @@ class ForwardIntegration:
         by_name = dict(zip(self.variables, split, strict=True))
         own = dict(self.system.named_parameters())
         return [by_name[n].reshape(*own[n].shape, *total.shape[1:]) if n in by_name else None for n in self.names]
-
-    def expansion(self, data: dict[str, Any]) -> Expansion | None:
-        """As of ReverseIntegration."""
-        return self.history.expansion_by(data)
-
-    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
-        """As of ReverseIntegration, with the tangents of the history."""
-        if self.history.run is not None:
-            return self.history.run.multipliers(history, data)
-        return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
     def _size(self, name: str) -> int:
         return dict(self.system.named_parameters())[name].numel()

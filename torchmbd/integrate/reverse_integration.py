@@ -22,6 +22,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
 from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
+from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
@@ -38,13 +39,11 @@ from torchmbd.integrate.retries import LaneResults, integrate_again, integrate_b
 from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.results.history import History
 from torchmbd.results.motion_data import has_failed
 
 
 @dataclass(eq=False)
-class ReverseIntegration:
+class ReverseIntegration(IntegratedMotion):
     """Equal steps over a duration [s], and steps of other sizes at switches.
 
     system           the mechanism, with the locks of its phases, or None where steps are given
@@ -79,21 +78,6 @@ class ReverseIntegration:
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_of_leaves": None}  # has a graph of torch
-
-    @property
-    def history(self) -> History:
-        """States of all lanes."""
-        return self.results.history
-
-    @property
-    def status(self) -> list[str]:
-        """Of all lanes."""
-        return self.results.status
-
-    @property
-    def stats(self) -> dict[str, Any]:
-        """Statistics of the steps."""
-        return self.results.statistics
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -176,16 +160,6 @@ class ReverseIntegration:
     def _several(self) -> SeveralSegments:
         assert isinstance(self._problem, SeveralSegments)
         return self._problem
-
-    def expansion(self, data: dict[str, Any]) -> Expansion | None:
-        """Leads from the condensed to the whole system, as a function of the data; None: it is the whole."""
-        return self.history.expansion_by(data)
-
-    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
-        """All multipliers [times, rows, 1, lanes]; of redundant rows those of least norm."""
-        if self.history.run is not None:
-            return self.history.run.multipliers(history, data)
-        return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
     def _problem_of(
         self, dynamics: Dynamics, designs: dict[str, Tensor], along: dict[str, Tensor] | None = None

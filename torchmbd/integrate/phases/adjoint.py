@@ -27,8 +27,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from torchmbd.errors import warn
-from torchmbd.integrate.adjoint import INACCURATE, AdjointSolver, Grid, MotionCotangents
+from torchmbd.integrate.adjoint import AdjointSolver, Grid, MotionCotangents, warn_inaccurate
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
@@ -125,11 +124,7 @@ class PhaseAdjoint:
             self._exit(record, so_far, rows)
             self._steps(record, so_far, cotangents.motion, rows)
             self._entry(record, so_far, cotangents, rows)
-        for lane in torch.nonzero(self.error > INACCURATE)[:, 0].tolist():
-            warn(
-                f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
-                "or gradients='forward'",
-            )
+        warn_inaccurate(self.error)
         return so_far.lanes, so_far.by
 
     def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.adjoint import AdjointSolver, Grid
+from torchmbd.integrate.adjoint import AdjointSolver, Grid, of_kept_states
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
 from torchmbd.integrate.phases.lane_leaves import Key
@@ -46,13 +46,7 @@ class _Lanes(NamedTuple):
 
     def of_states(self, at_times: Tensor | None, at_steps: Tensor | None) -> Tensor | None:
         """Cotangents [times, n, rows, lanes] of the states of the run, from those at output times and at steps."""
-        coarse, fine = self.of_batch(at_times), self.of_batch(at_steps)
-        count = len(self.run.q)
-        if coarse is None:
-            return None if fine is None else fine[:count]
-        result = coarse.new_zeros(count, *coarse.shape[1:]) if fine is None else fine[:count].clone()
-        result[:: self.substeps] += coarse
-        return result
+        return of_kept_states(self.of_batch(at_times), self.of_batch(at_steps), len(self.run.q), self.substeps)
 
 
 @dataclass(eq=False)
