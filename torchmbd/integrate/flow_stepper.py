@@ -50,9 +50,9 @@ class FlowStepper:
             record.put(start + k, x)
         return x
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
-        """As of Stepper: they are the true ones."""
-        return [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
+        """As of Stepper: it is the true one."""
+        return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
         own = [_full(pick_lanes(y, [lane])) for y in x]

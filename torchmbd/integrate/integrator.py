@@ -79,8 +79,8 @@ class Stepper(Protocol):
         """
         ...
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
-        """Algorithmic accelerations at all times of true ones vd [times, n_v, pair, lanes], the first being a."""
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
+        """The algorithmic acceleration after steps, from a before them and true ones vd [1 + steps, n_v, pair, lanes]."""
         ...
 
     def restart(self, lanes: Tensor | None = None) -> None:

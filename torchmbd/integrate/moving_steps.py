@@ -36,7 +36,7 @@ class MovingSteps:
             record.put(start + k, x)
         return x
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
         """As of Stepper."""
         return algorithmic(self.integrator.weights(1.0), a, vd)
 

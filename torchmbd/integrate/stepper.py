@@ -198,7 +198,7 @@ class EagerStepper:
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
         self.most = int(self.passes.max())
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
         """As of Stepper."""
         return algorithmic(self.model.w, a, vd)
 

@@ -27,9 +27,10 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     code = library(dynamics)
     if code is None or code.called.actions:
         return None
-    T, lanes, new = dynamics.topology, dynamics.lanes, torch.zeros
-    values, _ = code.data_blocks(dynamics.values())
+    T, lanes, new = dynamics.topology, step.x.q.shape[-1], torch.zeros
     state = blocks(torch.cat([in_all_lanes(x, lanes) for x in step.x.values()]).detach())
+    values = code.data_blocks(dynamics.values())[0].detach()
+    values = values if len(values) == len(state) else values.expand(len(state), -1, -1, -1).contiguous()  # of one lane
     prescribed, moved = (blocks(x) for x in _prescribed(step, lanes))
     numbers = {"lanes": lanes, "data": values.shape[2], "prescribed": prescribed.shape[2], "first": 1, "steps": 1}
     numbers |= {"corrections": _CORRECTIONS, "refresh": 0 if T.beams is None else -1, "fresh": 1}
@@ -43,7 +44,7 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     )
     rows = {"q": T.n_q, "v": T.n_v, "vd": T.n_v, "lam": T.rows, "sizes": 3}
     arrays: dict[str, Tensor | None] = {name: new(n, lanes, dtype=torch.float64) for name, n in rows.items()}
-    arrays |= {"shared": prescribed, "state": state, "values": values.detach(), "moved": moved}
+    arrays |= {"shared": prescribed, "state": state, "values": values, "moved": moved}
     arrays["tangents"] = arrays["errors"] = new(0, dtype=torch.float64)
     arrays["row_mask"], arrays["diagonal_shift"] = dynamics.diagonal() or (None, None)
     arrays["factors"] = new(len(values) * code.code.steps_factors(address) // 8, dtype=torch.float64)
