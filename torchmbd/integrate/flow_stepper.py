@@ -20,6 +20,7 @@ from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
 from torchmbd.integrate.phases.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.phases.switch import accelerations, at_time
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -76,9 +77,9 @@ class FlowStepper:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
-    def statistics(self) -> dict[str, Tensor]:
+    def statistics(self) -> Statistics:
         """As of Stepper: there are none."""
-        return {}
+        return Statistics()
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -47,6 +48,6 @@ class MovingSteps:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
-    def statistics(self) -> dict[str, Tensor]:
+    def statistics(self) -> Statistics:
         """As of Stepper: there are none."""
-        return {}
+        return Statistics()

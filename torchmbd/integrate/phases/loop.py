@@ -32,6 +32,7 @@ from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
@@ -45,18 +46,16 @@ _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the p
 _SAME = 1e-9  # of a regular step: times that are equal
 
 
-def integrate(
-    multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None
-) -> dict[str, Tensor]:
+def integrate(multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None) -> Statistics:
     """Integrate all lanes through all phases; statistics as of Stepper, the largest of all phases.
 
     estimates   take the states and the errors of regular steps
     """
-    phase_exit, errors = multiphase.start(), {}
+    phase_exit, largest = multiphase.start(), Statistics()
     for number in range(len(multiphase.phase_models)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator, estimates).run()
-        errors |= {name: x.maximum(errors.get(name, x)) for name, x in of_phase.items()}
-    return errors
+        largest = largest.maximum(of_phase)
+    return largest
 
 
 class _PhaseLoop:
@@ -90,8 +89,8 @@ class _PhaseLoop:
         self.change = torch.full_like(self.g, torch.inf)  # of the event's function in the step before
         multiphase.records.append(self.record)
 
-    def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
-        """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
+    def run(self) -> tuple[PhaseExit, Statistics]:
+        """Step until every lane has left the phase, or to the end; exits, and statistics as of Stepper."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
         i, steps, every = int(self.first.min()), None, self.multiphase.every
         stepper: Stepper = (
