@@ -1,6 +1,6 @@
 """What is known of the steps of a motion: `motion.stats` shows it by name.
 
-Checked in tests/integrate/test_simulate.py, tests/integrate/test_retries.py.
+Checked in tests/integrate/test_simulate.py, tests/integrate/phases/test_retries.py.
 """
 
 from __future__ import annotations
