@@ -99,14 +99,14 @@ def response_error(
     with torch.no_grad():
         value = _numbers(response, motion)
         by_steps, reasons = _by_steps(motion, response, value)
-        (by_modes, lacks), (by_mesh, misses) = (
-            _by_bodies(motion, response, value, *parts) if wanted else (None, "")
-            for wanted, *parts in (
-                (modes, motion.richer, "more modes", _without_reduction(motion)),
-                (mesh, motion.with_finer_meshes, "a finer mesh", _without_finer_mesh(motion)),
-            )
-        )
-        by_mesh = None if by_mesh is None else by_mesh * _OF_MESH
+        by_modes, lacks, by_mesh, misses = None, "", None, ""
+        if modes:
+            fixed = _without_reduction(motion)
+            by_modes, lacks = _by_bodies(response, value, motion.richer, "more modes", fixed)
+        if mesh:
+            fixed = _without_finer_mesh(motion)
+            by_mesh, misses = _by_bodies(response, value, motion.with_finer_meshes, "a finer mesh", fixed)
+            by_mesh = None if by_mesh is None else by_mesh * _OF_MESH
         unknown = tuple(f"{name}: {why}" for name, why in (("by_modes", lacks), ("by_mesh", misses)) if why)
     resolved = torch.tensor([not reason for reason in reasons])
     note = "; ".join(dict.fromkeys(_notes(response)))
@@ -162,7 +162,7 @@ def _confirmed(motion: Any, response: Any, value: Tensor, first: Tensor, size: T
 
 
 def _by_bodies(
-    motion: Any, response: Any, value: Tensor, simulate: Callable[[], Any], change: str, fixed: list[str]
+    response: Any, value: Tensor, simulate: Callable[[], Any], change: str, fixed: list[str]
 ) -> tuple[Tensor | None, str]:
     """Change of a response by a change of the flexible bodies, or None; and what it lacks.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import pytest
 import torch
@@ -15,13 +16,14 @@ ROD = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=4e-5, Iyy=
 TUBE = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([40.0, -30.0]), thickness=1e-3, cells=(12, 1))
 
 
-def plate(times: int = 1, kind: str = "quad", **options) -> mbd.FlexibleBody:
+def plate(times: int = 1, kind: str = "quad", **options: Any) -> mbd.FlexibleBody:
+    given: dict[str, Any] = {"modes": 5} | options
     mesh = mbd.mesh.rectangle(0.4, 0.1, cells=(4 * times, 2 * times), kind=kind)
     laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([30.0, -50.0]), thickness=1e-3)
-    return mbd.FlexibleBody.plate("body", mesh, laminate, **({"modes": 5} | options))
+    return mbd.FlexibleBody.plate("body", mesh, laminate, **given)
 
 
-def beam(times: int = 1, section=ROD, length=0.4, **options) -> mbd.FlexibleBody:
+def beam(times: int = 1, section: Any = ROD, length: Any = 0.4, **options: Any) -> mbd.FlexibleBody:
     line = mbd.BeamLine.straight(length, 4 * times)
     return mbd.FlexibleBody.beam("body", line, section, **({"modes": 5, "reference": "start"} | options))
 

@@ -77,9 +77,9 @@ class Plates:
         if self._zones is not None:
             place = torch.empty(self.mesh.cell_count, dtype=torch.long).index_copy(0, self.cells, self._zones)
             zones = place[parents[members]]
-        several = torch.is_tensor(self.direction) and self.direction.dim() > 1
-        direction = self.direction[parents] if several else self.direction
-        laminates = self.laminates if len(self.laminates) > 1 or zones is not None else self.laminates[0]
+        direction = torch.as_tensor(self.direction, dtype=torch.float64)
+        direction = direction[parents] if direction.dim() > 1 else direction
+        laminates = self.laminates if zones is not None else self.laminates[0]
         return Plates(mesh, laminates, direction, members, self.mass, zones)
 
     @property
