@@ -1,4 +1,4 @@
-"""Errors of the objective and of every constraint of a problem by the steps of its motions.
+"""Errors of the objective and of every constraint of a problem, by the steps, modes and meshes of its motions.
 
 Checked in tests/design/test_response_errors.py.
 """
@@ -14,10 +14,11 @@ from torchmbd.errors import InputError
 from torchmbd.results.response_error import ResponseError
 
 
-def problem_errors(problem: Any, x: np.ndarray) -> list[ResponseError]:
-    """Errors of the objective, then of every constraint, at a design [n]: one more simulation of it, or two.
+def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True, mesh: bool = True) -> list[ResponseError]:
+    """Errors of the objective, then of every constraint, at a design [n], by further simulations of it (`error_of`).
 
-    Each is that of the measure, in its unit and with the sign that `minimize` or `maximize` states.
+    modes, mesh   whether the errors by modes and by meshes are estimated
+    Each error is that of the measure, in its unit and with the sign that `minimize` or `maximize` states.
     Raises InputError for scenarios, whose objective is of several motions; SimulationFailure for a design without a motion.
     """
     if problem.simulations != 1 or hasattr(problem, "scenarios"):
@@ -25,6 +26,6 @@ def problem_errors(problem: Any, x: np.ndarray) -> list[ResponseError]:
     objective, *others = problem.reference.measures
     stated = objective if problem.sign > 0.0 else -objective
     motion = problem.motion(x)
-    errors = [motion.error_of(measure) for measure in (stated, *others)]
+    errors = [motion.error_of(measure, modes=modes, mesh=mesh) for measure in (stated, *others)]
     names = [repr(problem.stated_objective), *(repr(c) for c in problem.constraints)]
     return [replace(error, name=name) for error, name in zip(errors, names, strict=True)]
