@@ -235,3 +235,9 @@ def test_ui_serves_the_store_on_loopback_and_ends_on_sigterm(folder):
     assert server.wait(timeout=30) == 0
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen("http://127.0.0.1:50731/", timeout=10)
+
+
+def test_the_module_has_the_exit_code_of_the_command():
+    for module in ("torchmbd", "torchmbd.cli"):
+        done = subprocess.run([sys.executable, "-m", module, "runn"], capture_output=True)
+        assert done.returncode == 2

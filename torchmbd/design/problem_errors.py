@@ -5,26 +5,59 @@ Checked in tests/design/test_response_errors.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
-from torchmbd.errors import InputError
+from torchmbd.design.response import Measure
+from torchmbd.design.scenario_settings import combined
 from torchmbd.results.response_error import ResponseError
 
 
 def problem_errors(problem: Any, x: np.ndarray) -> list[ResponseError]:
     """Errors of the objective, then of every constraint, at a design [n]: one more simulation of it, or two.
 
-    Each is that of the measure, in its unit and with the sign that `minimize` or `maximize` states.
-    Raises InputError for scenarios, whose objective is of several motions; SimulationFailure for a design without a motion.
+    Each is that of the measure, in its unit and with the sign that `minimize` or `maximize` states. Over scenarios: of the
+    rows that the optimizer sees, such as those of all scenarios.
+    Raises SimulationFailure for a design without a motion.
     """
-    if problem.simulations != 1 or hasattr(problem, "scenarios"):
-        raise InputError("errors of scenarios; allowed: error_of of the motions of each, problem.motions(x)")
-    objective, *others = problem.reference.measures
+    return design_errors(problem, np.asarray(x, dtype=float)[None])
+
+
+def design_errors(problem: Any, X: np.ndarray, others: Sequence[Measure] = ()) -> list[ResponseError]:
+    """The errors of several designs [lanes, n] as one batch, a lane for each; then those of `others`, in the first scenario."""
+    objective, *measures = problem.reference.measures
     stated = objective if problem.sign > 0.0 else -objective
-    motion = problem.motion(x)
-    errors = [motion.error_of(measure) for measure in (stated, *others)]
-    names = [repr(problem.stated_objective), *(repr(c) for c in problem.constraints)]
-    return [replace(error, name=name) for error, name in zip(errors, names, strict=True)]
+    names = [repr(problem.stated_objective), *(repr(c) for c in problem.constraints), *map(repr, others)]
+    motions = problem._motions(X, False)
+    errors = [[motion.error_of(measure) for motion in motions] for measure in (stated, *measures, *others)]
+    if not hasattr(problem, "scenarios"):
+        return [replace(error, name=name) for [error], name in zip(errors, names, strict=True)]
+    rules = [*problem.rules, *[("first", False)] * len(others)]
+    return [
+        replace(_over_scenarios(problem, parts, len(X), *rule), name=name)
+        for parts, rule, name in zip(errors, rules, names, strict=True)
+    ]
+
+
+def _over_scenarios(
+    problem: Any, errors: Sequence[ResponseError], lanes: int, rule: str, lower_limit: bool
+) -> ResponseError:
+    """The error of a measure over all scenarios, from those of each system [lanes * scenarios of it]."""
+
+    def rows(parts: Sequence[torch.Tensor]) -> np.ndarray:
+        values = problem.in_scenario_order([x.reshape(lanes, len(x) // lanes, -1).numpy() for x in parts])
+        return values[:, 0] if rule == "first" else combined(rule, values, None, problem.weights, lower_limit)[0]
+
+    value = rows([error.value for error in errors])
+    finer = rows([error.value + error.by_steps for error in errors])
+    texts = problem.in_scenario_order([np.array(e.reasons, dtype=object).reshape(lanes, -1) for e in errors])
+    cases = list(problem.scenarios)
+    reasons = tuple(
+        next((f"scenario {name!r}: {text}" for name, text in zip(cases, row, strict=True) if text), "") for row in texts
+    )
+    resolved = torch.tensor([not reason for reason in reasons])
+    return ResponseError("", torch.tensor(value), torch.tensor(finer - value), resolved, reasons, errors[0].note)
