@@ -28,6 +28,7 @@ Parts (default: all):
     long            memory and time of a gradient of 600,000 steps
     compile         compiling, with an empty cache
     work-precision  all kinds of integrators
+    errors          estimated over true errors of responses by steps
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
 sizes. What was not measured is null. Processor times of one thread, the fastest of several runs taken in turns; wall times of
@@ -54,6 +55,7 @@ from experiments.benchmark.adjoint import adjoint
 from experiments.benchmark.angles import many_angles
 from experiments.benchmark.batches import batches
 from experiments.benchmark.beams import beams
+from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
 from experiments.benchmark.load_cases import load_cases
@@ -91,6 +93,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "long": costs.long,
     "compile": costs.compile_time,
     "work-precision": work_precision,
+    "errors": errors,
 }
 FIGURES = (
     "gradient_3x32",
@@ -146,6 +149,8 @@ FIGURES = (
     "compile_s",
     "pendulum_6x32",
     "pendulum_values_x32",
+    "errors_share",
+    "errors_unresolved",
 )
 
 

@@ -1,4 +1,4 @@
-"""Tables and splines of SciPy as laws: as torch operations they work, as they are they are refused by the name of their owner."""
+"""Tables and splines of SciPy as laws: as torch operations they work, else they are refused by name."""
 
 from __future__ import annotations
 

@@ -36,6 +36,13 @@ from torchmbd.design.problem_parts import (
     reference_of,
     stated_objective,
 )
+from torchmbd.design.problem_steps import (
+    TOLERANCE,
+    checked_tolerance,
+    coarse_problem,
+    problem_steps,
+    refined_problem,
+)
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure, argument_names
@@ -51,7 +58,6 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.optimization.optimizer import as_numbers
-from torchmbd.results.motion_data import OK
 from torchmbd.summary import Summary, few
 
 BOUND = "bound"  # name of the extra variable beta
@@ -75,7 +81,9 @@ class Problem(Summary):
     bound       (start, upper) of the extra variable, where `minimize` has several rows; 1 at the initial design
     gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where the method has an adjoint and objective and
                 constraints have no more numbers than there are design variables. `problem.gradients` is the choice
-    method, steps, phases, backend, options   as in `simulate`
+    steps       equal steps of all motions; None: as many as the start needs (problem_steps.py)
+    tolerance   error by steps of every response, as a share of it or of its limit, that chosen steps may have; None: any
+    method, phases, backend, options   as in `simulate`
 
     >>> problem = mbd.Problem(
     ...     mbd.examples.arm(),
@@ -110,6 +118,7 @@ class Problem(Summary):
         backend: str = "auto",
         motion_start: Any = "assembled",
         maximize: Measure | None = None,
+        tolerance: float | None = TOLERANCE,
         **options: Any,
     ):
         if not isinstance(system, System):
@@ -134,6 +143,7 @@ class Problem(Summary):
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
+        self.tolerance, self.chooses_steps = checked_tolerance(tolerance), steps is None
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, "backend": backend, **options}
         self.simulation |= {} if motion_start == "assembled" else {"start": motion_start}
@@ -157,7 +167,7 @@ class Problem(Summary):
     def settings(self) -> list[Any]:
         """All settings that determine the evaluations, except the values of the design variables."""
         space, responses = self.space, [self.objective, *self.constraints]
-        motion = [self.system, self.simulation, self.duration, self.gradients]
+        motion = [self.system, self.simulation, self.duration, self.gradients, self.chooses_steps and self.tolerance]
         return [*motion, responses, space.map, space.offset, space.variables, space.start]
 
     @property
@@ -298,6 +308,8 @@ class Problem(Summary):
         return any(c.limit == "initial" for c in self.constraints) or any(m.refers_to_start for m in measures)
 
     errors = problem_errors
+    coarse = cached_property(coarse_problem)
+    refined = refined_problem
 
     @property
     def limits(self) -> np.ndarray:
@@ -309,25 +321,7 @@ class Problem(Summary):
             self.system, self.steps or FEWEST, self._tangents if gradients else 0, self.gradients == "reverse"
         )
 
-    @cached_property
-    def steps(self) -> int | None:
-        """Steps of every motion: `steps` of the problem, else as many as the motions of the initial design need.
-
-        All designs have the same: a criterion that changes its number of steps with the design is not smooth. None: the initial
-        design cannot be simulated, and each batch chooses.
-        """
-        if self.simulation["steps"]:
-            return self.simulation["steps"]
-        counts = []
-        for system, designs in self.cases(self.space.start[None]):
-            try:
-                motion = simulate(system, self.duration, designs=designs, gradients="none", **self.simulation)
-            except (InputError, SimulationFailure):
-                return None
-            if motion.integration.steps is None or any(status != OK for status in motion.status):
-                return None
-            counts.append(motion.integration.steps)
-        return max(counts)
+    steps = cached_property(problem_steps)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""

@@ -1,4 +1,4 @@
-"""Errors of the objective and of every constraint of a problem by the steps of its motions.
+"""Errors of the objective and of every constraint of a problem, by the steps and the modes of its motions.
 
 Checked in tests/design/test_response_errors.py.
 """
@@ -17,23 +17,26 @@ from torchmbd.design.scenario_settings import combined
 from torchmbd.results.response_error import ResponseError
 
 
-def problem_errors(problem: Any, x: np.ndarray) -> list[ResponseError]:
-    """Errors of the objective, then of every constraint, at a design [n]: one more simulation of it, or two.
+def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True) -> list[ResponseError]:
+    """Errors of the objective, then of every constraint, at a design [n], by further simulations of it (`error_of`).
 
-    Each is that of the measure, in its unit and with the sign that `minimize` or `maximize` states. Over scenarios: of the
+    modes   whether the errors by modes are estimated
+    Each error is that of the measure, in its unit and with the sign that `minimize` or `maximize` states. Over scenarios: of the
     rows that the optimizer sees, such as those of all scenarios.
     Raises SimulationFailure for a design without a motion.
     """
-    return design_errors(problem, np.asarray(x, dtype=float)[None])
+    return design_errors(problem, np.asarray(x, dtype=float)[None], modes=modes)
 
 
-def design_errors(problem: Any, X: np.ndarray, others: Sequence[Measure] = ()) -> list[ResponseError]:
+def design_errors(
+    problem: Any, X: np.ndarray, others: Sequence[Measure] = (), modes: bool = True
+) -> list[ResponseError]:
     """The errors of several designs [lanes, n] as one batch, a lane for each; then those of `others`, in the first scenario."""
     objective, *measures = problem.reference.measures
     stated = objective if problem.sign > 0.0 else -objective
     names = [repr(problem.stated_objective), *(repr(c) for c in problem.constraints), *map(repr, others)]
     motions = problem._motions(X, False)
-    errors = [[motion.error_of(measure) for motion in motions] for measure in (stated, *measures, *others)]
+    errors = [[motion.error_of(measure, modes=modes) for motion in motions] for measure in (stated, *measures, *others)]
     if not hasattr(problem, "scenarios"):
         return [replace(error, name=name) for [error], name in zip(errors, names, strict=True)]
     rules = [*problem.rules, *[("first", False)] * len(others)]
@@ -53,11 +56,24 @@ def _over_scenarios(
         return values[:, 0] if rule == "first" else combined(rule, values, None, problem.weights, lower_limit)[0]
 
     value = rows([error.value for error in errors])
-    finer = rows([error.value + error.by_steps for error in errors])
+
+    def change(parts: Sequence[torch.Tensor]) -> torch.Tensor:
+        return torch.tensor(rows([e.value + x for e, x in zip(errors, parts, strict=True)]) - value)
+
+    by_modes = [error.by_modes for error in errors]
+    known = [x for x in by_modes if x is not None]
     texts = problem.in_scenario_order([np.array(e.reasons, dtype=object).reshape(lanes, -1) for e in errors])
     cases = list(problem.scenarios)
     reasons = tuple(
         next((f"scenario {name!r}: {text}" for name, text in zip(cases, row, strict=True) if text), "") for row in texts
     )
-    resolved = torch.tensor([not reason for reason in reasons])
-    return ResponseError("", torch.tensor(value), torch.tensor(finer - value), resolved, reasons, errors[0].note)
+    return ResponseError(
+        "",
+        torch.tensor(value),
+        change([error.by_steps for error in errors]),
+        torch.tensor([not reason for reason in reasons]),
+        reasons,
+        errors[0].note,
+        change(known) if len(known) == len(errors) else None,
+        unknown=tuple(dict.fromkeys(text for error in errors for text in error.unknown)),
+    )

@@ -1,4 +1,4 @@
-"""Verification of an optimum: best design and start, simulated once more with finer steps, are judged by their errors.
+"""Verification of an optimum: best design and start, simulated once more with finer steps and more modes, are judged by their errors.
 
 The gain, the constraints and the rank among the other ends of the search must hold in the finer model, see results/answer.py.
 Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
@@ -36,7 +36,7 @@ _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is kno
 
 
 def verify(result: OptimizationResult | MultistartResult) -> Verification:
-    """Simulate best design and start with finer steps: do gain and constraints hold?
+    """Simulate best design and start with finer steps and more modes: do gain and constraints hold?
 
     result  of `optimize` or `multistart`, of a Problem, Scenarios or RobustProblem
 
@@ -107,11 +107,13 @@ def verification(
             faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
-    notes = [f"{words(one.measure)}: {one.note}" for one in responses if one.note]
+    notes = [f"{words(one.measure)}: {one.error.note}" for one in responses if one.error.note]
+    notes += dict.fromkeys(text for one in responses for text in one.error.unknown)
     notes += ["values and errors are those of the nominal design, without tolerances"] * robust
     objective = responses[0]
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (objective.value, objective.finer)]
-    todo = f"{advice(simulated, need)}, and the search again" if faults else ""
+    by_modes = any(one.by_modes for one in responses if one.asked and not any(one.reasons))
+    todo = f"{advice(simulated, need, by_modes)}, and the search again" if faults else ""
     answers = tuple(one.answer for one in responses)
     return Verification(answers, changes[0], changes[1], tuple(faults), todo, tuple(notes))
 
@@ -131,14 +133,24 @@ class _Response:
     measure: Measure
     value: np.ndarray
     finer: np.ndarray
-    reasons: tuple[str, ...]
-    note: str = ""
+    error: ResponseError
     sign: float = 1.0
     limit: np.ndarray | None = None
     excess: np.ndarray | None = None
     finer_excess: np.ndarray | None = None
     change: np.ndarray | None = None
     finer_limits: np.ndarray | None = None
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why lanes are not resolved by the steps, "" where they are."""
+        return self.error.reasons
+
+    @property
+    def by_modes(self) -> bool:
+        """Whether the modes leave a larger error than the steps."""
+        sizes = {name: float(x.abs().nan_to_num().max()) for name, x in self.error.parts.items()}
+        return sizes.get("modes", 0.0) > sizes["steps"]
 
     @property
     def answer(self) -> Answer:
@@ -176,7 +188,7 @@ def _responses(
     value, finer = (x.max(1) for x in _both(objective))
     asked = "minimize" if problem.sign > 0.0 else "maximize"
     found = [
-        _Response(asked, problem.stated_objective, value, finer, objective.reasons, objective.note, problem.sign),
+        _Response(asked, problem.stated_objective, value, finer, objective, problem.sign),
     ]
     initial = next((k for k, x in enumerate(designs) if np.array_equal(x, problem.space.start)), None)
     count = len(problem.constraints)
@@ -191,7 +203,7 @@ def _responses(
         found.append(_constrained(constraint, error, problem.limits[rows], limits, problem.reference.scale[rows]))
     for measure, error in zip(beside, errors[count:], strict=True):
         value, finer = _both(error)
-        found.append(_Response("", measure, value[:, 0], finer[:, 0], error.reasons))
+        found.append(_Response("", measure, value[:, 0], finer[:, 0], error))
     return found
 
 
@@ -208,8 +220,7 @@ def _constrained(
         constraint.measure,
         value[at],
         finer[at],
-        error.reasons,
-        error.note,
+        error,
         limit=limits[at[1]],
         excess=excess,
         finer_excess=finer_excess,
@@ -221,7 +232,7 @@ def _constrained(
 def _both(error: ResponseError) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a response in both models [lanes, rows]: the value, and with all its estimated errors."""
     value = rows_of(error.value).numpy()
-    return value, value + rows_of(error.by_steps).numpy()
+    return value, value + sum(rows_of(x).numpy() for x in error.parts.values())
 
 
 def _beside(problem: Problem) -> list[Measure]:
@@ -304,8 +315,10 @@ def _faults_of_order(
     return faults
 
 
-def advice(problem: Problem, need: float) -> str:
-    """What to do where errors must fall by the factor `need`; inf: nobody knows."""
+def advice(problem: Problem, need: float, by_modes: bool = False) -> str:
+    """What to do where errors must fall by the factor `need`, inf: nobody knows; by_modes: those of the modes are larger."""
+    if by_modes:
+        return f"more modes of the flexible bodies, {advice(problem, need)}"
     steps = problem.steps
     if steps is None or problem.simulation["method"] in ADAPTIVE:
         return "tighter tolerances of the method (rtol, atol)"

@@ -1,12 +1,13 @@
-"""How a motion was simulated, to simulate it again with finer steps.
+"""How a motion was simulated, to simulate it again with other steps or more modes.
 
-Checked in tests/design/test_response_errors.py.
+Checked in tests/design/test_response_errors.py, tests/design/test_errors_of_motions.py.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -16,8 +17,10 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.richer_start import with_more_modes
 from torchmbd.integrate.torchdiffeq_method import Torchdiffeq
 from torchmbd.multibody.system import System
+from torchmbd.multibody.system.richer import richer_system
 
 _TIGHTER = 0.01  # tolerances of adaptive methods, for each halving of the output intervals
 _LEAST_RTOL = 1e-13  # rounding is above it
@@ -53,17 +56,45 @@ class Simulation:
 
     def finer(self, factor: int) -> Any:
         """The motion with `factor` (2 or 4) times the steps, values only; adaptive methods with tighter tolerances."""
-        for name, x in self.system.named_parameters():
-            if not torch.equal(x.detach(), self.parameters[name]):
-                raise InputError(f"parameter {name!r} has changed since the motion; allowed: simulate again")
         options = dict(self.options)
         if self.order is None:
             assert isinstance(self.integrator, Torchdiffeq)
             share = _TIGHTER ** (factor // 2)
             options |= {"rtol": max(_LEAST_RTOL, self.integrator.rtol * share), "atol": self.integrator.atol * share}
-        return self.simulate(
-            self.system, steps=factor * self.steps, gradients="none", progress=False, **self.arguments, **options
-        )
+        return self._again(self.system, factor * self.steps, self.arguments, options)
+
+    def coarser(self) -> Any | None:
+        """The motion with half as many equal steps, values only, without its warnings; None where there is none."""
+        if self.order is None or self.steps % 2:
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return self._again(self.system, self.steps // 2, self.arguments, self.options)
+
+    def richer(self, motion: Any) -> Any | None:
+        """The same steps with more modes of all flexible bodies, values only; None where no body has further modes.
+
+        motion   the motion of these arguments: modal coordinates of its start are those of its modes
+        Raises InputError for a static equilibrium that begins with modal coordinates.
+        """
+        system, names = richer_system(self.system)
+        if not names:
+            return None
+        return self._again(system, self.steps, with_more_modes(motion, system, self.arguments), self.options)
+
+    def _again(self, system: System, steps: int, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
+        for name, x in self.system.named_parameters():
+            if not torch.equal(x.detach(), self.parameters[name]):
+                raise InputError(f"parameter {name!r} has changed since the motion; allowed: simulate again")
+        if arguments["phases"] is not None:  # times without gradients, and joints of any copy of the system
+            arguments = {**arguments, "phases": [_plain(phase) for phase in arguments["phases"]]}
+        return self.simulate(system, steps=steps, gradients="none", progress=False, **arguments, **options)
+
+
+def _plain(phase: Any) -> Any:
+    times = {key: getattr(phase, key) for key in ("until", "lasting")}
+    joints = {key: [getattr(x, "name", x) for x in getattr(phase, key)] for key in ("lock", "release")}
+    return replace(phase, **{k: x.detach() if isinstance(x, Tensor) else x for k, x in times.items()}, **joints)
 
 
 def parameters_of(system: System) -> dict[str, Tensor]:

@@ -71,7 +71,7 @@ def choose_steps(
 
     Methods without estimates of their error get the steps that all modes need, and are not tried: their result is None.
     """
-    round_up = _rounding(integrator, dynamics, duration)
+    round_up = rounding(integrator, dynamics, duration)
     most = round_up(all_modes(dynamics, duration))
     if not integrator.adjoint:
         most = min(most, round_up(RIGID)) if "Kr" not in dynamics.data else most
@@ -91,7 +91,7 @@ def choose_steps(
         steps = min(round_up(needed), most)
 
 
-def _rounding(integrator: Integrator, dynamics: Dynamics, duration: float) -> Callable[[int], int]:
+def rounding(integrator: Integrator, dynamics: Dynamics, duration: float) -> Callable[[int], int]:
     """Rounds a number of steps up to one that suits the integrator, and where held values of controllers change."""
     fitting = steps_at(held_times_of(dynamics, duration), duration)
     multiple = math.lcm(integrator.round_up_steps(1), fitting or 1)

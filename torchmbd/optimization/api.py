@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names, true_or_false
+from torchmbd.optimization.finer_motions import search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (
@@ -29,7 +30,7 @@ from torchmbd.optimization.optimizer import (
     require_problem,
     require_range,
 )
-from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search
+from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Report, Search
 from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import both, shown
 
@@ -82,21 +83,29 @@ def optimize(
     scaling = true_or_false("scaling", scaling)
     eager_gradients = true_or_false("eager_gradients", eager_gradients)
 
+    analyses = 0
     with shown(progress, method, max_iterations) as show:
+
+        def search_from(problem: Problem, x: np.ndarray, iterations: int, report: Report) -> OptimizationResult:
+            nonlocal analyses
+            search = Search.of(
+                problem,
+                problem.evaluate,
+                x,
+                lower,
+                upper,
+                scale=variable_scale(x, lower, upper) if scaling else None,
+                feasibility=feasibility,
+                eager_gradients=eager_gradients,
+                max_analyses=None if max_analyses is None else max(1, max_analyses - analyses),
+                report=report,
+            )
+            result = run_start(search, function, method, iterations, options, problem)
+            analyses += result.analyses
+            return result
+
         report = both(lambda one: show(one.iteration, one.objective), callback)
-        search = Search.of(
-            problem,
-            problem.evaluate,
-            x,
-            lower,
-            upper,
-            scale=variable_scale(x, lower, upper) if scaling else None,
-            feasibility=feasibility,
-            eager_gradients=eager_gradients,
-            max_analyses=max_analyses,
-            report=report,
-        )
-        return run_start(search, function, method, max_iterations, options, problem)
+        return search_with_finer_motions(search_from, problem, x, max_iterations, report)
 
 
 def require_limits(max_iterations: int, max_analyses: int | None) -> None:

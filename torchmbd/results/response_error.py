@@ -1,13 +1,15 @@
-"""Errors of responses by the steps of a motion: the same motion with finer steps, and Richardson's extrapolation.
+"""Errors of responses: the same motion with finer steps, with Richardson's extrapolation, and with more modes.
 
-    error = (v_half - v) 4/3        of methods of second order: v = true + c h^2 + ..., v_half = true + c h^2/4 + ...
-    error = v_tight - v             of adaptive methods: tolerances a hundredth, twice the outputs
+    by_steps = (v_half - v) 4/3     of methods of second order: v = true + c h^2 + ..., v_half = true + c h^2/4 + ...
+    by_steps = v_tight - v          of adaptive methods: tolerances a hundredth, twice the outputs
+    by_modes = v_richer - v         flexible bodies with half as many vibration modes again (bodies/richer_reduction.py)
 
-Where the difference is large, or the status of the lane is not "ok", a third motion with a quarter of the step shows
-whether the error falls as it should: by four, accepted from two to eight;
-of tolerances, at least by two.
+Two coarse motions may agree by chance. Where they differ by more than a thousandth, a motion with twice the step must agree
+with them to a tenth, or show that the error falls as it should: by four, accepted from two to eight; of tolerances, at least
+by two. Where it does not, where the two differ by more than a tenth, or the status of the lane is not "ok", a motion with a
+quarter of the step decides in the same way.
 Source: Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357.
-Checked in tests/design/test_response_errors.py.
+Checked in tests/design/test_response_errors.py, tests/design/test_errors_of_motions.py.
 """
 
 from __future__ import annotations
@@ -19,24 +21,29 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.results.motion_data import OK
+from torchmbd.errors import InputError, SimulationFailure
+from torchmbd.multibody.bodies.richer_reduction import has_reduction
+from torchmbd.results.motion_data import OK, has_failed
 
-_LARGE = 0.1  # of the value: from there on the third motion is made
+_LARGE = 0.1  # of the value: differences that need a motion with a quarter of the step
+_SMALL = 1e-3  # of the value: one of a thousand pairs of motions by unresolved steps agrees so well by chance
 _ROUNDING = 1e-10  # of the value: differences that are rounding and the residuals of Newton's iterations
 _LEAST, _MOST = 2.0, 8.0  # of the reduction of the error by half the step; four for second order
 
 
 @dataclass(frozen=True)
 class ResponseError:
-    """The error of a response by the steps of its motion.
+    """The errors of a response, each the estimated true value minus the value, in the unit of the response.
 
     name      of the response
-    value     of the motion [lanes] or [lanes, rows], in the unit of the response
-    by_steps  estimated true value minus value, of the same shape and unit
-    resolved  whether the estimate holds [lanes]: the error falls with the steps as the method promises
+    value     of the motion [lanes] or [lanes, rows]
+    by_steps  error by the steps, of the same shape
+    resolved  whether the estimate by steps holds [lanes]: the error falls with the steps as the method promises
     reasons   why a lane is not resolved, "" where it is
-    note      what the estimate is worth for this kind of response, "" where there is nothing to say
+    note      what the estimates are worth for this kind of response, "" where there is nothing to say
+    by_modes  error by the modes of flexible bodies; zeros where bodies have none that could be more; None: not estimated
+    by_mesh   error by the meshes of flexible bodies; None: not estimated
+    unknown   why an error is None or lacks a part: "by_modes: ..."
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
     >>> error = motion.error_of(mbd.Final(mbd.Angle("bob", "z")))
@@ -50,63 +57,132 @@ class ResponseError:
     resolved: Tensor
     reasons: tuple[str, ...]
     note: str = ""
+    by_modes: Tensor | None = None
+    by_mesh: Tensor | None = None
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def parts(self) -> dict[str, Tensor]:
+        """The errors that are estimated, by "steps", "modes", "mesh"."""
+        errors = {"steps": self.by_steps, "modes": self.by_modes, "mesh": self.by_mesh}
+        return {name: x for name, x in errors.items() if x is not None}
+
+    @property
+    def error(self) -> Tensor:
+        """Size of all errors that are estimated, positive: the sum of their sizes, of the shape of `value`."""
+        return torch.stack([x.abs() for x in self.parts.values()]).sum(0)
 
     def __str__(self) -> str:
         """A line for each lane."""
         lines = []
         for lane, reason in enumerate(self.reasons):
-            values, errors = (x[lane].reshape(-1).tolist() for x in (self.value, self.by_steps))
-            pairs = ", ".join(f"{v:.6g} (error by steps {e:+.2g})" for v, e in zip(values, errors, strict=True))
-            lines.append(f"{self.name}: {pairs}" + (f", not resolved: {reason}" if reason else ""))
-        return "\n".join(lines) + (f"\n({self.note})" if self.note else "")
+            errors = {name: x[lane].reshape(-1).tolist() for name, x in self.parts.items()}
+            pairs = []
+            for row, value in enumerate(self.value[lane].reshape(-1).tolist()):
+                texts = [f"by {name} {x[row]:+.2g}" for name, x in errors.items()]
+                pairs.append(f"{value:.6g} (error {', '.join(texts)})")
+            lines.append(f"{self.name}: {', '.join(pairs)}" + (f", not resolved: {reason}" if reason else ""))
+        return "\n".join([*lines, *(f"({text})" for text in (self.note, *self.unknown) if text)])
 
 
-def response_error(motion: Any, response: Callable[[Any], Tensor]) -> ResponseError:
-    """The error of a response by the steps of its motion; InputError for what has no estimate."""
+def response_error(motion: Any, response: Callable[[Any], Tensor], modes: bool = True) -> ResponseError:
+    """The errors of a response of a motion; InputError for what has no estimate by steps."""
     if not callable(response):
         raise InputError(f"response is {response!r}; allowed: a measure, such as mbd.Max(...)")
     if motion.simulation is None:
         raise InputError("this motion is a part of another; allowed: error_of of the motion that simulate returns")
     with torch.no_grad():
         value = _numbers(response, motion)
-        half = motion.finer(2)
-        order, finer = motion.simulation.order, _numbers(response, half)
-        if finer.shape != value.shape:
-            raise InputError(
-                f"response {response!r} has numbers {list(value.shape)}, with finer steps {list(finer.shape)}; "
-                "allowed: numbers that do not change with the steps, such as mbd.Max(...) of a history"
-            )
-        remainder = 1.0 / (2.0**order - 1.0) if order else 0.0  # of the finer value, over the difference
-        first = finer - value
-        error = first * (1.0 + remainder)
-        rounding = _ROUNDING * value.abs().maximum(finer.abs())
-        sound = torch.tensor([status == OK for status in motion.status])
-        doubtful = (
-            ~(rows_of(first).abs() <= _LARGE * rows_of(value).abs().maximum(rows_of(finer).abs())).all(1) | ~sound
-        )
-        reasons = [""] * motion.lanes
-        if doubtful.any():
-            quarter = motion.finer(4)
-            finest = _numbers(response, quarter)
-            second = finest - finer
-            better = finest - value + second * remainder
-            error = torch.where(doubtful.reshape(-1, *[1] * (value.ndim - 1)), better, error)
-            ratio = first / second
-            falls = (ratio >= _LEAST) & (ratio <= _MOST) if order else ratio.abs() >= _LEAST
-            falls = rows_of(falls | (first.abs() <= rounding))
-            for lane in doubtful.nonzero().flatten().tolist():
-                reasons[lane] = _reason([m.status[lane] for m in (half, quarter)], falls[lane], rows_of(ratio)[lane])
-        for lane in range(motion.lanes):
-            if not reasons[lane] and not error[lane].isfinite().all():
-                reasons[lane] = "the response has no number, here or with finer steps"
+        by_steps, reasons = _by_steps(motion, response, value)
+        by_modes, by_mesh, unknown = None, None, []
+        if modes:
+            by_modes, why = _by_modes(motion, response, value)
+            unknown += [f"by_modes: {why}"] * bool(why)
     resolved = torch.tensor([not reason for reason in reasons])
     note = "; ".join(dict.fromkeys(_notes(response)))
-    return ResponseError(repr(response), value, error, resolved, tuple(reasons), note)
+    return ResponseError(
+        repr(response), value, by_steps, resolved, tuple(reasons), note, by_modes, by_mesh, tuple(unknown)
+    )
+
+
+def _by_steps(motion: Any, response: Any, value: Tensor) -> tuple[Tensor, list[str]]:
+    """Error by the steps, and why lanes are not resolved."""
+    half = motion.finer(2)
+    order, finer = motion.simulation.order, _numbers(response, half)
+    if finer.shape != value.shape:
+        raise InputError(
+            f"response {response!r} has numbers {list(value.shape)}, with finer steps {list(finer.shape)}; "
+            "allowed: numbers that do not change with the steps, such as mbd.Max(...) of a history"
+        )
+    remainder = 1.0 / (2.0**order - 1.0) if order else 0.0  # of the finer value, over the difference
+    first, size = finer - value, value.abs().maximum(finer.abs())
+    error = first * (1.0 + remainder)
+    sound = torch.tensor([status == OK for status in motion.status])
+    certain = sound & _all(first.abs() <= _LARGE * size)
+    believed = certain & _all(first.abs() <= _SMALL * size)
+    if order and not believed[certain].all():
+        believed |= certain & _confirmed(motion, response, value, first, size)
+    doubtful = ~believed if order else ~certain
+    reasons = [""] * motion.lanes
+    if doubtful.any():
+        quarter = motion.finer(4)
+        finest = _numbers(response, quarter)
+        second = finest - finer
+        better = finest - value + second * remainder
+        error = torch.where(_wide(doubtful, value), better, error)
+        ratio = first / second
+        falls = (ratio >= _LEAST) & (ratio <= _MOST) if order else ratio.abs() >= _LEAST
+        falls |= first.abs() <= _ROUNDING * size
+        agree = (first.abs() <= _LARGE * size) & (second.abs() <= _LARGE * size) & _wide(sound, value)
+        falls = rows_of(falls | agree)
+        for lane in doubtful.nonzero().flatten().tolist():
+            reasons[lane] = _reason([m.status[lane] for m in (half, quarter)], falls[lane], rows_of(ratio)[lane])
+    for lane in range(motion.lanes):
+        if not reasons[lane] and not error[lane].isfinite().all():
+            reasons[lane] = "the response has no number, here or with finer steps"
+    return error, reasons
+
+
+def _confirmed(motion: Any, response: Any, value: Tensor, first: Tensor, size: Tensor) -> Tensor:
+    """Whether a motion with twice the step says that values with this step and half of it do not agree by chance [lanes]."""
+    coarse = motion.coarser()
+    if coarse is None:
+        return torch.zeros(motion.lanes, dtype=torch.bool)
+    before = value - _numbers(response, coarse)
+    ratio = before / first
+    return _all((before.abs() <= _LARGE * size) | (ratio >= _LEAST) & (ratio <= _MOST))
+
+
+def _by_modes(motion: Any, response: Any, value: Tensor) -> tuple[Tensor | None, str]:
+    """Error by the modes, or None; and what it lacks."""
+    names = motion.dynamics.topology.names[: motion.dynamics.topology.flexible]
+    fixed = ", ".join(repr(name) for name in names if not has_reduction(motion.system.body(name)))
+    lacks = f"modes of {fixed} were given, and there are no others" if fixed else ""
+    try:
+        richer = motion.richer()
+        numbers = value if richer is None else _numbers(response, richer)
+    except (InputError, SimulationFailure) as error:
+        return None, str(error)
+    if richer is None:
+        return None if fixed else torch.zeros_like(value), lacks
+    if numbers.shape != value.shape:
+        return None, f"the response has numbers {list(value.shape)}, with more modes {list(numbers.shape)}"
+    failed = [f"with more modes the motion is {status}" for status in richer.status if has_failed(status)]
+    return numbers - value, "; ".join([lacks] * bool(fixed) + failed[:1])
 
 
 def rows_of(x: Tensor) -> Tensor:
     """Numbers [lanes, ...] as [lanes, rows]."""
     return x.reshape(len(x), -1)
+
+
+def _all(x: Tensor) -> Tensor:
+    return rows_of(x).all(1)
+
+
+def _wide(lanes: Tensor, x: Tensor) -> Tensor:
+    """Values [lanes] for all numbers of x [lanes, ...]."""
+    return lanes.reshape(-1, *[1] * (x.ndim - 1))
 
 
 def _numbers(response: Callable[[Any], Tensor], motion: Any) -> Tensor:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import one_of
+from torchmbd.errors import one_of, true_or_false
 from torchmbd.results.beam_motion import BeamMotion
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.energies import Energies, energies
@@ -49,7 +49,7 @@ class Trajectory(MotionData):
 
     simulation: Any = field(default=None, init=False, repr=False)  # integrate/simulation.py; None: a part of a motion
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
-    _finer: dict[int, Trajectory] = field(default_factory=dict, init=False, repr=False)
+    _again: dict[Any, Trajectory | None] = field(default_factory=dict, init=False, repr=False)
 
     def body(self, name: str) -> Any:
         """The motion of one body (BodyMotion), or of one flexible beam (BeamMotion)."""
@@ -76,17 +76,30 @@ class Trajectory(MotionData):
 
     def finer(self, factor: int) -> Trajectory:
         """The same motion with 2 or 4 times the steps, values only; it is kept for other responses."""
-        if factor not in self._finer:
-            self._finer[factor] = self.simulation.finer(factor)
-        return self._finer[factor]
+        return self._kept(factor, lambda: self.simulation.finer(factor))
 
-    def error_of(self, response: Callable[[Any], Tensor]) -> ResponseError:
-        """Estimated error of a measure by the steps: the motion is simulated once more with half the step, or twice.
+    def coarser(self) -> Trajectory | None:
+        """The same motion with half the steps, kept likewise; None: of adaptive methods, and odd numbers of steps."""
+        return self._kept(0.5, self.simulation.coarser)
+
+    def richer(self) -> Trajectory | None:
+        """The same motion with more modes (integrate/simulation.py), kept likewise; None where there are no more."""
+        return self._kept("modes", lambda: self.simulation.richer(self))
+
+    def _kept(self, key: Any, make: Callable[[], Any]) -> Any:
+        if key not in self._again:
+            self._again[key] = make()
+        return self._again[key]
+
+    def error_of(self, response: Callable[[Any], Tensor], *, modes: bool = True) -> ResponseError:
+        """Estimated errors of a measure: the motion is simulated once more with half the step, and with twice the step or a
+        quarter of it where this does not show enough; and once more with more modes of its flexible bodies.
 
         response   a measure, such as mbd.Max(...), or a function of a motion that returns [lanes] or [lanes, rows]
+        modes      whether the error by modes is estimated
         Raises InputError for a history, and for a method of fixed steps of torchdiffeq.
         """
-        return response_error(self, response)
+        return response_error(self, response, true_or_false("modes", modes))
 
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""

@@ -87,6 +87,7 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
         links=_links(data),
         method=simulate.method,
         steps=simulate.steps,
+        tolerance=simulate.tolerance,
         phases=None if simulate.phases is None else find_phases(simulate.phases, folder),
         gradients=simulate.gradients,
         backend=simulate.backend,

@@ -283,7 +283,7 @@ def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tupl
             values,
             f"its errors are not estimated, which takes {_duration(took)}; allowed: problem.errors(...) in Python",
         )
-    begin_stage("simulating the start design with half the steps")
+    begin_stage("simulating the start design with half the steps, and with more modes")
     try:
         return start_values(problem, criteria, problem.errors(problem.start)), ""
     except MbdError as error:

@@ -40,7 +40,8 @@ KEYS: dict[str, dict[str, str]] = {
     "Simulation": {
         "duration": "Simulated time [s].",
         "method": "Method of time integration.",
-        "steps": "Number of steps; default: chosen by the motion.",
+        "steps": "Number of steps; default: as many as the responses of the start design need.",
+        "tolerance": "Error by steps of every response, as a share of it or of its limit, that chosen steps may have.",
         "phases": "Function that returns the phases: path/to/file.py:function or package.module:function.",
         "backend": "`native` code, `eager` operators of torch, or `auto`: native where a compiler is found.",
         "start": "`assembled`: undeformed; `equilibrium`: at rest under its loads; or values by name.",

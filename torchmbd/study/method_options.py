@@ -30,7 +30,7 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     if simulation is not None:
         integrator = INTEGRATORS[simulation.method]
         types = integrator.option_types()
-        own = ("duration", "method", "steps", "phases", "gradients", "backend")
+        own = ("duration", "method", "steps", "tolerance", "phases", "gradients", "backend")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
         try:
             check_gradients(simulation.gradients, integrator)

@@ -43,6 +43,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from torchmbd.design.problem_steps import TOLERANCE
 from torchmbd.design.response_spec import SpecError, measure_of
 from torchmbd.design.words import unit
 from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
@@ -115,6 +116,7 @@ class Simulation(Section):
     duration: float = Field(gt=0)
     method: Annotated[str, one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
+    tolerance: float = Field(TOLERANCE, gt=0, lt=1)  # error by steps of responses, where `steps` is left out
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
     backend: Annotated[str, one_of(BACKENDS)] = "auto"  # of the steps
     start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]  # of every motion

@@ -31,7 +31,7 @@ def verify_best(
     if not isinstance(study.simulated, Problem):
         return None
     began = time.process_time()
-    begin_stage("verifying start and best design with half the steps")
+    begin_stage("verifying start and best design with half the steps and more modes")
     others = [] if found is None else other_ends(found)
     result = verification(study.problem, best.x, best.value, others, study.points[0], study.feasibility)
     journal.verified(result)

@@ -74,10 +74,25 @@ class MatrixStructure:
                 raise InputError(
                     f"reduction and interface of {self.name!r} are given beside modes; allowed: one of both"
                 )
-            first = self._compute()
+            self._warn_units(self._reduce())
+
+    def _reduce(self) -> dict[str, Tensor]:
+        """The structure of the first design, which has the number of modes."""
+        first = self._compute()
         self.size = first["Kr"].shape[-1]
-        self._warn_units(first)
         self._constant = first if self.module is None else None  # without design variables: that of all designs
+        return first
+
+    def pencil(self) -> tuple[SparseMatrix, SparseMatrix]:
+        """Stiffness and mass of the free freedoms; where the modes are not given."""
+        M, K = self.matrices.now()
+        return K.restrict(self.free), M.restrict(self.free)
+
+    def keep(self, reduction: Reduction) -> None:
+        """Have another reduction of the free freedoms."""
+        self.reduction = reduction
+        with torch.no_grad():
+            self._reduce()
 
     def structure(self) -> dict[str, Tensor]:
         """Invariants, "Kr" [..., m, m], "psi" [..., nodes, 6, m] of the present design."""

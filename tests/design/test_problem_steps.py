@@ -1,0 +1,146 @@
+"""Steps that a problem chooses by the errors of its responses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from torchmbd.design import problem_steps
+from torchmbd.design.problem_steps import steps_for
+from torchmbd.errors import InputError
+
+pytestmark = pytest.mark.usefixtures("compiled")
+
+
+def mass_on_a_spring(stiffness: float = 4.0e3, mass: float = 1.0) -> mbd.System:
+    """Pushed at the start: x = v0 / om sin(om t)."""
+    bob = mbd.RigidBody("bob", mbd.variable(mass), (1.0, 1.0, 1.0), velocity=(1.0, 0.0, 0.0))
+    ground = mbd.Ground()
+    spring = mbd.SpringDamper(ground.at(-1.0, 0.0, 0.0), bob.at(), stiffness=stiffness, rest=1.0)
+    return mbd.System([bob], [mbd.Prismatic(ground.at(), bob.at(), axis="x")], [spring])
+
+
+def problem(measure: mbd.Measure | None = None, duration: float = 1.0, **options) -> mbd.Problem:
+    measure = mbd.Final(mbd.Position("bob", "x")) if measure is None else measure
+    given = {"variables": ["bob.mass"], "bounds": (0.5, 2.0)} | options
+    return mbd.Problem(mass_on_a_spring(), duration, measure, **given)
+
+
+def exact(duration: float = 1.0, mass: float = 1.0) -> float:
+    omega = math.sqrt(4.0e3 / mass)
+    return math.sin(omega * duration) / omega
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+def test_chosen_steps_have_the_error_that_was_asked_for(tolerance):
+    """In closed form; and a quarter of the steps would not do."""
+    chosen = problem(tolerance=tolerance)
+    value = chosen.objective(chosen.motion(chosen.start)).item()
+    assert abs(value - exact()) <= 1.1 * tolerance * abs(exact())
+    quarter = (chosen.steps or 0) // 4
+    few = problem(steps=quarter)
+    off = abs(few.objective(few.motion(few.start)).item() - exact())
+    assert quarter < 1000 or off > tolerance * abs(exact())
+
+
+@pytest.mark.thorough
+def test_a_small_difference_asks_for_more_steps_than_its_parts():
+    final = mbd.Final(mbd.Position("bob", "x"))
+    whole = problem(tolerance=1e-3)
+    value = whole.objective(whole.motion(whole.start)).item()
+    small = problem(final + -0.9 * value, tolerance=1e-3)
+    assert (small.steps or 0) > 2.5 * (whole.steps or 0)
+    found = small.objective(small.motion(small.start)).item()
+    true = exact() - 0.9 * value
+    assert abs(found - true) <= 1.1e-3 * abs(true)
+
+
+@pytest.mark.thorough
+def test_constraints_count_with_their_limits():
+    """A response of 1 % of its limit may have an error of its own size."""
+    final = mbd.Final(mbd.Position("bob", "x"))
+    free = problem(mbd.Mass("bob"), tolerance=1e-3, subject_to=[final <= 1.0])
+    tight = problem(mbd.Mass("bob"), tolerance=1e-3, subject_to=[final <= abs(exact())])
+    assert (free.steps or 0) < (tight.steps or 0)
+
+
+def test_given_steps_stay():
+    given = problem(steps=50, tolerance=1e-6)
+    assert given.steps == 50
+    assert given.refined(given.start) is None
+    assert given.coarse is None
+    choice = steps_for(given, given.start, 50, 1e-3)
+    assert (choice.steps or 0) > 50  # what they would be
+
+
+def test_without_a_tolerance_the_motion_chooses():
+    plain = problem(tolerance=None)
+    motion = mbd.simulate(mass_on_a_spring(), 1.0, gradients="none")
+    assert plain.steps == motion.stats["steps"]
+
+
+@pytest.mark.thorough
+def test_a_heavier_design_needs_no_more_steps_and_a_lighter_one_does():
+    chosen = problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=1e-4)
+    assert chosen.refined(np.array([2.0])) is None
+    finer = chosen.refined(np.array([0.5]))
+    assert finer.steps > chosen.steps
+    assert finer.settings() != chosen.settings()
+    assert finer.refined(np.array([0.5])) is None
+    assert chosen.steps == problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=1e-4).steps
+
+
+@pytest.mark.thorough
+def test_a_tolerance_that_no_number_of_steps_reaches(monkeypatch):
+    """A double pendulum that turns over for long: the place at the end is a number of the steps."""
+    monkeypatch.setattr(problem_steps, "MOST", 4)
+    bars = [
+        mbd.RigidBody(
+            name,
+            mbd.variable(1.0),
+            (0.02, 0.02, 0.02),
+            center=(0.25, 0, 0),
+            position=(0.5 * k, 0, 0),
+            angular_velocity=(0.0, 0.0, 12.0 * k),
+        )
+        for k, name in enumerate(("upper", "lower"))
+    ]
+    upper, lower = bars
+    ground = mbd.Ground()
+    joints = [
+        mbd.Revolute(ground.at(), upper.at(), axis="z"),
+        mbd.Revolute(upper.at(0.5, 0, 0), lower.at(), axis="z"),
+    ]
+    system = mbd.System(bars, joints, gravity=(0.0, -9.81, 0.0))
+    place = mbd.Final(mbd.Position("lower", "x"))
+    upper_mass = {"variables": ["upper.mass"], "bounds": (0.5, 2.0)}
+    chaotic = mbd.Problem(system, 30.0, place, tolerance=1e-3, **upper_mass)
+    with pytest.warns(UserWarning, match=r"no number of steps .* tolerance = 0.001: \d+ steps have an error of .* %"):
+        assert chaotic.steps is not None
+
+
+def test_bad_input():
+    for tolerance in (0.0, 1.0, -0.1, "small", True, float("nan")):
+        with pytest.raises(InputError, match=r"tolerance is .*allowed: a number above 0 and below 1"):
+            problem(tolerance=tolerance)
+
+
+@pytest.mark.thorough
+def test_a_search_takes_more_steps_where_its_design_needs_them():
+    """From heavy to light: the mass is minimized, the vibration limited at least."""
+    rms = mbd.RMS(mbd.Position("bob", "x"))
+    search = problem(
+        mbd.Mass("bob"), subject_to=[rms >= 0.0], tolerance=1e-4, start=[2.0], bounds=(0.5, 2.0), steps=None
+    )
+    seen = []
+    result = mbd.optimize(search, max_iterations=12, callback=seen.append)
+    assert result.x[0] == pytest.approx(0.5)
+    assert result.problem.steps > search.steps
+    assert result.problem.refined(result.x) is None
+    assert [one.iteration for one in result.history] == list(range(result.iterations + 1))
+    assert [one.iteration for one in seen] == [one.iteration for one in result.history]
+    assert torch.tensor(result.value).isfinite()

@@ -1,0 +1,76 @@
+"""Searches of problems that get finer: parts, counts, and what follows none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from torchmbd.optimization import Evaluation
+
+
+class Parabola:
+    """(x - 1)^2 with an error of 1 / steps^2 of its place; a design needs 100 steps, beyond 0.9 even 1000."""
+
+    names, start, lower, upper = ["x"], np.array([0.2]), np.array([-2.0]), np.array([2.0])
+
+    def __init__(self, steps: int = 10, seen: list[tuple[int, float]] | None = None):
+        self.steps, self.seen = steps, [] if seen is None else seen
+        self.coarse: Any = None
+
+    def refined(self, x: np.ndarray) -> Parabola | None:
+        needed = 1000 if x[0] > 0.9 else 100
+        return Parabola(needed, self.seen) if needed > self.steps else None
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        self.seen += [(self.steps, float(x)) for x in X[:, 0]]
+        shift = 1.0 + 1.0 / self.steps**2
+        none = np.zeros(0)
+        return [
+            Evaluation(float((x - shift) ** 2), none, 2.0 * (X[k] - shift), np.zeros((0, 1))) for k, [x] in enumerate(X)
+        ]
+
+
+def test_a_search_ends_with_the_problem_that_its_design_needs():
+    problem, reports = Parabola(), []
+    result = mbd.optimize(problem, "slsqp", max_iterations=30, callback=reports.append)
+    assert result.status == "converged"
+    assert result.x[0] == pytest.approx(1.0 + 1e-6, abs=1e-9)
+    assert getattr(result.problem, "steps", None) == 1000
+    assert result.analyses == len(problem.seen)
+    assert [one.iteration for one in result.history] == list(range(result.iterations + 1))
+    assert [one.iteration for one in reports] == [one.iteration for one in result.history]
+
+
+def test_a_coarse_problem_takes_half_of_the_iterations_at_most():
+    problem = Parabola(100)
+    problem.coarse = Parabola(10, problem.seen)
+    mbd.optimize(problem, "slsqp", max_iterations=30)
+    steps = [n for n, _ in problem.seen]
+    assert steps == sorted(steps)
+    assert set(steps) == {10, 1000}
+
+
+def test_limits_that_end_before():
+    problem = Parabola()
+    result = mbd.optimize(problem, "slsqp", max_iterations=1)
+    assert "left no iteration by the finer motions" in result.message
+    assert {n for n, _ in problem.seen} == {10}
+    assert mbd.optimize(Parabola(), "slsqp", max_iterations=30, max_analyses=3).analyses <= 5
+
+
+def test_wrappers_are_searched_as_they_are():
+    """What they keep of evaluations would miss those of another problem."""
+
+    class Wrapper:
+        def __init__(self, inner: Parabola):
+            self.inner = inner
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.inner, name)
+
+    inner = Parabola()
+    mbd.optimize(Wrapper(inner), "slsqp", max_iterations=10)
+    assert {n for n, _ in inner.seen} == {10}

@@ -1,0 +1,190 @@
+"""How many steps the motions of a problem have: as given, or as the errors of its responses ask for.
+
+    n <- 1.1 n sqrt(e / tolerance)      e: the largest error of a response by steps, over its value or its limit
+
+The first n is that of the motion (integrate/step_count.py), by the error of its largest vibrations; a response may ask for
+more: a residual vibration, a difference of large numbers. A constraint is measured by the larger of value and limit. Where no
+number of steps up to MOST times the first, or up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the
+steps with the least error are taken, and a warning says error and steps.
+Checked in tests/design/test_problem_steps.py.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchmbd.design.response import Measure
+from torchmbd.errors import InputError, SimulationFailure, warn
+from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.step_count import rounding
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.results.motion_data import OK
+from torchmbd.results.response_error import rows_of
+
+TOLERANCE = 0.01  # of every response and of every limit
+COARSE = 10.0  # times the tolerance, far from an optimum
+MOST, MOST_STEPS = 64, 100_000  # times the first steps; steps
+_MORE = 1.1  # times the steps that the estimate says
+_LEAST_MORE, _MOST_MORE = 1.2, 8.0  # times the steps before
+_UNKNOWN = 4.0  # times the steps before, of a response that is not resolved
+_FALLS = 0.7  # of the error before: where it is larger twice, further steps do not help
+
+
+@dataclass(frozen=True)
+class StepChoice:
+    """Steps for a design.
+
+    steps      a number of steps; None: its motions cannot be simulated, or their method has no estimate
+    error      largest error by these steps, over value or limit of its response; nan: unknown
+    response   the response with this error
+    reason     why it is not resolved, "" where it is
+    """
+
+    steps: int | None
+    error: float = math.nan
+    response: str = ""
+    reason: str = ""
+
+    def meets(self, tolerance: float) -> bool:
+        """Whether all errors are resolved and at most the tolerance."""
+        return self.error <= tolerance and not self.reason
+
+    def __str__(self) -> str:
+        why = f" ({self.reason})" if self.reason else ""
+        return f"{self.steps} steps have an error of {100.0 * self.error:.2g} % in {self.response}{why}"
+
+
+def checked_tolerance(tolerance: Any) -> float | None:
+    """A tolerance of the errors by steps, or None; InputError for others than numbers above 0 and below 1."""
+    if tolerance is None or (is_real(tolerance) and 0.0 < tolerance < 1.0):
+        return None if tolerance is None else float(tolerance)
+    raise InputError(f"tolerance is {tolerance!r}; allowed: a number above 0 and below 1, or None")
+
+
+def problem_steps(problem: Any) -> int | None:
+    """Steps of every motion of a problem: as given, else as many as the initial design needs (`steps_for`).
+
+    All designs have the same: a criterion that changes its number of steps with the design is not smooth. None: the initial
+    design cannot be simulated, and each batch chooses.
+    """
+    if problem.simulation["steps"]:
+        return problem.simulation["steps"]
+    choice = steps_for(problem, problem.start)
+    if not math.isnan(choice.error) and not choice.meets(problem.tolerance):
+        _warn(problem, choice)
+    return choice.steps
+
+
+def _warn(problem: Any, choice: StepChoice) -> None:
+    warn(f"no number of steps that was tried has all errors below tolerance = {problem.tolerance:g}: {choice}")
+
+
+def steps_for(problem: Any, x: np.ndarray, steps: int | None = None, tolerance: float | None = None) -> StepChoice:
+    """The steps by which the errors of all responses of a design [n] are within a tolerance; else those of least error.
+
+    steps       to begin with; None: those that its motions choose
+    tolerance   share of every response and limit; None: that of the problem
+    """
+    motions = _motions(problem, x, steps)
+    if not motions:
+        return StepChoice(steps)
+    n, tolerance = max(motion.integration.steps for motion in motions), tolerance or problem.tolerance
+    if tolerance is None or any(not isinstance(motion.simulation.integrator, OneStep) for motion in motions):
+        return StepChoice(n)
+    most, tried = min(MOST * n, max(MOST_STEPS, n)), []
+    while True:
+        if any(motion.integration.steps != n for motion in motions):
+            motions = _motions(problem, x, n)
+        tried.append(_choice(problem, motions, n))
+        if tried[-1].meets(tolerance) or n >= most or not motions or _is_stuck(tried):
+            return min(tried, key=lambda choice: (not choice.meets(tolerance), choice.error))
+        growth = _MORE * math.sqrt(tried[-1].error / tolerance) if math.isfinite(tried[-1].error) else _MOST_MORE
+        growth = min(max(growth, _UNKNOWN if tried[-1].reason else _LEAST_MORE), _MOST_MORE)
+        n = min(most, math.ceil(growth * n))
+        for motion in motions:
+            n = rounding(motion.simulation.integrator, motion.integration.dynamics, problem.duration)(n)
+
+
+def coarse_problem(problem: Any) -> Any:
+    """The problem with steps of COARSE times its tolerance at the start, for the way to an optimum; None: it has no fewer."""
+    if not problem.chooses_steps or problem.steps is None:
+        return None
+    choice = steps_for(problem, problem.start, tolerance=COARSE * problem.tolerance)
+    return None if choice.steps is None or choice.steps >= problem.steps else _with_steps(problem, choice.steps)
+
+
+def refined_problem(problem: Any, x: np.ndarray) -> Any:
+    """The problem with the steps that a design [n] needs; None: it has them, or steps were given."""
+    if not problem.chooses_steps or problem.steps is None:
+        return None
+    choice = steps_for(problem, x, problem.steps)
+    if choice.steps is None or choice.steps <= problem.steps:
+        return None
+    if not choice.meets(problem.tolerance):
+        _warn(problem, choice)
+        return None
+    return _with_steps(problem, choice.steps)
+
+
+def _with_steps(problem: Any, steps: int) -> Any:
+    """The same problem by other steps: limits and scales "initial" are those of the start by these steps."""
+    other = copy.copy(problem)
+    for name in ("reference", "steps", "coarse"):
+        other.__dict__.pop(name, None)
+    other.simulation = {**problem.simulation, "steps": steps}
+    return other
+
+
+def _is_stuck(tried: list[StepChoice]) -> bool:
+    errors = [choice.error for choice in tried]
+    return len(errors) > 2 and errors[-1] > _FALLS * errors[-2] > _FALLS**2 * errors[-3]
+
+
+def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]:
+    """Motions of a design [n] without gradients, one for each system; none where one has no steps or fails."""
+    motions = []
+    for system, designs in problem.cases(np.asarray(x)[None]):
+        options = {**problem.simulation, "steps": steps}
+        try:
+            motion = simulate(system, problem.duration, designs=designs, gradients="none", **options)
+        except (InputError, SimulationFailure):
+            return []
+        if motion.integration.steps is None or any(status != OK for status in motion.status):
+            return []
+        motions.append(motion)
+    return motions
+
+
+def _choice(problem: Any, motions: list[Trajectory], steps: int) -> StepChoice:
+    """The largest error of all responses in all lanes of motions with so many steps; none: they fail."""
+    if not motions:
+        return StepChoice(steps, math.inf, "every response", "the motion fails")
+    measures = [(problem.objective, 0.0), *((c.measure, c.limit) for c in problem.constraints)]
+    worst = StepChoice(steps, 0.0, "all responses")
+    for motion in motions:
+        for measure, limit in measures:
+            share, reason = _share(
+                motion, measure.at_start(motions[0]), 0.0 if limit == "initial" else abs(float(limit))
+            )
+            if (bool(reason), share) > (bool(worst.reason), worst.error):
+                worst = StepChoice(steps, share, repr(measure), reason)
+    return worst
+
+
+def _share(motion: Trajectory, measure: Measure, limit: float) -> tuple[float, str]:
+    """The largest error by steps over value or limit, inf where it is not known; and why it is not resolved."""
+    try:
+        error = motion.error_of(measure, modes=False)
+    except InputError as refusal:
+        return math.inf, str(refusal)
+    size = rows_of(error.value.abs()).clamp_min(limit)
+    by_steps = rows_of(error.by_steps.abs())
+    shares = torch.where(by_steps == 0.0, 0.0, by_steps / size).nan_to_num(nan=math.inf)
+    return float(shares.max()), next((reason for reason in error.reasons if reason), "")
