@@ -21,8 +21,8 @@ def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True) -> list[R
     """Errors of the objective, then of every constraint, at a design [n], by further simulations of it (`error_of`).
 
     modes   whether the errors by modes are estimated
-    Each error is that of the measure, in its unit and with the sign that `minimize` or `maximize` states. Over scenarios: of the
-    rows that the optimizer sees, such as those of all scenarios.
+    Each error is that of the measure, in its unit and with the sign that `minimize` or `maximize` states. Over scenarios: of
+    the rows that the optimizer sees, such as those of all scenarios.
     Raises SimulationFailure for a design without a motion.
     """
     return design_errors(problem, np.asarray(x, dtype=float)[None], modes=modes)

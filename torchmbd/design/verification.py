@@ -1,4 +1,4 @@
-"""Verification of an optimum: best design and start, simulated once more with finer steps and more modes, are judged by their errors.
+"""Verification of an optimum: best design and start are simulated with finer steps and more modes, and judged by their errors.
 
 The gain, the constraints and the rank among the other ends of the search must hold in the finer model, see results/answer.py.
 Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
