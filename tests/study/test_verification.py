@@ -93,7 +93,6 @@ def test_the_store_has_it(runs: SimpleNamespace) -> None:
     assert entry.metrics["best/mass of bob_kg"] == pytest.approx(entry.metrics["design/mass_kg"])
     assert entry.metrics["error/mass of bob_kg"] == 0.0
     assert entry.metrics["margin/mass of bob_kg"] == pytest.approx(1.0 - entry.metrics["design/mass_kg"] / 1.2)
-    assert 0.0 < entry.metrics["search/verification_s"] < 60.0
     assert find(runs.uri, runs.coarse.run).tags["verification"].startswith("not verified: ")
     answer = json.loads((runs.folder / "mlartifacts" / runs.fine.run / "artifacts" / "answer.json").read_text())
     assert answer["answers"][0]["asked"] == "minimize"

@@ -25,9 +25,6 @@ START, BEST, ERROR, MARGIN = "start/", "best/", "error/", "margin/"
 STARTS, CONVERGED = f"{SEARCH}starts", f"{SEARCH}converged_starts"
 
 
-VERIFYING = f"{SEARCH}verification_s"  # processor time
-
-
 def gain_metric(sign: float) -> str:
     """Return the name of the metric of the improvement; `sign` is -1 for an objective that is maximized, else 1."""
     return REDUCTION if sign > 0.0 else INCREASE

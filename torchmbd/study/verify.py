@@ -5,7 +5,6 @@ Checked in tests/study/test_verification.py.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from rich.console import Console
@@ -17,7 +16,6 @@ from torchmbd.progress import begin_stage
 from torchmbd.results.answer import Verification
 from torchmbd.study.answers import print_answers
 from torchmbd.study.journal import Journal
-from torchmbd.study.metric_names import VERIFYING
 from torchmbd.study.settings import StudySettings
 
 
@@ -30,11 +28,9 @@ def verify_best(
     """
     if not isinstance(study.simulated, Problem):
         return None
-    began = time.process_time()
     begin_stage("verifying start and best design with half the steps and more modes")
     others = [] if found is None else other_ends(found)
     result = verification(study.problem, best.x, best.value, others, study.points[0], study.feasibility)
     journal.verified(result)
-    journal.summary({VERIFYING: time.process_time() - began}, {})
     print_answers(result, console)
     return result
