@@ -113,7 +113,7 @@ def effectivities(mechanism: Mechanism) -> dict[str, float | None]:
     )
     found: dict[str, float | None] = {}
     for kind, response in responses(mechanism).items():
-        error = motion.error_of(response, modes=False)
+        error = motion.error_of(response, modes=False, mesh=False)
         values = [response(x).item() for x in (fine, finer)]
         true = values[1] + (values[1] - values[0]) / 3.0 - error.value.item()
         known = abs(true) > SMALL * abs(error.value.item())

@@ -57,11 +57,13 @@ def test_error_by_modes_in_closed_form():
 def test_total_and_text():
     motion = mbd.simulate(cantilever(2), 0.02, steps=100, gradients="none")
     error = motion.error_of(mbd.Integral(TIP))
-    torch.testing.assert_close(error.error, error.by_steps.abs() + by_modes(error).abs())
-    assert "error by steps" in str(error)
-    assert "by modes" in str(error)
-    steps_only = motion.error_of(mbd.Integral(TIP), modes=False)
+    assert error.by_mesh is not None
+    sizes = [x.abs() for x in (error.by_steps, by_modes(error), error.by_mesh)]
+    torch.testing.assert_close(error.error, sizes[0] + sizes[1] + sizes[2])
+    assert all(text in str(error) for text in ("error by steps", "by modes", "by mesh"))
+    steps_only = motion.error_of(mbd.Integral(TIP), modes=False, mesh=False)
     assert steps_only.by_modes is None
+    assert steps_only.by_mesh is None
     torch.testing.assert_close(steps_only.error, error.by_steps.abs())
     with pytest.raises(InputError, match="modes is 'no'"):
         motion.error_of(mbd.Integral(TIP), modes="no")  # pyright: ignore[reportArgumentType]
@@ -178,3 +180,32 @@ def test_motions_that_agree_by_chance_are_not_believed():
                 believed += error.resolved.item() and error.by_steps.abs().item() < 0.14 * abs(value)
     assert by_two > 10
     assert believed < 0.3 * by_two
+
+
+def strip(times: int = 1) -> mbd.System:
+    mesh = mbd.mesh.rectangle(0.4, 0.05, cells=(4 * times, 2 * times))
+    laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([30.0, -30.0]), thickness=1e-3)
+    plate = mbd.FlexibleBody.plate("beam", mesh, laminate, modes=3, reference="left_edge", damping=1e-3)
+    joint = mbd.Fixed(mbd.Ground().at(), plate.at("left"))
+    return mbd.System([plate], [joint], [mbd.Force(plate.at("right"), (0.0, 0.0, 1.0))], truncation=None)
+
+
+@pytest.mark.thorough
+def test_error_by_the_mesh_of_a_plate():
+    """Against a mesh of eight times the cells in each direction, by the same modes and steps."""
+    response = mbd.Integral(mbd.Displacement("beam", "z", node="right"))
+    motion = mbd.simulate(strip(), 0.02, steps=100, gradients="none")
+    error = motion.error_of(response)
+    assert not error.unknown
+    assert error.by_mesh is not None
+    share = error.by_mesh / (exact(strip(8), response, 0.02, 100) - error.value)
+    assert 0.5 < share.item() < 2.0, share
+
+
+def test_meshes_that_are_not_refined_have_no_estimate():
+    arc = mbd.FlexibleBody.beam("beam", mbd.BeamLine.arc(0.5, 1.0, 4), SECTION, modes=3, reference="start")
+    system = mbd.System([arc], [mbd.Fixed(mbd.Ground().at(), arc.at("start"))], gravity=(0.0, 0.0, -9.81))
+    error = mbd.simulate(system, 0.01, steps=20, gradients="none").error_of(mbd.Integral(mbd.StrainEnergy("beam")))
+    assert error.by_mesh is None
+    assert "'beam' is not refined" in error.unknown[0]
+    assert error.by_modes is not None

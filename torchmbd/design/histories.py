@@ -33,6 +33,7 @@ from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.system import System
 from torchmbd.results.beam_motion import BeamMotion
 from torchmbd.results.reaction import frame_point, joint_named, reaction_on
+from torchmbd.results.ringing import warn_of_ringing
 
 GROUND = "ground"
 Direction = str | Sequence[float]
@@ -277,7 +278,9 @@ class Reaction(History):
         joint = joint_named(motion.system, self.joint)
         side = joint.b if self.on in (None, joint.b.body.name) else joint.a
         force, torque = reaction_on(motion, joint, side, frame_point(motion, side))
-        return vector_component(motion, force if self.kind == "force" else torque, self.axis, GROUND, self.axes)
+        load = force if self.kind == "force" else torque
+        warn_of_ringing(motion, self.joint, self.kind, load)
+        return vector_component(motion, load, self.axis, GROUND, self.axes)
 
 
 def vector_component(motion: Trajectory, x: Tensor, axis: Direction, observer: str, axes: str | None) -> Tensor:

@@ -1,4 +1,4 @@
-"""Errors of the objective and of every constraint of a problem, by the steps and the modes of its motions.
+"""Errors of the objective and of every constraint of a problem, by the steps, modes and meshes of its motions.
 
 Checked in tests/design/test_response_errors.py.
 """
@@ -17,26 +17,27 @@ from torchmbd.design.scenario_settings import combined
 from torchmbd.results.response_error import ResponseError
 
 
-def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True) -> list[ResponseError]:
+def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True, mesh: bool = True) -> list[ResponseError]:
     """Errors of the objective, then of every constraint, at a design [n], by further simulations of it (`error_of`).
 
-    modes   whether the errors by modes are estimated
+    modes, mesh   whether the errors by modes and by meshes are estimated
     Each error is that of the measure, in its unit and with the sign that `minimize` or `maximize` states. Over scenarios: of
     the rows that the optimizer sees, such as those of all scenarios.
     Raises SimulationFailure for a design without a motion.
     """
-    return design_errors(problem, np.asarray(x, dtype=float)[None], modes=modes)
+    return design_errors(problem, np.asarray(x, dtype=float)[None], modes=modes, mesh=mesh)
 
 
 def design_errors(
-    problem: Any, X: np.ndarray, others: Sequence[Measure] = (), modes: bool = True
+    problem: Any, X: np.ndarray, others: Sequence[Measure] = (), modes: bool = True, mesh: bool = False
 ) -> list[ResponseError]:
     """The errors of several designs [lanes, n] as one batch, a lane for each; then those of `others`, in the first scenario."""
     objective, *measures = problem.reference.measures
     stated = objective if problem.sign > 0.0 else -objective
     names = [repr(problem.stated_objective), *(repr(c) for c in problem.constraints), *map(repr, others)]
     motions = problem._motions(X, False)
-    errors = [[motion.error_of(measure, modes=modes) for motion in motions] for measure in (stated, *measures, *others)]
+    every = (stated, *measures, *others)
+    errors = [[motion.error_of(measure, modes=modes, mesh=mesh) for motion in motions] for measure in every]
     if not hasattr(problem, "scenarios"):
         return [replace(error, name=name) for [error], name in zip(errors, names, strict=True)]
     rules = [*problem.rules, *[("first", False)] * len(others)]
@@ -57,11 +58,15 @@ def _over_scenarios(
 
     value = rows([error.value for error in errors])
 
-    def change(parts: Sequence[torch.Tensor]) -> torch.Tensor:
-        return torch.tensor(rows([e.value + x for e, x in zip(errors, parts, strict=True)]) - value)
+    def change(parts: Sequence[torch.Tensor | None]) -> torch.Tensor | None:
+        """The change of the joined rows by one kind of error of every system; None where it is not estimated."""
+        known = [x for x in parts if x is not None]
+        if len(known) < len(errors):
+            return None
+        return torch.tensor(rows([e.value + x for e, x in zip(errors, known, strict=True)]) - value)
 
-    by_modes = [error.by_modes for error in errors]
-    known = [x for x in by_modes if x is not None]
+    by_steps = change([error.by_steps for error in errors])
+    assert by_steps is not None
     texts = problem.in_scenario_order([np.array(e.reasons, dtype=object).reshape(lanes, -1) for e in errors])
     cases = list(problem.scenarios)
     reasons = tuple(
@@ -70,10 +75,11 @@ def _over_scenarios(
     return ResponseError(
         "",
         torch.tensor(value),
-        change([error.by_steps for error in errors]),
+        by_steps,
         torch.tensor([not reason for reason in reasons]),
         reasons,
         errors[0].note,
-        change(known) if len(known) == len(errors) else None,
-        unknown=tuple(dict.fromkeys(text for error in errors for text in error.unknown)),
+        change([error.by_modes for error in errors]),
+        change([error.by_mesh for error in errors]),
+        tuple(dict.fromkeys(text for error in errors for text in error.unknown)),
     )

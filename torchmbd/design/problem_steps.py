@@ -3,7 +3,8 @@
     n <- 1.1 n sqrt(e / tolerance)      e: the largest error of a response by steps, over its value or its limit
 
 The first n is that of the motion (integrate/step_count.py), by the error of its largest vibrations; a response may ask for
-more: a residual vibration, a difference of large numbers. A constraint is measured by the larger of value and limit. Where no
+more: a residual vibration, a difference of large numbers. A constraint is measured by the larger of value and limit; the
+objective of a design that a search has found by the larger of its value and a tenth of that of the start. Where no
 number of steps up to MOST times the first, or up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the
 steps with the least error are taken, and a warning says error and steps.
 Checked in tests/design/test_problem_steps.py.
@@ -30,7 +31,9 @@ from torchmbd.results.response_error import rows_of
 
 TOLERANCE = 0.01  # of every response and of every limit
 COARSE = 10.0  # times the tolerance, far from an optimum
-MOST, MOST_STEPS = 64, 100_000  # times the first steps; steps
+MOST, MOST_STEPS = 16, 100_000  # times the first steps; steps
+_MOST_REFINED = 4  # times the steps of a search, which asks again
+_OF_START = 0.1  # of the objective at the start, whose share counts where a search brings the objective to nothing
 _MORE = 1.1  # times the steps that the estimate says
 _LEAST_MORE, _MOST_MORE = 1.2, 8.0  # times the steps before
 _UNKNOWN = 4.0  # times the steps before, of a response that is not resolved
@@ -86,11 +89,20 @@ def _warn(problem: Any, choice: StepChoice) -> None:
     warn(f"no number of steps that was tried has all errors below tolerance = {problem.tolerance:g}: {choice}")
 
 
-def steps_for(problem: Any, x: np.ndarray, steps: int | None = None, tolerance: float | None = None) -> StepChoice:
+def steps_for(
+    problem: Any,
+    x: np.ndarray,
+    steps: int | None = None,
+    tolerance: float | None = None,
+    most: int = MOST,
+    least_size: float = 0.0,
+) -> StepChoice:
     """The steps by which the errors of all responses of a design [n] are within a tolerance; else those of least error.
 
     steps       to begin with; None: those that its motions choose
     tolerance   share of every response and limit; None: that of the problem
+    most        times the first steps
+    least_size  of the objective, by which its error is measured
     """
     motions = _motions(problem, x, steps)
     if not motions:
@@ -98,16 +110,16 @@ def steps_for(problem: Any, x: np.ndarray, steps: int | None = None, tolerance: 
     n, tolerance = max(motion.integration.steps for motion in motions), tolerance or problem.tolerance
     if tolerance is None or any(not isinstance(motion.simulation.integrator, OneStep) for motion in motions):
         return StepChoice(n)
-    most, tried = min(MOST * n, max(MOST_STEPS, n)), []
+    limit, tried = min(most * n, max(MOST_STEPS, n)), []
     while True:
         if any(motion.integration.steps != n for motion in motions):
             motions = _motions(problem, x, n)
-        tried.append(_choice(problem, motions, n))
-        if tried[-1].meets(tolerance) or n >= most or not motions or _is_stuck(tried):
+        tried.append(_choice(problem, motions, n, least_size))
+        if tried[-1].meets(tolerance) or n >= limit or not motions or _is_stuck(tried):
             return min(tried, key=lambda choice: (not choice.meets(tolerance), choice.error))
         growth = _MORE * math.sqrt(tried[-1].error / tolerance) if math.isfinite(tried[-1].error) else _MOST_MORE
         growth = min(max(growth, _UNKNOWN if tried[-1].reason else _LEAST_MORE), _MOST_MORE)
-        n = min(most, math.ceil(growth * n))
+        n = min(limit, math.ceil(growth * n))
         for motion in motions:
             n = rounding(motion.simulation.integrator, motion.integration.dynamics, problem.duration)(n)
 
@@ -124,7 +136,9 @@ def refined_problem(problem: Any, x: np.ndarray) -> Any:
     """The problem with the steps that a design [n] needs; None: it has them, or steps were given."""
     if not problem.chooses_steps or problem.steps is None:
         return None
-    choice = steps_for(problem, x, problem.steps)
+    motion = problem.motion(problem.start)
+    size = _OF_START * float(problem.objective.at_start(motion).value(motion).abs().max())
+    choice = steps_for(problem, x, problem.steps, most=_MOST_REFINED, least_size=size if math.isfinite(size) else 0.0)
     if choice.steps is None or choice.steps <= problem.steps:
         return None
     if not choice.meets(problem.tolerance):
@@ -162,11 +176,11 @@ def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]
     return motions
 
 
-def _choice(problem: Any, motions: list[Trajectory], steps: int) -> StepChoice:
+def _choice(problem: Any, motions: list[Trajectory], steps: int, least_size: float) -> StepChoice:
     """The largest error of all responses in all lanes of motions with so many steps; none: they fail."""
     if not motions:
         return StepChoice(steps, math.inf, "every response", "the motion fails")
-    measures = [(problem.objective, 0.0), *((c.measure, c.limit) for c in problem.constraints)]
+    measures = [(problem.objective, least_size), *((c.measure, c.limit) for c in problem.constraints)]
     worst = StepChoice(steps, 0.0, "all responses")
     for motion in motions:
         for measure, limit in measures:
@@ -181,7 +195,7 @@ def _choice(problem: Any, motions: list[Trajectory], steps: int) -> StepChoice:
 def _share(motion: Trajectory, measure: Measure, limit: float) -> tuple[float, str]:
     """The largest error by steps over value or limit, inf where it is not known; and why it is not resolved."""
     try:
-        error = motion.error_of(measure, modes=False)
+        error = motion.error_of(measure, modes=False, mesh=False)
     except InputError as refusal:
         return math.inf, str(refusal)
     size = rows_of(error.value.abs()).clamp_min(limit)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import split_v
@@ -42,16 +43,14 @@ class StepErrors:
         modal = history.q[:, T.n_q - self.modes :, 0]
         self.largest = self.largest.maximum(modal.square().sum(1).sqrt().amax(0))
 
-    def statistics(self, steps: int) -> dict[str, Tensor]:
-        """ "step_error" and "suggested_steps" [lanes]."""
+    def put_into(self, statistics: Statistics, steps: int) -> None:
+        """Errors of so many steps, and how many would do."""
         error = self.factor * self.change
         error = error / self.largest.clamp_min(_STILL) if self.modes else error
         # Of resolved vibrations it falls with the third power of h, of others with the second: never too few steps.
         ratio = error / GOOD_STEP
-        return {
-            "step_error": error,
-            "suggested_steps": (steps * ratio.pow(0.5).maximum(ratio.pow(1 / 3).clamp_max(1.0))).ceil(),
-        }
+        statistics.step_error = error
+        statistics.suggested_steps = (steps * ratio.pow(0.5).maximum(ratio.pow(1 / 3).clamp_max(1.0))).ceil()
 
 
 def alternations(dynamics: Dynamics, history: History) -> Tensor:

@@ -20,6 +20,7 @@ from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
 from torchmbd.integrate.phases.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.phases.switch import accelerations, at_time
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -50,9 +51,9 @@ class FlowStepper:
             record.put(start + k, x)
         return x
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
-        """As of Stepper: they are the true ones."""
-        return [Pair(x) if vd.shape[-2] > 1 else x for x in vd]
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
+        """As of Stepper: it is the true one."""
+        return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
         own = [_full(pick_lanes(y, [lane])) for y in x]
@@ -76,9 +77,9 @@ class FlowStepper:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
-    def statistics(self) -> dict[str, Tensor]:
+    def statistics(self) -> Statistics:
         """As of Stepper: there are none."""
-        return {}
+        return Statistics()
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:

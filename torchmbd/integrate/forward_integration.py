@@ -81,7 +81,7 @@ class ForwardIntegration(IntegratedMotion):
         else:
             self.dynamics = self.dynamics.with_data(self.results.data)
         data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}
-        self.validity = validity(self.history, self.status, self.stats)
+        self.validity = validity(self.history, self.status, self.results.statistics)
         self.outputs = Outputs.of(self.results, self.validity, data)
         self._tangents = self.outputs.tangents(len(self.labels))
         return self.outputs.values()

@@ -5,6 +5,7 @@ Checked in tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
@@ -35,10 +36,10 @@ class IntegratedMotion:
         """Of all lanes."""
         return self.results.status
 
-    @property
+    @cached_property
     def stats(self) -> dict[str, Any]:
-        """Statistics of the steps."""
-        return self.results.statistics
+        """Statistics of the steps by name; the motion adds its own."""
+        return self.results.statistics.numbers()
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from the condensed to the whole system, as a function of the data; None: it is the whole."""

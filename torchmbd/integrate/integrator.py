@@ -24,6 +24,7 @@ from torch import Tensor
 
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import Data
 from torchmbd.multibody.system.topology import Schedule, Topology
@@ -45,7 +46,7 @@ class IntegrationResult:
     """
 
     history: History
-    statistics: dict[str, Any]
+    statistics: Statistics
     failed: Mapping[int, str] = field(default_factory=dict)
     contacts: Mapping[int, UnresolvedContact] = field(default_factory=dict)
     doubts: Mapping[int, str] = field(default_factory=dict)
@@ -79,8 +80,8 @@ class Stepper(Protocol):
         """
         ...
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
-        """Algorithmic accelerations at all times of true ones vd [times, n_v, pair, lanes], the first being a."""
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
+        """The algorithmic acceleration after steps, from a before them and true ones vd [1 + steps, n_v, pair, lanes]."""
         ...
 
     def restart(self, lanes: Tensor | None = None) -> None:
@@ -94,9 +95,8 @@ class Stepper(Protocol):
         """
         ...
 
-    def statistics(self) -> dict[str, Tensor]:
-        """Of all steps [lanes]: estimated relative error of tangents, if there were any ("tangent_error"), and how many further
-        corrections a step made at most ("further_corrections")."""
+    def statistics(self) -> Statistics:
+        """Of all steps: errors of tangents, if there were any, and further corrections."""
         ...
 
 
@@ -131,7 +131,7 @@ class Integrator(ABC):
         """States at steps + 1 equal times, with tangents where the dynamics have any; a lane that fails is nan."""
 
     @abstractmethod
-    def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
+    def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
         """Integrate all lanes through all phases, into the record of the multiphase run; statistics."""
 
     @abstractmethod

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,6 +19,7 @@ from torchmbd.errors import warn
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
 from torchmbd.math.pair import value
 from torchmbd.multibody.system import Dynamics, equations
@@ -38,14 +38,12 @@ ALTERNATION = 0.3
 # Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
 LIGHT = 3e8  # [m/s]; of angular and modal rates as well
 FAR = 1e13  # [m]
-# Statistics [lanes] of the steps by which a finite motion is judged.
-STEP_STATISTICS = ("iteration_error", "turn", "step_error", "suggested_steps", "alternation", "further_corrections")
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
 _UNRESOLVED = "unresolved: "
 
 
 def status_of_lanes(
-    history: History, duration: float, statistics: Mapping[str, Any], failed: Mapping[int, str] | None = None
+    history: History, duration: float, statistics: Statistics, failed: Mapping[int, str] | None = None
 ) -> list[str]:
     """The status of each lane by its numbers and by the statistics of its steps.
 
@@ -66,8 +64,7 @@ def status_of_lanes(
                 "more steps help, or a smaller load"
             )
         else:
-            own = {name: float(statistics[name][lane]) for name in STEP_STATISTICS if name in statistics}
-            result.append(_status_of_steps(own))
+            result.append(_status_of_steps(statistics, lane))
     return result
 
 
@@ -82,22 +79,25 @@ def _possible(history: History) -> Tensor:
     return (largest[0] < FAR) & (largest[1] < LIGHT)
 
 
-def _status_of_steps(statistics: Mapping[str, float]) -> str:
+def _status_of_steps(statistics: Statistics, lane: int) -> str:
     """The status of a finite motion of one lane by the statistics of its steps."""
-    iteration_error, turn = statistics.get("iteration_error", 0.0), statistics.get("turn", 0.0)
+    s = statistics
+    each = (s.iteration_error, s.turn, s.step_error, s.suggested_steps, s.alternation)
+    iteration_error, turn, step_error, suggested_steps, alternation = (
+        0.0 if x is None else float(x[lane]) for x in each
+    )
     if iteration_error > ITERATION_ERROR:
         return (
             f"failed: the iteration of a step did not converge (relative error {iteration_error:.1e}); more steps help"
         )
     if turn > TURN:
         return f"failed: a body turns by {turn:.2g} rad in one step; allowed: {TURN:g}"
-    step_error, alternation = statistics.get("step_error", 0.0), statistics.get("alternation", 0.0)
     if step_error > STEP_ERROR:
         # Of a stiff body only the gross motion may be of interest, which damped vibrations leave right: the numbers stay.
         return (
             f"{_UNRESOLVED}the steps do not resolve the vibrations of a flexible body (estimated error "
             f"{100 * step_error:.0f} % of the largest): its energies mean little; "
-            f"{statistics['suggested_steps']:.0f} steps would resolve them"
+            f"{suggested_steps:.0f} steps would resolve them"
         )
     if alternation > ALTERNATION:
         return (
@@ -111,9 +111,10 @@ def _status_of_steps(statistics: Mapping[str, float]) -> str:
 def mark_open_joints(status: list[str], problem: InitialValueProblem, result: IntegrationResult) -> None:
     """Set the status of lanes whose joints are open at the end: an iteration may settle beyond a position they cannot pass."""
     dynamics, statistics = problem.dynamics, result.statistics
-    if "iteration_error" not in statistics or not dynamics.topology.rows:
+    error, further = statistics.iteration_error, statistics.further_corrections
+    if error is None or further is None or not dynamics.topology.rows:
         return
-    doubtful = (statistics["iteration_error"] > IMPRECISE) | (statistics["further_corrections"] > 0.0)
+    doubtful = (error > IMPRECISE) | (further > 0.0)
     lanes = [k for k in torch.nonzero(doubtful)[:, 0].tolist() if k not in dynamics.start_errors]
     lanes = [lane for lane in lanes if not has_failed(status[lane])]
     if not lanes:
@@ -160,7 +161,7 @@ def warn_unresolved(status: Sequence[str]) -> None:
             warn(reason.removeprefix(_UNRESOLVED))
 
 
-def validity(history: History, status: Sequence[str], statistics: Mapping[str, Any]) -> Tensor:
+def validity(history: History, status: Sequence[str], statistics: Statistics) -> Tensor:
     """Of each lane [2, 1, lanes]: how many times have numbers that count, and 1, or 0 where it has failed.
 
     A tensor, and an output of `Motion`: torch.func.vmap takes it apart as it does the motion.
@@ -168,6 +169,6 @@ def validity(history: History, status: Sequence[str], statistics: Mapping[str, A
     failed = torch.tensor([has_failed(x) for x in status])
     sound = _finite(history) & _possible(history)
     before = sound.int().cumprod(0).sum(0)  # times before the first that is not
-    before = before.minimum(statistics.get("valid_times", before)).clamp_min(0)
+    before = before.minimum(before if statistics.valid_times is None else statistics.valid_times).clamp_min(0)
     valid = torch.where(failed, before, len(history.q))
     return torch.stack([valid.double(), (~failed).double()])[:, None]

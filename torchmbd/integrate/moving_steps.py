@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -36,7 +37,7 @@ class MovingSteps:
             record.put(start + k, x)
         return x
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
         """As of Stepper."""
         return algorithmic(self.integrator.weights(1.0), a, vd)
 
@@ -47,6 +48,6 @@ class MovingSteps:
         """As of Stepper: there are none."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
-    def statistics(self) -> dict[str, Tensor]:
+    def statistics(self) -> Statistics:
         """As of Stepper: there are none."""
-        return {}
+        return Statistics()

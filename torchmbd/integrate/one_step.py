@@ -41,6 +41,7 @@ from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
 from torchmbd.integrate.segment import DURATION
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
 from torchmbd.integrate.step_estimates import StepEstimates
@@ -118,14 +119,7 @@ class OneStep(Integrator):
         return step_of_size(dynamics, self.weights, x, h, t1, near)
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
-        """As of Integrator.
-
-        Statistics: for each lane the estimated relative error of the iteration in the accelerations ("iteration_error") and
-        in their design tangents ("tangent_error"), the estimated error of a step ("step_error"), the number of steps that
-        would make it 1 % ("suggested_steps"), the largest rotation of a body in one step [rad] ("turn"), and the number of
-        states before the first that did not converge ("valid_times"). With elements of beams also the share of accelerations
-        that alternates from step to step in the second half ("alternation").
-        """
+        """As of Integrator."""
         h, every = duration / steps, self.checkpoint
         whole, condensed, x = prepare(dynamics).detached()
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
@@ -151,8 +145,8 @@ class OneStep(Integrator):
                 times_of_states = h * torch.arange(segment.start, segment.stop + 1, dtype=torch.float64)
                 full = replace(states, expansion=_expansion(whole, condensed, times_of_states))
                 watch.update(segment.start, times_of_states, *(full.rows(order, pair=slice(1)) for order in range(2)))
-        statistics = estimates.statistics() | stepper.statistics()
-        statistics["valid_times"] = (statistics["valid_times"] + every - 1) // every  # of the states that are kept
+        statistics = stepper.statistics()
+        estimates.put_into(statistics, every=every)
         history = replace(
             record.history(_expansion(whole, condensed, times)),
             checkpoints=Checkpoints(every, accelerations, self) if every > 1 else None,
@@ -170,12 +164,11 @@ class OneStep(Integrator):
         """Of the errors of equal steps, whose states are those of these dynamics."""
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)
 
-    def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
-        """As of Integrator; statistics as of `integrate`, "alternation" of second halves of phases."""
+    def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
+        """As of Integrator; alternations are those of second halves of phases."""
         estimates = self.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
-        tangent_errors = loop.integrate(multiphase, self, estimates)
-        statistics = estimates.statistics(multiphase.phase_number) | tangent_errors
-        statistics["valid_times"] = (statistics["valid_times"] + self.checkpoint - 1) // self.checkpoint
+        statistics = loop.integrate(multiphase, self, estimates)
+        estimates.put_into(statistics, multiphase.phase_number, self.checkpoint)
         return statistics
 
     @property

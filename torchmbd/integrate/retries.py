@@ -15,9 +15,9 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_contacts.py, t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -26,7 +26,6 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import substeps_at
 from torchmbd.integrate.lane_status import (
-    STEP_STATISTICS,
     mark_doubts,
     mark_open_joints,
     mark_unresolved_contacts,
@@ -35,6 +34,7 @@ from torchmbd.integrate.lane_status import (
     warn_unresolved,
 )
 from torchmbd.integrate.phases.lanes import pick_lanes, put_lanes
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_count import Trial, choose_steps
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import ATTACHED, Data
@@ -59,7 +59,7 @@ class LaneResults:
     """
 
     history: History
-    statistics: dict[str, Any]
+    statistics: Statistics
     status: list[str]
     switches: list[Switch] = field(default_factory=list)
     data: Data | None = None
@@ -106,25 +106,16 @@ class LaneResults:
         return targets
 
     def _replace_statistics(
-        self, lanes: Sequence[int], targets: list[int], sources: list[int], substeps: int, other: Mapping[str, Any]
+        self, lanes: Sequence[int], targets: list[int], sources: list[int], substeps: int, other: Statistics
     ) -> None:
         """Take over the statistics of replaced lanes, and list them by how they were integrated again."""
-        for name in (*STEP_STATISTICS, "tangent_error"):
-            if name in self.statistics or name in other:  # of a lane that has not come to a check there is none
-                none = torch.zeros(len(self.status), dtype=torch.float64)
-                self.statistics.setdefault(name, none)[targets] = other[name][sources] if name in other else 0.0
-        if "valid_times" in self.statistics:
-            self.statistics["valid_times"][targets] = (other["valid_times"][sources] + substeps - 1) // substeps
-        by_smaller_steps = {lanes[source] for source in other.get("halved", [])}.intersection(targets)
+        self.statistics.replace_lanes(targets, other, sources, substeps)
+        by_smaller_steps = {lanes[source] for source in other.halved or []}.intersection(targets)
         halved = set(targets) if substeps > 1 else by_smaller_steps
         failed = {lane for lane in targets if has_failed(self.status[lane])}
-        self._list("halved", halved)
-        self._list("renewed", set(targets) - halved)
-        self._list("failed_first", failed.union(lanes[source] for source in other.get("failed_first", [])))
-
-    def _list(self, name: str, lanes: Iterable[int]) -> None:
-        """Add lanes to a sorted list among the statistics."""
-        self.statistics[name] = sorted({*self.statistics.get(name, []), *lanes})
+        self.statistics.note("halved", halved)
+        self.statistics.note("renewed", set(targets) - halved)
+        self.statistics.note("failed_first", failed.union(lanes[source] for source in other.failed_first or []))
 
 
 def _refined_lanes(history: History, substeps: int, pairs: Sequence[tuple[int, int]]) -> dict[int, RefinedLane]:
@@ -157,7 +148,9 @@ def integrate_lanes(
     mark_open_joints(status, problem, first)
     for lane, reason in dynamics.start_errors.items():  # no initial state: no time has numbers
         status[lane] = f"failed: {reason}"
-        statistics.setdefault("valid_times", torch.full((len(status),), len(first.history.q)))[lane] = 0
+        if statistics.valid_times is None:
+            statistics.valid_times = torch.full((len(status),), len(first.history.q))
+        statistics.valid_times[lane] = 0
     contacts = {lane: contact for lane, contact in first.contacts.items() if not has_failed(status[lane])}
     to_retry = [
         lane
@@ -195,7 +188,7 @@ def integrate_again(
     found: LaneResults | None = None
     for by, lanes in groups.items():
         part = problem.select_lanes(lanes).integrate(by.integrator, by.substeps * steps)
-        errors = {name: x for name, x in part.statistics.items() if name == "tangent_error"}
+        errors = Statistics(tangent_error=part.statistics.tangent_error)
         other = LaneResults(part.history, errors, [results.status[k] for k in lanes], part.switches, part.data)
         if found is None:
             found = _spread(other, lanes, by.substeps, results.status)
@@ -217,8 +210,7 @@ def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, status: S
         marks = {name: x for name, x in data.items() if name in ATTACHED and x.shape[-1] == len(lanes)}
         data = data | {name: pick_lanes(x, index.tolist()) for name, x in marks.items()}
     switches = [x.of_lanes(index) for x in results.switches]
-    statistics = {name: x[index] for name, x in results.statistics.items()}
-    return LaneResults(history, statistics, list(status), switches, data)
+    return LaneResults(history, results.statistics.of_lanes(index), list(status), switches, data)
 
 
 def _substeps_for_contacts(

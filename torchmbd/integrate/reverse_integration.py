@@ -105,7 +105,7 @@ class ReverseIntegration(IntegratedMotion):
         else:
             assert self.results.data is not None
             self.dynamics = self.dynamics.with_data(self.results.data)
-        self.validity = validity(self.history, self.status, self.stats)
+        self.validity = validity(self.history, self.status, self.results.statistics)
         self.outputs = self._outputs(self.results)
         return self.outputs.values()
 
@@ -181,8 +181,8 @@ class ReverseIntegration(IntegratedMotion):
         assert self.steps is not None
         problem = self._problem_of(dynamics, own, along)
         again = integrate_again(self.results, problem, self.integrator, self.steps)
-        if "tangent_error" in again.statistics:
-            self.stats["tangent_error"] = again.statistics["tangent_error"]
+        if again.statistics.tangent_error is not None:
+            self.stats["tangent_error"] = again.statistics.tangent_error
         return self._outputs(again).tangents(count)
 
     def _outputs(self, results: LaneResults) -> Outputs:

@@ -1,6 +1,7 @@
-"""The start of a motion for a system of more modes: the same displacements and rates of its flexible bodies.
+"""The start of a motion for a system of other modes: the same displacements and rates of its flexible bodies.
 
-    Psi' w' = Psi w      w, w'   modal coordinates of the modes Psi and of more modes Psi', whose span contains that of Psi
+    Psi' w' = Psi w      w, w'   modal coordinates of the modes Psi and of more modes Psi', whose span contains that of Psi;
+                                 least squares over the same nodes where they are modes on a finer mesh
 
 Checked in tests/design/test_errors_of_motions.py.
 """
@@ -21,8 +22,8 @@ from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.motion_data import MotionData
 
 
-def with_more_modes(motion: Any, system: System, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of `simulate` for a `system` of more modes, out of those of a motion: of `start` and `designs`.
+def with_other_modes(motion: Any, system: System, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `simulate` for a `system` of other modes, out of those of a motion: of `start` and `designs`.
 
     Raises InputError for a static equilibrium that begins with modal coordinates or rates: they cannot be combined.
     """
@@ -51,6 +52,7 @@ def with_more_modes(motion: Any, system: System, arguments: Mapping[str, Any]) -
 def _in_more_modes(psi: Tensor, w: Tensor, more: Tensor) -> Tensor:
     """Coordinates [lanes, m'] in shapes `more` [lanes, nodes, 6, m'] of those w [m] or [lanes, m] in shapes psi."""
     u = torch.einsum("lnim,lm->lni", psi, w.expand(len(psi), -1))
+    more = more[:, : u.shape[1]]  # a finer mesh has further nodes
     return torch.linalg.lstsq(more.flatten(1, 2), u.flatten(1, 2)[..., None]).solution[..., 0]
 
 

@@ -1,4 +1,4 @@
-"""How a motion was simulated, to simulate it again with other steps or more modes.
+"""How a motion was simulated, to simulate it again with other steps, more modes, or finer meshes.
 
 Checked in tests/design/test_response_errors.py, tests/design/test_errors_of_motions.py.
 """
@@ -17,10 +17,10 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.richer_start import with_more_modes
+from torchmbd.integrate.richer_start import with_other_modes
 from torchmbd.integrate.torchdiffeq_method import Torchdiffeq
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.richer import richer_system
+from torchmbd.multibody.system.richer import finer_mesh_system, richer_system
 
 _TIGHTER = 0.01  # tolerances of adaptive methods, for each halving of the output intervals
 _LEAST_RTOL = 1e-13  # rounding is above it
@@ -77,10 +77,16 @@ class Simulation:
         motion   the motion of these arguments: modal coordinates of its start are those of its modes
         Raises InputError for a static equilibrium that begins with modal coordinates.
         """
-        system, names = richer_system(self.system)
+        return self._with_bodies(motion, *richer_system(self.system))
+
+    def with_finer_meshes(self, motion: Any) -> Any | None:
+        """The same on meshes of twice as many cells in each direction; None where no body has such a mesh."""
+        return self._with_bodies(motion, *finer_mesh_system(self.system))
+
+    def _with_bodies(self, motion: Any, system: System, names: list[str]) -> Any | None:
         if not names:
             return None
-        return self._again(system, self.steps, with_more_modes(motion, system, self.arguments), self.options)
+        return self._again(system, self.steps, with_other_modes(motion, system, self.arguments), self.options)
 
     def _again(self, system: System, steps: int, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
         for name, x in self.system.named_parameters():

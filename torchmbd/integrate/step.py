@@ -15,10 +15,10 @@ correction is mostly enough.
 
 from __future__ import annotations
 
-import itertools
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchmbd.math.elementwise import reciprocal
@@ -186,15 +186,19 @@ class Model:
         return Step(self, x, prescribed)
 
 
-def algorithmic(w: Weights, a: Any, vd: Tensor) -> list[Any]:
-    """Algorithmic accelerations at all times, the first being a, of true ones vd [times, n_v, pair, lanes].
+def algorithmic(w: Weights, a: Any, vd: Tensor) -> Any:
+    """The algorithmic acceleration after k steps, from that before them and true ones vd [k + 1, n_v, pair, lanes].
 
-    a1 = w(v0', v1') + c a0: the weights of accelerations do not depend on the size of a step.
+        a1 = w (v0', v1') + c a0        so        a_k = c^k a0 + sum_i c^(k - i) (...)
+
+    The weights of accelerations do not depend on the size of a step, and |c| is one at most.
     """
-    accelerations = [a]
-    for before, after in itertools.pairwise(Pair(x) if vd.shape[-2] > 1 else x for x in vd):
-        accelerations.append(combine(combine(w.a_from_vd * before, w.a_from_a, accelerations[-1]), w.share, after))
-    return accelerations
+    powers = w.a_from_a ** torch.arange(len(vd) - 1, -1, -1, dtype=torch.float64)
+    of_vd = w.share * powers
+    of_vd[0] = 0.0
+    of_vd[:-1] += w.a_from_vd * powers[1:]
+    total = torch.tensordot(of_vd, vd, 1)
+    return combine(Pair(total) if vd.shape[-2] > 1 else total, float(powers[0]), a)
 
 
 def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:

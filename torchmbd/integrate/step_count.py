@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -26,6 +26,7 @@ from torchmbd.integrate.estimates import GOOD_STEP
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.jumps import held_times_of, steps_at
 from torchmbd.integrate.ode import fastest_vibration
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.stepper import TURN
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
@@ -55,7 +56,7 @@ class Trial(NamedTuple, Generic[Result]):
     """
 
     result: Result
-    statistics: Mapping[str, Any]
+    statistics: Statistics
     status: Sequence[str]
     contacts: Mapping[int, UnresolvedContact]
 
@@ -118,25 +119,28 @@ def first_steps(dynamics: Dynamics, duration: float) -> int:
 
 def needed_steps(
     steps: int,
-    statistics: Mapping[str, Any],
+    statistics: Statistics,
     status: Sequence[str],
     start_errors: Mapping[int, str],
     contacts: Mapping[int, UnresolvedContact],
 ) -> int:
     """How many steps the lanes of a motion of so many need; lanes without an initial state (`start_errors`) need no more."""
-    needed = steps
+    needed, s = steps, statistics
+    assert s.turn is not None
+    assert s.step_error is not None
+    assert s.suggested_steps is not None
     for lane, reason in enumerate(status):
         if lane in start_errors:
             continue
         if lane in contacts:
             needed = max(needed, steps * contacts[lane].substeps)
-        turn, error = (float(statistics[name][lane]) for name in ("turn", "step_error"))
+        turn, error = float(s.turn[lane]), float(s.step_error[lane])
         if turn > TURN:
             needed = max(needed, math.ceil(_MORE * steps * turn / TURN) if math.isfinite(turn) else _UNKNOWN * steps)
         elif has_failed(reason) or not math.isfinite(error):
             needed = max(needed, _UNKNOWN * steps)
         elif error > _NEAR * GOOD_STEP / _FINER**2:
-            needed = max(needed, math.ceil(_MORE * _FINER * float(statistics["suggested_steps"][lane])))
+            needed = max(needed, math.ceil(_MORE * _FINER * float(s.suggested_steps[lane])))
     return min(needed, _MOST_MORE * steps)
 
 

@@ -5,12 +5,11 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/phases/test_phase.p
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from torchmbd.integrate.estimates import StepErrors, alternating_share, alternations, second_halves, turns
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.stepper import TURN, IterationErrors, first_true
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
@@ -53,12 +52,18 @@ class StepEstimates:
                 share = torch.where(smooth[1:] & smooth[:-1], share, self.alternation[:, inner])
             self.alternation[:, inner] = share
 
-    def statistics(self, segment: Tensor | None = None) -> dict[str, Any]:
-        """Of all lanes; segment: number of that of each time [times, lanes], None: there is one."""
-        result: dict[str, Any] = {"steps": self.steps, "step_size": self.h, "turn": self.turn.amax(0)}
-        result |= self.errors.statistics(self.steps) | self.iterations.statistics(self.steps + 1)
+    def put_into(self, statistics: Statistics, segment: Tensor | None = None, every: int = 1) -> None:
+        """Of all lanes.
+
+        segment  number of that of each time [times, lanes], None: there is one
+        every    steps between two states that are kept
+        """
+        statistics.steps, statistics.step_size, statistics.turn = self.steps, self.h, self.turn.amax(0)
+        self.errors.put_into(statistics, self.steps)
+        self.iterations.put_into(statistics, self.steps + 1)
         if self.alternation is not None:
             number = torch.zeros(self.steps + 1, 1, dtype=torch.long) if segment is None else segment
-            result["alternation"] = alternating_share(self.alternation[:, 1:-1], second_halves(number))
-        result["valid_times"] = result["valid_times"].minimum(first_true(self.turn > TURN).clamp_min(1))
-        return result
+            statistics.alternation = alternating_share(self.alternation[:, 1:-1], second_halves(number))
+        assert statistics.valid_times is not None
+        valid = statistics.valid_times.minimum(first_true(self.turn > TURN).clamp_min(1))
+        statistics.valid_times = (valid + every - 1) // every

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.pullback import PulledBack, StepPullback
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -198,7 +199,7 @@ class EagerStepper:
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
         self.most = int(self.passes.max())
 
-    def algorithmic(self, a: Any, vd: Tensor) -> list[Any]:
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
         """As of Stepper."""
         return algorithmic(self.model.w, a, vd)
 
@@ -211,10 +212,10 @@ class EagerStepper:
         errors = last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
         return torch.where(counted, errors, 0.0).T
 
-    def statistics(self) -> dict[str, Tensor]:
+    def statistics(self) -> Statistics:
         """As of Stepper."""
-        errors = {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
-        return errors | {"further_corrections": self.further}
+        error = torch.stack(self.tangent_error).amax(0) if self.tangent_error else None
+        return Statistics(tangent_error=error, further_corrections=self.further)
 
 
 def resume(stepper: Stepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
@@ -255,8 +256,9 @@ class IterationErrors:
         self.first_bad = torch.where(bad.any(0), self.first_bad.minimum(times), self.first_bad)
         self.scale, self.largest = scale[-1], self.largest.maximum(errors.amax(-1))
 
-    def statistics(self, times: int) -> dict[str, Tensor]:
-        """ "iteration_error", relative, and "valid_times", those before the first bad one of so many [lanes]."""
+    def put_into(self, statistics: Statistics, times: int) -> None:
+        """Relative errors, and how many of so many times are before the first bad one."""
         scale = torch.ones_like(self.largest) if self.scale is None else self.scale
         tiny = torch.finfo(scale.dtype).tiny
-        return {"iteration_error": self.largest / scale.clamp_min(tiny), "valid_times": self.first_bad.clamp_max(times)}
+        statistics.iteration_error = self.largest / scale.clamp_min(tiny)
+        statistics.valid_times = self.first_bad.clamp_max(times)

@@ -21,6 +21,7 @@ from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import initial
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
@@ -67,7 +68,7 @@ class Torchdiffeq(Integrator):
         except FloatingPointError as error:
             if dynamics.lanes == 1:
                 x = initial(dynamics).map(lambda y: y * torch.nan)
-                return IntegrationResult(History.of([x] * (steps + 1)), {}, {0: str(error)})
+                return IntegrationResult(History.of([x] * (steps + 1)), Statistics(), {0: str(error)})
             return _joined_lanes(
                 [self.integrate(dynamics.select_lanes([i]), duration, steps) for i in range(dynamics.lanes)]
             )
@@ -75,8 +76,8 @@ class Torchdiffeq(Integrator):
         if not watch.idle:
             times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
             watch.update(0, times, *(history.rows(order, pair=slice(1)) for order in range(2)))
-        evaluations = dynamics.statistics["evaluations"] - before
-        return IntegrationResult(history, {"evaluations": evaluations}, contacts=watch.unresolved(h, by_steps=False))
+        statistics = Statistics(evaluations=dynamics.statistics["evaluations"] - before)
+        return IntegrationResult(history, statistics, contacts=watch.unresolved(h, by_steps=False))
 
     def _integrate_together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
         """All lanes with the same steps; raises FloatingPointError where one of them cannot be integrated."""
@@ -90,11 +91,11 @@ class Torchdiffeq(Integrator):
         a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))
         return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
 
-    def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
+    def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
         """As of Integrator; statistics as of `integrate`."""
         before = multiphase.whole.statistics["evaluations"]
         loop.integrate(multiphase, self)
-        return {"evaluations": multiphase.whole.statistics["evaluations"] - before}
+        return Statistics(evaluations=multiphase.whole.statistics["evaluations"] - before)
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
         """As of Integrator."""
@@ -142,7 +143,7 @@ def _joined_lanes(parts: list[IntegrationResult]) -> IntegrationResult:
     """Lanes that were integrated one by one."""
     histories = [part.history for part in parts]
     q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))
-    evaluations = sum(part.statistics.get("evaluations", 0) for part in parts)
+    evaluations = sum(part.statistics.evaluations or 0 for part in parts)
     failed = {i: part.failed[0] for i, part in enumerate(parts) if part.failed}
     contacts = {i: part.contacts[0] for i, part in enumerate(parts) if part.contacts}
-    return IntegrationResult(History(q, v, vd, lam), {"evaluations": evaluations}, failed, contacts)
+    return IntegrationResult(History(q, v, vd, lam), Statistics(evaluations=evaluations), failed, contacts)

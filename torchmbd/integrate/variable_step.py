@@ -14,12 +14,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.native.steps_of_size import unknowns
 from torchmbd.integrate.step import Model, Step, Weights, apply
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored
-from torchmbd.multibody.system.reactions import multipliers_at
 from torchmbd.multibody.system.times_as_lanes import at_own_times
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
@@ -27,6 +27,7 @@ from torchmbd.results.state import State
 _MOST = 40  # corrections
 _ROUNDING = 1e-13  # relative
 _STALLED = 1e-6  # relative: a correction below it that is not half of the one before is rounding
+_QUADRATIC = 1e-8  # relative: a correction with a new matrix that is below it leaves rounding
 _NEAR = 1e-3  # relative: after a correction below it the matrix is kept, which then leaves about this share of an error
 _SLOW = 0.1  # of the correction before: a larger one calls for a new matrix
 _TINY = torch.finfo(torch.float64).tiny
@@ -47,34 +48,48 @@ def step_of_size(
     step = model.step(x, at_own_times(dynamics.topology, t1, dynamics.data))
     start = x if near is None else near
     with torch.no_grad():
-        z, K = _solved(dynamics, step, None if near is None else torch.cat([value(near.vd), value(near.lam)]).detach())
+        z = _solved(dynamics, step, None if near is None else torch.cat([value(near.vd), value(near.lam)]).detach())
+    if not (isinstance(x.q, Pair) or torch.is_grad_enabled()):
+        return step.finish(z)
+    with torch.no_grad():
+        K = dynamics.regularize(step.matrix(z))
     if isinstance(x.q, Pair):
         like = start if isinstance(start.vd, Pair) else x
         return step.finish(z, converged(step, factored(K), z, torch.cat([like.vd.tangent, like.lam.tangent])))
-    return step.finish(_implicit(step, factored(K.mT), z) if torch.is_grad_enabled() else z)
+    return step.finish(_implicit(step, factored(K.mT), z))
 
 
-def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> tuple[Tensor, Tensor]:
-    """The unknowns z [n, 1, lanes] of a step from an estimate, and the iteration matrices there; nan where none converge.
+def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
+    """The unknowns z [n, 1, lanes] of a step; nan where none converge.
 
-    Without an estimate, or where it does not lead there, from a uniform motion (`Step.uniform`); then from none at all.
+    By compiled code, or from an estimate; where that does not lead there, from a uniform motion (`Step.uniform`), then from
+    none at all.
     """
     uniform = step.uniform().detach()
-    z, K, found = _from(dynamics, step, uniform if estimate is None else estimate)
-    if not bool(found.all()):
-        other, K_other, others = _from(dynamics, step, torch.zeros_like(uniform) if estimate is None else uniform)
-        z, K = torch.where(found, z, other), torch.where(found[:, None, None], K, K_other)
-        found = found | others
-    return torch.where(found, z, torch.nan), K
+    z, found = torch.full_like(uniform, torch.nan), torch.zeros(uniform.shape[-1], dtype=torch.bool)
+    if (compiled := unknowns(dynamics, step)) is not None:
+        z, (before, last) = compiled
+        scale, rounding = _sizes(z, None), _rounding(step)
+        small = (last <= _STALLED * scale) | (last <= rounding)
+        found = small & ((last <= _ROUNDING * scale) | (before <= _QUADRATIC * scale) | (before <= rounding))
+    for start in ([] if estimate is None else [estimate]) + [uniform, torch.zeros_like(uniform)]:
+        if bool(found.all()):
+            break
+        other, others = _from(dynamics, step, start)
+        z, found = torch.where(found, z, other), found | others
+    return torch.where(found, z, torch.nan)
 
 
-def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """As of `_solved` from one estimate, and which lanes converged."""
+def _rounding(step: Step) -> Tensor:
+    """Size [lanes] of corrections of a system at rest: what the rounding of coordinates makes of its accelerations."""
+    return _EPSILON * value(step.x.q).abs().amax((0, 1)) * step.model.plain.inverse_scale[0]
+
+
+def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor]:
+    """As of `_solved` from one estimate by operators of torch, and which lanes converged."""
     K: Any = None
     H: Any = None
-    w, size = step.model.plain, torch.full((estimate.shape[-1],), torch.inf, dtype=torch.float64)
-    # A system at rest has no other accelerations than what these make of the rounding of coordinates.
-    rounding = _EPSILON * value(step.x.q).abs().amax((0, 1)) * w.inverse_scale[0]
+    size = torch.full((estimate.shape[-1],), torch.inf, dtype=torch.float64)
 
     def correction(z: Tensor, active: Tensor) -> Tensor:
         nonlocal K, H, size
@@ -87,8 +102,7 @@ def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Ten
         size = torch.where(size > _SLOW * before, torch.inf, size)
         return change
 
-    z, found = _iterated(correction, estimate, step.model.T.n_v, rounding)
-    return z, K, found
+    return _iterated(correction, estimate, step.model.T.n_v, _rounding(step))
 
 
 def converged(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
@@ -148,16 +162,6 @@ def _iterated(
 def _sizes(x: Tensor, rows: int | None) -> Tensor:
     """Largest of the first rows of x [n, pair, lanes] in each lane."""
     return x[:rows].abs().flatten(0, 1).amax(0)
-
-
-def all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
-    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm.
-
-    x   with those of all rows, or of the rows that condensation retains
-    """
-    lam = multipliers_at(dynamics.initial.condensed, dynamics.data, t, x.q, x.v, x.vd, x.lam)
-    least = dynamics.least_norm
-    return lam if least is None else least.at_varying_time(dynamics.data, t, x.q, lam)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:

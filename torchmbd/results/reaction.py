@@ -25,6 +25,7 @@ from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.results.body_motion import BodyMotion, point_of
 from torchmbd.results.motion_data import MotionData
+from torchmbd.results.ringing import warn_of_ringing
 from torchmbd.summary import Summary, few
 
 
@@ -49,6 +50,8 @@ def reaction(motion: MotionData, name: str) -> JointReaction:
     at = frame_point(motion, joint.a)
     axes = frame_axes(motion, joint.a)
     parts = reaction_on(motion, joint, joint.b, at)
+    for kind, x in zip(("force", "torque"), parts, strict=True):
+        warn_of_ringing(motion, name, kind, x)
     return JointReaction(*(torch.einsum("ltij,lti->ltj", axes, x) for x in parts))
 
 

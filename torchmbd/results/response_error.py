@@ -3,6 +3,7 @@
     by_steps = (v_half - v) 4/3     of methods of second order: v = true + c h^2 + ..., v_half = true + c h^2/4 + ...
     by_steps = v_tight - v          of adaptive methods: tolerances a hundredth, twice the outputs
     by_modes = v_richer - v         flexible bodies with half as many vibration modes again (bodies/richer_reduction.py)
+    by_mesh = (v_finer - v) 4/3     flexible bodies with twice as many cells in each direction (bodies/finer_mesh.py)
 
 Two coarse motions may agree by chance. Where they differ by more than a thousandth, a motion with twice the step must agree
 with them to a tenth, or show that the error falls as it should: by four, accepted from two to eight; of tolerances, at least
@@ -22,12 +23,14 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure
+from torchmbd.multibody.bodies.finer_mesh import obstacle
 from torchmbd.multibody.bodies.richer_reduction import has_reduction
 from torchmbd.results.motion_data import OK, has_failed
 
 _LARGE = 0.1  # of the value: differences that need a motion with a quarter of the step
 _SMALL = 1e-3  # of the value: one of a thousand pairs of motions by unresolved steps agrees so well by chance
 _ROUNDING = 1e-10  # of the value: differences that are rounding and the residuals of Newton's iterations
+_OF_MESH = 4.0 / 3.0  # elements of second order
 _LEAST, _MOST = 2.0, 8.0  # of the reduction of the error by half the step; four for second order
 
 
@@ -42,7 +45,7 @@ class ResponseError:
     reasons   why a lane is not resolved, "" where it is
     note      what the estimates are worth for this kind of response, "" where there is nothing to say
     by_modes  error by the modes of flexible bodies; zeros where bodies have none that could be more; None: not estimated
-    by_mesh   error by the meshes of flexible bodies; None: not estimated
+    by_mesh   error by the meshes of flexible bodies, likewise
     unknown   why an error is None or lacks a part: "by_modes: ..."
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
@@ -85,7 +88,9 @@ class ResponseError:
         return "\n".join([*lines, *(f"({text})" for text in (self.note, *self.unknown) if text)])
 
 
-def response_error(motion: Any, response: Callable[[Any], Tensor], modes: bool = True) -> ResponseError:
+def response_error(
+    motion: Any, response: Callable[[Any], Tensor], modes: bool = True, mesh: bool = True
+) -> ResponseError:
     """The errors of a response of a motion; InputError for what has no estimate by steps."""
     if not callable(response):
         raise InputError(f"response is {response!r}; allowed: a measure, such as mbd.Max(...)")
@@ -94,15 +99,18 @@ def response_error(motion: Any, response: Callable[[Any], Tensor], modes: bool =
     with torch.no_grad():
         value = _numbers(response, motion)
         by_steps, reasons = _by_steps(motion, response, value)
-        by_modes, by_mesh, unknown = None, None, []
+        by_modes, lacks, by_mesh, misses = None, "", None, ""
         if modes:
-            by_modes, why = _by_modes(motion, response, value)
-            unknown += [f"by_modes: {why}"] * bool(why)
+            fixed = _without_reduction(motion)
+            by_modes, lacks = _by_bodies(response, value, motion.richer, "more modes", fixed)
+        if mesh:
+            fixed = _without_finer_mesh(motion)
+            by_mesh, misses = _by_bodies(response, value, motion.with_finer_meshes, "a finer mesh", fixed)
+            by_mesh = None if by_mesh is None else by_mesh * _OF_MESH
+        unknown = tuple(f"{name}: {why}" for name, why in (("by_modes", lacks), ("by_mesh", misses)) if why)
     resolved = torch.tensor([not reason for reason in reasons])
     note = "; ".join(dict.fromkeys(_notes(response)))
-    return ResponseError(
-        repr(response), value, by_steps, resolved, tuple(reasons), note, by_modes, by_mesh, tuple(unknown)
-    )
+    return ResponseError(repr(response), value, by_steps, resolved, tuple(reasons), note, by_modes, by_mesh, unknown)
 
 
 def _by_steps(motion: Any, response: Any, value: Tensor) -> tuple[Tensor, list[str]]:
@@ -153,22 +161,45 @@ def _confirmed(motion: Any, response: Any, value: Tensor, first: Tensor, size: T
     return _all((before.abs() <= _LARGE * size) | (ratio >= _LEAST) & (ratio <= _MOST))
 
 
-def _by_modes(motion: Any, response: Any, value: Tensor) -> tuple[Tensor | None, str]:
-    """Error by the modes, or None; and what it lacks."""
-    names = motion.dynamics.topology.names[: motion.dynamics.topology.flexible]
-    fixed = ", ".join(repr(name) for name in names if not has_reduction(motion.system.body(name)))
-    lacks = f"modes of {fixed} were given, and there are no others" if fixed else ""
+def _by_bodies(
+    response: Any, value: Tensor, simulate: Callable[[], Any], change: str, fixed: list[str]
+) -> tuple[Tensor | None, str]:
+    """Change of a response by a change of the flexible bodies, or None; and what it lacks.
+
+    simulate   the motion with this change; None: no body has it
+    fixed      why some bodies do not have it
+    """
+    lacks = "; ".join(fixed)
     try:
-        richer = motion.richer()
-        numbers = value if richer is None else _numbers(response, richer)
+        other = simulate()
+        numbers = value if other is None else _numbers(response, other)
     except (InputError, SimulationFailure) as error:
         return None, str(error)
-    if richer is None:
+    if other is None:
         return None if fixed else torch.zeros_like(value), lacks
     if numbers.shape != value.shape:
-        return None, f"the response has numbers {list(value.shape)}, with more modes {list(numbers.shape)}"
-    failed = [f"with more modes the motion is {status}" for status in richer.status if has_failed(status)]
-    return numbers - value, "; ".join([lacks] * bool(fixed) + failed[:1])
+        return None, f"the response has numbers {list(value.shape)}, with {change} {list(numbers.shape)}"
+    failed = [f"with {change} the motion is {status}" for status in other.status if has_failed(status)]
+    return numbers - value, "; ".join([*fixed, *failed[:1]])
+
+
+def _without_reduction(motion: Any) -> list[str]:
+    return [
+        f"modes of {body.name!r} were given, and there are no others"
+        for body in _flexible(motion)
+        if not has_reduction(body)
+    ]
+
+
+def _without_finer_mesh(motion: Any) -> list[str]:
+    beams = [f"{beam.name!r} is not refined: it is an exact beam" for beam in motion.system.beams]
+    obstacles = {body.name: obstacle(body) for body in _flexible(motion)}
+    return beams + [f"{name!r} is not refined: {why}" for name, why in obstacles.items() if why]
+
+
+def _flexible(motion: Any) -> list[Any]:
+    T = motion.dynamics.topology
+    return [motion.system.body(name) for name in T.names[: T.flexible]]
 
 
 def rows_of(x: Tensor) -> Tensor:

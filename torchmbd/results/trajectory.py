@@ -86,20 +86,24 @@ class Trajectory(MotionData):
         """The same motion with more modes (integrate/simulation.py), kept likewise; None where there are no more."""
         return self._kept("modes", lambda: self.simulation.richer(self))
 
+    def with_finer_meshes(self) -> Trajectory | None:
+        """The same motion with finer meshes, kept likewise; None where no body has a mesh that is refined."""
+        return self._kept("mesh", lambda: self.simulation.with_finer_meshes(self))
+
     def _kept(self, key: Any, make: Callable[[], Any]) -> Any:
         if key not in self._again:
             self._again[key] = make()
         return self._again[key]
 
-    def error_of(self, response: Callable[[Any], Tensor], *, modes: bool = True) -> ResponseError:
+    def error_of(self, response: Callable[[Any], Tensor], *, modes: bool = True, mesh: bool = True) -> ResponseError:
         """Estimated errors of a measure: the motion is simulated once more with half the step, and with twice the step or a
-        quarter of it where this does not show enough; and once more with more modes of its flexible bodies.
+        quarter of it where this does not show enough; once more with more modes, and once more with finer meshes.
 
-        response   a measure, such as mbd.Max(...), or a function of a motion that returns [lanes] or [lanes, rows]
-        modes      whether the error by modes is estimated
+        response      a measure, such as mbd.Max(...), or a function of a motion that returns [lanes] or [lanes, rows]
+        modes, mesh   whether the errors by the modes and by the meshes of flexible bodies are estimated
         Raises InputError for a history, and for a method of fixed steps of torchdiffeq.
         """
-        return response_error(self, response, true_or_false("modes", modes))
+        return response_error(self, response, true_or_false("modes", modes), true_or_false("mesh", mesh))
 
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""

@@ -7,7 +7,9 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, tensor
+from torchmbd.integrate import variable_step
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
+from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.phases.lanes import lanes_of, pick_lanes, pick_states
 from torchmbd.integrate.phases.switch import accelerations, at_time, jump
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -57,6 +59,21 @@ def test_lanes_at_their_own_times_have_what_each_has_alone():
             alone = step(lanes_of(dynamics, [0]), pick_states(x, [lane]), h, t + h)
             for found, wanted in zip(pick_states(together, [lane]), alone, strict=True):
                 assert_close(found, wanted, rtol=1e-10, atol=1e-10)
+
+
+def test_compiled_code_makes_the_steps_of_operators_of_torch(native, monkeypatch):
+    """Each lane with its own size and time; from far accelerations, too."""
+    dynamics, x = states()
+    step, compiled, made = GeneralizedAlpha().step_of_size, with_backend(dynamics, "native"), []
+    with torch.no_grad():
+        wanted = step(dynamics, x, SIZES, TIMES + SIZES)
+        far = step(dynamics, x._replace(vd=30.0 * x.vd), SIZES, TIMES + SIZES)
+        monkeypatch.setattr(variable_step, "_from", lambda *_: made.append("by torch"))
+        for vd, states_of_torch in ((x.vd, wanted), (30.0 * x.vd, far)):
+            found = step(compiled, x._replace(vd=vd), SIZES, TIMES + SIZES)
+            for y, z in zip(found, states_of_torch, strict=True):
+                assert_close(y, z, rtol=1e-9, atol=1e-8)
+    assert not made
 
 
 def test_a_step_does_not_depend_on_its_estimate_and_is_nan_where_it_has_no_solution():

@@ -70,6 +70,18 @@ class Plates:
         if field is not None:
             self._zones = field.zones(mesh, self.cells)
 
+    def on_mesh(self, mesh: Mesh, parents: Int[Tensor, " all"]) -> Plates:
+        """The same plies, of no field, on a finer mesh, each cell of which lies in the cell of its number in `parents`."""
+        members = torch.isin(parents, self.cells).nonzero()[:, 0]
+        zones = None
+        if self._zones is not None:
+            place = torch.empty(self.mesh.cell_count, dtype=torch.long).index_copy(0, self.cells, self._zones)
+            zones = place[parents[members]]
+        direction = torch.as_tensor(self.direction, dtype=torch.float64)
+        direction = direction[parents] if direction.dim() > 1 else direction
+        laminates = self.laminates if zones is not None else self.laminates[0]
+        return Plates(mesh, laminates, direction, members, self.mass, zones)
+
     @property
     def laminate(self) -> Laminate:
         """The only laminate, or all of them as one."""

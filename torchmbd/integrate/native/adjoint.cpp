@@ -14,11 +14,11 @@ constexpr int MOST = 12;                   // corrections of mu, as in adjoint.p
 constexpr long CHECK = 25;                 // steps between two checks of the factors, as in stepper.py
 constexpr double ENOUGH = 1e-8;            // estimated relative error of mu that gets no other
 constexpr double TINY = 1e-300;
-enum { SHARE, A_FROM_VD, A_FROM_A };       // positions among the numbers that all lanes share: the first weights of step.py
+enum { SHARE, A_FROM_VD, A_FROM_A };       // positions among the numbers of a step: the first weights of step.py
 
 struct Job {
-  long lanes, rows, data, uniform, steps, moving;  // numbers of each; moving: last of the data, which change with the step
-  const double *shared;                            // [steps][uniform]
+  long lanes, rows, data, prescribed, steps, moving;  // numbers of each; moving: last of the data, which change with the step
+  const double *shared;                            // [steps][prescribed][LANES], weights and what drives prescribe
   const double *recorded[4];                       // q, v, v', lam [steps + 1][number][1][lanes]
   const double *of_motion[4];                           // what responses take from them [steps + 1][number][rows][lanes], or null
   const double *start;                             // a at the start [block][N_V][LANES]
@@ -93,7 +93,7 @@ extern "C" long adjoint(const Job* job) {
     const V negligible = ((const V*)J.negligible)[block];
     std::memcpy((void*)as, (const V*)J.start + block * c.n_v, c.n_v * sizeof(V));
     for (long i = 0; i < J.steps; i++) {
-      const double* u = J.shared + i * J.uniform;
+      const V* u = (const V*)J.shared + i * J.prescribed;
       const double* vd = J.recorded[2] + i * c.n_v * J.lanes + block * LANES;
       for (long n = 0; n < c.n_v; n++) {
         const V before = get(vd + n * J.lanes, valid), after = get(vd + (c.n_v + n) * J.lanes, valid);
@@ -107,7 +107,7 @@ extern "C" long adjoint(const Job* job) {
         const V* from = (const V*)J.moved + (i * blocks + block) * J.moved_columns * J.moving;
         std::memcpy((void*)(values + J.data - J.moving), from, J.moving * sizeof(V));
       }
-      in.u = J.shared + i * J.uniform;
+      in.u = (const V*)J.shared + i * J.prescribed;
       point_data(in, values);
       std::memcpy((void*)z, x + p.at[2], c.n_v * sizeof(V));
       std::memcpy((void*)(z + c.n_v), x + p.at[3], c.rows * sizeof(V));

@@ -20,14 +20,14 @@ from torchmbd.integrate.native.simd_layout import (
     blocks,
     in_all_lanes,
     lanes_out,
-    uniform,
+    prescribed_blocks,
     varied_blocks,
 )
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.state import State
 
-_NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
+_NUMBERS = ("lanes", "rows", "data", "prescribed", "steps", "moving")
 _ARRAYS = ("shared", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
 _ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes", "state_slopes", "error", "scratch")
 
@@ -73,7 +73,11 @@ class NativeAdjointSolver(AdjointSolver):
     def _known(self, number: int) -> tuple[Schedule, Tensor, Tensor]:
         """Drives and known motions at the ends of the steps of a segment; those that all lanes share, and those that vary."""
         T, schedule = self.dynamics.topology, self._schedule(self.segments[number])
-        return schedule, uniform(T, self.weights, schedule), varied_blocks(T, schedule, len(self.grid.lanes), 0)
+        return (
+            schedule,
+            prescribed_blocks(T, self.weights, schedule),
+            varied_blocks(T, schedule, len(self.grid.lanes), 0),
+        )
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
         if self.code is None:

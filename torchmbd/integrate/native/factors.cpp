@@ -28,7 +28,7 @@ struct Mechanism {
 };
 
 namespace {
-enum { SCALE = 8, RATE = 9 };        // positions among the numbers that all lanes share: weights of step.py
+enum { SCALE = 8, RATE = 9 };        // positions among the numbers of a step: weights of step.py
 constexpr double INACCURATE = 1e-7;  // error of a rate that is one; multipliers of redundant rows may be anything
 
 // Counts of a mechanism, and positions of scratch buffers.
@@ -134,7 +134,7 @@ void fill(const In& in, const Mechanism& m, const double* row_mask, const double
   const N& n = in.n;
   (void)n;
   for (long p = 0; m.products && p < m.pairs; p++)  // as of laws that are written out
-    entries[ENTRIES + p] = -(spread(in.u[SCALE]) * in.slopes[p] + in.u[RATE] * in.slopes[m.pairs + p]);
+    entries[ENTRIES + p] = -(in.u[SCALE] * in.slopes[p] + in.u[RATE] * in.slopes[m.pairs + p]);
   std::memset((void*)K, 0, m.size * sizeof(V));
   for (long e = 0; e < m.fills; e++) K[m.to[e]] += m.factor[e] * entries[m.from[e]];
   for (long e = 0; e < m.products; e++)

@@ -64,7 +64,7 @@ class _Traced:
             *(f"e_{buffer_name(name)}" for name in self.names),
         ]
         self.module = Module(self.program, moving)
-        self.shared: AnySize = 0  # numbers that all lanes share, so far
+        self.step_numbers: AnySize = 0  # weights of the method and what drives prescribe, so far
         self.entries: AnySize = 0  # of the matrix
 
     def state(self, sizes: Sequence[AnySize]) -> list[Any]:
@@ -76,16 +76,16 @@ class _Traced:
             start = start + n
         return found
 
-    def uniform(self, *shape: AnySize) -> Any:
-        """The next number that all lanes share."""
-        found = Array.input(self.program, "u", shape, self.shared, "uniform")
-        self.shared = self.shared + product(shape)
-        return found
+    def of_step(self, *shape: AnySize) -> Any:
+        """The next number of a step: weights of the method and what drives prescribe, for each lane."""
+        x = Array.input(self.program, "u", shape, self.step_numbers)
+        self.step_numbers = self.step_numbers + product(shape)
+        return x
 
     def prescribed(self) -> Prescribed:
         """Drives and bodies of known motion at the end of a step."""
         C = self.T.known_bodies
-        A, r, t = self.uniform(3, 3, C, 1, 1), self.uniform(3, C, 1, 1), self.uniform()
+        A, r, t = self.of_step(3, 3, C, 1, 1), self.of_step(3, C, 1, 1), self.of_step()
         laws: list[tuple | None] = []
         for i, (kind, varies) in enumerate(self.kind.primitives):
             n = Size(f"P{i}")
@@ -94,7 +94,7 @@ class _Traced:
             elif varies:
                 laws.append(tuple(self.data[f"~moving {i}"][k] for k in range(kind.driven)))
             else:
-                laws.append(tuple(self.uniform(n, 1, 1) for _ in range(kind.driven)))
+                laws.append(tuple(self.of_step(n, 1, 1) for _ in range(kind.driven)))
         return Prescribed(laws, A, r, t)
 
     def output(self, buffer: str, parts: Sequence[Any]) -> list[Write]:
@@ -128,7 +128,7 @@ class _Traced:
         lines.append(f'extern "C" const char* needed() {{ return "{names}"; }}')
         lines.append("struct In {\n  N n;\n  Tables tables;\n  V* w;\n  const long* o;\n  const V* slopes;")
         fields = {"lanes": "const V", "uniform": "const double", "output": "V"}
-        always = {"x": "lanes", "z": "lanes", "dx": "lanes", "dz": "lanes", "u": "uniform", "signals": "output"}
+        always = {"x": "lanes", "z": "lanes", "dx": "lanes", "dz": "lanes", "u": "lanes", "signals": "output"}
         always |= {
             "strengths": "lanes",
             "strength_tangents": "lanes",
@@ -148,8 +148,8 @@ class _Traced:
         return "\n".join(lines)
 
     def _constants(self) -> list[str]:
-        """Uniform inputs other than u."""
-        return sorted(name for name, b in self.program.buffers.items() if b.kind == "uniform" and name != "u")
+        """Inputs that are the same for all lanes and steps."""
+        return sorted(name for name, b in self.program.buffers.items() if b.kind == "uniform")
 
     def _pointed(self) -> list[str]:
         """Functions that say where the data, their tangents and their cotangents are."""
@@ -247,7 +247,7 @@ class _Step(_Traced):
         super().__init__(kind)
         T = self.T
         self.sizes = [T.n_q, T.n_v, T.n_v, T.n_v, T.rows]
-        weights = Weights(*(self.uniform() for _ in Weights._fields))
+        weights = Weights(*(self.of_step() for _ in Weights._fields))
         prescribed = self.prescribed()
         self.model = Model(T, _Saddle(self.blocks), weights, self.data)  # pyright: ignore
         self.step: Any = self.model.step(State(*self.state(self.sizes)), prescribed)
@@ -331,11 +331,11 @@ def _rates(kind: Kind) -> str:
         s = _Traced(kind)
         T, p = s.T, s.program
         q, v = s.state([T.n_q, T.n_v])
-        rate, t = s.uniform(), s.uniform()
+        rate, t = s.of_step(), s.of_step()
         jets: list[Any] = []
         for i, (primitive, _) in enumerate(kind.primitives):
             n = Size(f"P{i}")
-            parts = [Jet(*(s.uniform(n, 1, 1) for _ in range(3))) for _ in range(primitive.driven)]
+            parts = [Jet(*(s.of_step(n, 1, 1) for _ in range(3))) for _ in range(primitive.driven)]
             jets.append(tuple(parts) if parts else None)
         eye = Array.input(p, "ground_A", (3, 3, T.known_bodies, 1, 1), kind="uniform")
         origin = Array.input(p, "ground_r", (3, T.known_bodies, 1, 1), kind="uniform")

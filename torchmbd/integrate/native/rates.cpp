@@ -5,7 +5,7 @@
 
 struct Job {
   long lanes, n_b, data, data_tangents, check;  // check: whether the factors can be relied on, or return 1
-  const double *uniform, *values, *tangents;  // [], [block][data][LANES], [block][n_b][data_tangents][LANES]
+  const double *prescribed, *values, *tangents;  // [][LANES], [block][data][LANES], [block][n_b][data_tangents][LANES]
   const double *y;                            // [N_Q + N_V][1 + n_b][lanes]
   double *dy, *lam;                           // the same; [ROWS][1 + n_b][lanes]
   double *scratch;
@@ -36,7 +36,7 @@ extern "C" long rates(const Job* job) {
   in.dx = dx;
   in.next = out;
   in.entries = entries;
-  in.u = J.uniform;
+  in.u = (const V*)J.prescribed;
   if (m.called) point_feedback(in, *J.feedback);
   for (long block = 0; block * LANES < L; block++) {
     const long at = block * LANES;

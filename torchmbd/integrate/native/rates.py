@@ -15,14 +15,14 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.native.library import Library, library
-from torchmbd.integrate.native.simd_layout import addresses
+from torchmbd.integrate.native.simd_layout import addresses, in_blocks
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.progress import reach
 
 CHECK = 100  # evaluations between two checks of the factors
 _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "check")
-_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "scratch", "mechanism", "feedback")
+_ARRAYS = ("prescribed", "values", "tangents", "y", "dy", "lam", "scratch", "mechanism", "feedback")
 
 
 class _Job(ctypes.Structure):
@@ -49,7 +49,7 @@ class CompiledRates:
         T = self.dynamics.topology
         jets = [jet for drive in T.law_jets(t) if drive is not None for jet in drive]
         head = torch.stack([t.new_tensor(1.0 / self.dynamics.stabilization), t])
-        uniform = torch.cat([head, *(x.flatten() for jet in jets for x in jet.parts)])
+        prescribed = in_blocks(torch.cat([head, *(x.flatten() for jet in jets for x in jet.parts)]))
         dy, lam = torch.empty_like(y), y.new_empty(T.rows, *y.shape[1:])
         numbers = (
             y.shape[2],
@@ -59,7 +59,7 @@ class CompiledRates:
             int(self.count % CHECK == 0),
         )
         self.count += 1
-        arrays = (uniform, self.values, self.tangents, y, dy, lam, self.scratch)
+        arrays = (prescribed, self.values, self.tangents, y, dy, lam, self.scratch)
         assert y.shape[2] == self.dynamics.lanes
         if self.feedback is not None:
             self.feedback.times = t[None]

@@ -58,8 +58,14 @@ def varied_numbers(T: Topology, schedule: Schedule, lanes: int, n_b: int) -> Ten
     return torch.cat([in_all_lanes(x, lanes) for x in wide], 1)
 
 
-def uniform(T: Topology, weights: Tensor, schedule: Schedule) -> Tensor:
-    """Weights and prescribed numbers that all lanes share at each step [steps, n]; others are in `varied_blocks`."""
+def in_blocks(x: Tensor) -> Tensor:
+    """Numbers [...] that all lanes share, as [..., LANES]."""
+    return x[..., None].expand(*x.shape, LANES).contiguous()
+
+
+def prescribed_blocks(T: Topology, weights: Tensor, schedule: Schedule) -> Tensor:
+    """Weights and prescribed numbers that all lanes share at each step [steps, n, LANES]; others are in `varied_blocks`."""
     laws = [law for i, law in enumerate(schedule.laws) if law is not None and i not in T.varying_primitives]
     parts = [schedule.A, schedule.r, schedule.t, *(part for law in laws for part in law)]
-    return torch.cat([weights.expand(len(schedule), -1), *(part.reshape(len(schedule), -1) for part in parts)], 1)
+    numbers = [weights.expand(len(schedule), -1), *(part.reshape(len(schedule), -1) for part in parts)]
+    return in_blocks(torch.cat(numbers, 1))

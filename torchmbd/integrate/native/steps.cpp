@@ -9,10 +9,11 @@ constexpr int MOST = 4, MORE = 6;     // as in stepper.py
 constexpr double PRECISE = 1e-6;      // as in stepper.py
 
 struct Job {
-  long lanes, n_b, data, data_tangents, uniform;                 // numbers of each
+  long lanes, n_b, data, data_tangents, prescribed;              // numbers of each
   long first, steps, corrections, most, refresh, check, fresh;  // refresh: -1 as 0, from a uniform motion; check: factors and tangents; fresh: no factors yet
   long moving;                                                   // the last of the data, which change from step to step
-  const double *shared;                                          // [steps][uniform]
+  long tables;                                                   // blocks of what is prescribed: all, or one that all lanes share
+  const double *shared;                                          // [steps][tables][prescribed][LANES], weights and what drives prescribe
   double *state;                                                 // [block][1 + n_b][N_X][LANES], in and out
   double *values, *tangents;                                     // [block][data][LANES], [block][n_b][data_tangents][LANES]
   double *factors;                                               // [block][numbers of the matrix][LANES]
@@ -49,10 +50,10 @@ static void start(const Counts& c, const V* x, V* z) {
 }
 
 // Those of a uniform motion, as Step.uniform in step.py; u: the numbers of the method, in the order of its Weights.
-static void start_uniformly(const Counts& c, const V* x, const double* u, V* z) {
+static void start_uniformly(const Counts& c, const V* x, const V* u, V* z) {
   start(c, x, z);
   const V *vd = x + c.n_q + c.n_v, *a = vd + c.n_v;
-  const double by_vd = -u[5] * u[1] * u[10], by_a = -(u[4] + u[5] * u[2]) * u[10];
+  const V by_vd = -u[5] * u[1] * u[10], by_a = -(u[4] + u[5] * u[2]) * u[10];
   for (long n = 0; n < c.n_v; n++) z[n] = by_vd * vd[n] + by_a * a[n];
 }
 
@@ -70,6 +71,11 @@ static void move(const Job& J, long step, long block) {
   std::memcpy((void*)((V*)J.values + (block + 1) * J.data - n), from, n * sizeof(V));
   for (long s = 0; s < J.n_b; s++)
     std::memcpy((void*)((V*)J.tangents + (block * J.n_b + s + 1) * J.data_tangents - n), from + (s + 1) * n, n * sizeof(V));
+}
+
+// Weights of a step, and what drives prescribe at its end.
+static const V* prescribed(const Job& J, long step, long block) {
+  return (const V*)J.shared + (step * J.tables + (J.tables > 1 ? block : 0)) * J.prescribed;
 }
 
 extern "C" long run_steps(const Job* job) {
@@ -92,7 +98,7 @@ extern "C" long run_steps(const Job* job) {
       const V* d = (const V*)J.values + block * J.data;
       point_data(in, d);
       in.x = (const V*)J.state + block * (1 + S) * n_x;
-      in.u = J.shared;
+      in.u = prescribed(J, 0, block);
       start(c, in.x, z);
       if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
       if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, ((const V*)J.counted)[block], trial, R)) return 1;
@@ -108,7 +114,7 @@ extern "C" long run_steps(const Job* job) {
     V& scale = ((V*)J.scale)[block];
     bool fresh = J.fresh;
     for (long i = 0; i < J.steps; i++) {
-      in.u = J.shared + i * J.uniform;
+      in.u = prescribed(J, i, block);
       move(J, i, block);
       in.x = state;
       in.next = next;

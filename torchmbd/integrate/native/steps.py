@@ -20,7 +20,7 @@ from torchmbd.integrate.native.simd_layout import (
     blocks,
     in_all_lanes,
     lanes_out,
-    uniform,
+    prescribed_blocks,
     varied_blocks,
 )
 from torchmbd.integrate.step import Model, Weights
@@ -31,14 +31,14 @@ from torchmbd.multibody.system.topology import Schedule
 from torchmbd.progress import reach
 from torchmbd.results.state import State
 
-_NUMBERS = ("lanes", "n_b", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
-_NUMBERS += ("check", "fresh", "moving")
+_NUMBERS = ("lanes", "n_b", "data", "data_tangents", "prescribed", "first", "steps", "corrections", "most", "refresh")
+_NUMBERS += ("check", "fresh", "moving", "tables")
 _ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
 _ARRAYS += ("sizes", "errors")
 _ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback", "counted", "scale")
 
 
-class _Job(ctypes.Structure):
+class Job(ctypes.Structure):
     """As in steps.cpp."""
 
     _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
@@ -87,7 +87,7 @@ class NativeStepper(EagerStepper):
         self._begin(x)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
-        table = uniform(self.dynamics.topology, self.weights, schedule)
+        table = prescribed_blocks(self.dynamics.topology, self.weights, schedule)
         for part in check_intervals(len(schedule), first, self.n_b):
             done = part.start
             if self.feedback is not None:
@@ -113,6 +113,7 @@ class NativeStepper(EagerStepper):
             check,
             self.fresh,
             moved.shape[3],
+            1,
         )
         row_mask, diagonal_shift = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, row_mask, diagonal_shift]
@@ -125,7 +126,7 @@ class NativeStepper(EagerStepper):
         assert all(part.shape[-1] == self.lanes for part in record.parts)
         *found, passes, counted_at, scale_at = addresses(arrays)
         back = None if self.feedback is None else self.feedback.address
-        job = _Job(*numbers, *found, self.library.address, passes, back, counted_at, scale_at)
+        job = Job(*numbers, *found, self.library.address, passes, back, counted_at, scale_at)
         if self._called(partial(self.code.run_steps, ctypes.byref(job))):
             self.code = None
             return False

@@ -32,7 +32,8 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
 from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
-from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
+from torchmbd.integrate.phases.phase_record import PhaseRecord
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
@@ -277,11 +278,12 @@ class PhaseAdjoint:
             after = multiphase.after(number, leaves.views, every, dynamics, t, x)
             outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, cotangents.motion)
             if number:
-                outputs.append(t)
-                for side, y in ((number - 1, x), (number, after)):
-                    outputs += [y.q, y.v, y.vd, multiphase.all_multipliers(side, data, t, y)]
                 by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in cotangents.switches[number - 1]]
+                outputs.append(t)
                 of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
+                for side, y, by_lam in ((number - 1, x, by_sides[3]), (number, after, by_sides[7])):
+                    lam = y.lam if by_lam is None else multiphase.all_multipliers(side, data, t, y)
+                    outputs += [y.q, y.v, y.vd, lam]
         for name in MARKED if phase_model.locks else ():
             if name in data:
                 outputs.append(data[name])

@@ -21,11 +21,11 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.phases.lanes import expanded, join_lanes, lanes_of, pick_lanes
-from torchmbd.integrate.variable_step import all_multipliers
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.reactions import multipliers_at
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, SomeLanes, shape_tangents
 from torchmbd.results.motion_data import OK
@@ -117,7 +117,7 @@ class Instant(Signals):
 
     @cached_property
     def _lam(self) -> Any:
-        return all_multipliers(self.dynamics, self.t, self.x)
+        return _all_multipliers(self.dynamics, self.t, self.x)
 
 
 class Leaves:
@@ -336,6 +336,16 @@ class Views:
         now = value(t)[0] if t.shape[-1] == 1 else torch.empty(0, dtype=torch.float64).as_subclass(_TimesOfLanes)
         turns = None if base.turns is None else base.turns.at(value(t)[0])
         return replace(base, t=now, signals=Instant(dynamics, t, x), dynamics=dynamics, known=None, turns=turns)
+
+
+def _all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
+    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm.
+
+    x   with those of all rows, or of the rows that condensation retains
+    """
+    lam = multipliers_at(dynamics.initial.condensed, dynamics.data, t, x.q, x.v, x.vd, x.lam)
+    least = dynamics.least_norm
+    return lam if least is None else least.at_varying_time(dynamics.data, t, x.q, lam)
 
 
 def gap_gradient(

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.lanes import lanes_of, pick_states, put_states
-from torchmbd.integrate.phases.run import PhaseExit, PhaseRecord
+from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.variable_step import narrowed, widened, widened_data
 from torchmbd.math.pair import Pair, value
 from torchmbd.results.state import State

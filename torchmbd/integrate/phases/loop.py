@@ -28,9 +28,11 @@ from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
+from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
-from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
@@ -44,18 +46,16 @@ _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the p
 _SAME = 1e-9  # of a regular step: times that are equal
 
 
-def integrate(
-    multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None
-) -> dict[str, Tensor]:
+def integrate(multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None) -> Statistics:
     """Integrate all lanes through all phases; statistics as of Stepper, the largest of all phases.
 
     estimates   take the states and the errors of regular steps
     """
-    phase_exit, errors = multiphase.start(), {}
+    phase_exit, largest = multiphase.start(), Statistics()
     for number in range(len(multiphase.phase_models)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator, estimates).run()
-        errors |= {name: x.maximum(errors.get(name, x)) for name, x in of_phase.items()}
-    return errors
+        largest = largest.maximum(of_phase)
+    return largest
 
 
 class _PhaseLoop:
@@ -89,8 +89,8 @@ class _PhaseLoop:
         self.change = torch.full_like(self.g, torch.inf)  # of the event's function in the step before
         multiphase.records.append(self.record)
 
-    def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
-        """Step until every lane has left the phase, or to the end; exits, and errors as of Stepper.errors."""
+    def run(self) -> tuple[PhaseExit, Statistics]:
+        """Step until every lane has left the phase, or to the end; exits, and statistics as of Stepper."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
         i, steps, every = int(self.first.min()), None, self.multiphase.every
         stepper: Stepper = (
@@ -145,8 +145,8 @@ class _PhaseLoop:
         passed = passed if short is None else passed | short.found
         counted = (new & ~(passed & self._beyond(i)))[None]
         self._record(i, history, counted, counted)
-        for lane in lane_numbers(passed):
-            self._note_base(lane, i, (x, x), g, short)
+        if bool(passed.any()):
+            self._note_bases(lane_numbers(passed), i, (x, x), g, short)
         self.g = torch.where(new, g, self.g)
         self.alive = self.alive & ~passed
         return new & ~passed
@@ -161,9 +161,10 @@ class _PhaseLoop:
         counted = torch.zeros(len(history.q), self.lanes, dtype=torch.bool)
         stepped = counted.clone()
         candidates = self._may_leave(i, g, change)
+        any_leave = candidates.any(1).tolist()
+        counted[1:] = stepped[1:] = inside
         for k in range(1, len(history.q)):
-            counted[k] = stepped[k] = inside
-            if not bool((candidates[k] & inside).any()):
+            if not any_leave[k] or not bool((candidates[k] & inside).any()):
                 continue
             p, self.g, self.change = i + k, g[:, k - 1], change[:, k - 1]
             passed = self._passed(p, inside, g[:, k])
@@ -171,10 +172,13 @@ class _PhaseLoop:
             if bool((inside & ~passed).any()) and self.event is not None:
                 short = self._short_events(p, steps.state(p - 1), steps.state(p), inside & ~passed, g[:, k])
             passed = passed if short is None else passed | short.found
-            for lane in lane_numbers(passed):
-                self._note_base(lane, p, (steps.state(p - 1), steps.state(p - 2)), g[:, k], short)
+            leaving = lane_numbers(passed)
+            if not leaving:
+                continue
+            self._note_bases(leaving, p, (steps.state(p - 1), steps.state(p - 2)), g[:, k], short)
             counted[k] = inside & ~(passed & self._beyond(p))
             inside, self.alive = inside & ~passed, self.alive & ~passed
+            counted[k + 1 :] = stepped[k + 1 :] = inside
         stepped[0] = stepped[1]
         self._record(i, history, counted, stepped, steps.stepper.take_errors(stepped[1:]))
         self.g, self.change = g[:, -1], change[:, -1]
@@ -335,25 +339,32 @@ class _PhaseLoop:
             self.multiphase.doubt(own[k], self.phase_model, float(t[0, k]))
         return found.in_lanes(own, self.lanes)
 
-    def _note_base(self, lane: int, i: int, states: tuple[State, State], g: Tensor, short: ShortEvents | None) -> None:
-        """Note where the last step begins of a lane that leaves between the point i of the grid and the one before, or its
-        entry; and, where an event ends the phase, what encloses its size."""
-        record, points = self.record, [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
-        begin = float(self.times[points[0]] if points else value(self.entry.t)[0, lane])
-        high = float(self.times[i]) - begin
-        low, size, g_low = 0.0, high * float(self.g[lane] / (self.g[lane] - g[lane])), self.g[lane]
-        if short is not None and bool(short.found[lane]):
-            low, high, size, g_low = short.low[lane], short.high[lane], float(short.size[lane]), short.g_low[lane]
+    def _note_bases(
+        self, lanes: list[int], i: int, states: tuple[State, State], g: Tensor, short: ShortEvents | None
+    ) -> None:
+        """Note where the last steps begin of lanes that leave between the point i of the grid and the one before, or their
+        entry; and, where an event ends the phase, what encloses their sizes.
+
+        states   at the two points before
+        """
+        record, inner = self.record, (i - self.first[lanes]).clamp(0, 2)  # points in the phase, as far as they matter
+        begin = torch.where(inner > 0, self.times[i - 1], value(self.entry.t)[0, lanes])
+        high, g_low = self.times[i] - begin, self.g[lanes]
+        low, size = torch.zeros_like(high), high * g_low / (g_low - g[lanes])
+        if short is not None:
+            pairs = ((short.low, low), (short.high, high), (short.size, size), (short.g_low, g_low))
+            low, high, size, g_low = (torch.where(short.found[lanes], x[lanes], y) for x, y in pairs)
         # Steps that are too short for the integrator begin one point earlier.
-        skipped = self.event is not None and size < self.integrator.shortest_step * self.h and bool(points)
-        k = [*points, -1][int(skipped)]
-        start = PhaseExit(self.entry.t, record.start_of_steps)
-        t, x = start if k < 0 else PhaseExit(self._time(k), states[int(skipped)])
-        t, x = pick_lanes(t, [lane]), pick_states(x, [lane])
-        record.left[lane], record.base_point[lane] = True, k
-        record.base, self.base_time = put_states(record.base, [lane], x), put_lanes(self.base_time, [lane], t)
-        earlier = begin - float(value(t)[0, 0])
-        self.low[lane], self.most[lane], self.g_low[lane] = low + earlier, high + earlier, g_low
+        skipped = (inner > 0) & (size < self.integrator.shortest_step * self.h) & (self.event is not None)
+        points = torch.where(skipped < inner, i - 1 - skipped.long(), -1)
+        for k in map(int, set(points.tolist())):
+            some = [lane for lane, point in zip(lanes, points.tolist(), strict=True) if point == k]
+            t, x = self._time(k) if k >= 0 else self.entry.t, states[i - 1 - k] if k >= 0 else record.start_of_steps
+            t, x = pick_lanes(t, some), pick_states(x, some)
+            record.base, self.base_time = put_states(record.base, some, x), put_lanes(self.base_time, some, t)
+        record.left[lanes], record.base_point[lanes] = True, points
+        earlier = begin - value(self.base_time)[0, lanes]
+        self.low[lanes], self.most[lanes], self.g_low[lanes] = low + earlier, high + earlier, g_low
 
     def _leave(self, lanes: list[int]) -> None:
         """Make the last steps of the lanes that left the phase."""

@@ -5,9 +5,6 @@ Checked in tests/integrate/phases/test_phase.py.
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import Any
-
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Stepper
@@ -45,14 +42,9 @@ class RegularSteps:
         self.end = stepper.run(x, schedule, record, first + 1)
         self.states = record.history()
 
-    @cached_property
-    def _accelerations(self) -> list[Any]:
-        """Algorithmic ones at all points."""
-        return self.stepper.algorithmic(self.x.a, self.states.vd)
-
     def state(self, k: int) -> State:
         """The state at the point k of the grid, or at the one before the first."""
         if k < self.first:
             return self.state(self.first) if self.before is None else self.before.state(k)
         q, v, vd, lam = (Pair(x[k - self.first]) if x.shape[-2] > 1 else x[k - self.first] for x in self.states.states)
-        return State(q, v, vd, self._accelerations[k - self.first], lam)
+        return State(q, v, vd, self.stepper.algorithmic(self.x.a, self.states.vd[: k - self.first + 1]), lam)

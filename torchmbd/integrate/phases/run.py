@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from torch import Tensor
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
+from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.switch import (
     InitialState,
     accelerations,
@@ -31,7 +32,6 @@ from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system import equations, reactions
-from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
@@ -41,66 +41,6 @@ from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
 
 CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
-
-
-class PhaseExit(NamedTuple):
-    """Times t [1 + n_b, lanes] at which lanes leave a phase (inf: a lane that does not), and their states then."""
-
-    t: Any
-    x: State
-
-    def lanes(self, lanes: Sequence[int]) -> PhaseExit:
-        """Of some lanes."""
-        return PhaseExit(pick_lanes(self.t, lanes), pick_states(self.x, lanes))
-
-
-@dataclass
-class PhaseRecord:
-    """The steps of all lanes in one phase, for the adjoint (adjoint.py).
-
-    dynamics    of the phase, with the marks of its locks;  condensed: of its regular steps
-    entry       time and state before the switch that begins the phase;  start: the state after it
-    first       the first point of the grid that a lane steps to [lanes]
-    on_grid     whether the state there is `start` itself [lanes]
-    start_of_steps  `start` as a condensed state
-    arrival     the condensed state there, of lanes that get there
-    exit        where lanes left the phase, with the multipliers of retained rows;  left: which did [lanes]
-    base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
-    base        the condensed state there
-    checkpoints  algorithmic accelerations [n_v, 1, lanes] at points of the grid from which steps can be made again
-    """
-
-    number: int
-    dynamics: Dynamics
-    condensed: Dynamics
-    entry: PhaseExit
-    start: State
-    first: Tensor
-    on_grid: Tensor
-    checkpoints: dict[int, Tensor] = field(default_factory=dict)
-    arrival: State = field(init=False)
-    exit: PhaseExit = field(init=False)
-    base: State = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.start_of_steps = self.arrival = self.base = self.retained(self.start)
-        never = linear(torch.zeros_like, self.entry.t)
-        self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start._replace(lam=self.base.lam))
-        self.left = torch.zeros_like(self.on_grid)
-        self.base_point = torch.full_like(self.first, -1)
-
-    @property
-    def condensation(self) -> Condensation | None:
-        """Of the regular steps; None: they are those of the whole system."""
-        return None if self.condensed is self.dynamics else self.condensed.initial.condensation
-
-    def retained(self, x: State) -> State:
-        """The state of the condensed system, out of that of the whole one."""
-        return x if self.condensation is None else self.condensation.retained_state(x)
-
-    def whole(self, x: State, t: Any) -> State:
-        """The state of the whole system at t [s] (Condensation.whole_state), out of that of the condensed one."""
-        return x if self.condensation is None else self.condensation.whole_state(x, t)
 
 
 @dataclass
@@ -133,8 +73,9 @@ class MultiphaseRun:
         self.begin_depends = [False]
         for phase_model in self.phase_models[:-1]:
             until = phase_model.phase.until
-            moves = DURATION in self.whole.data or phase_model.time_name in self.whole.data
-            depends = isinstance(until, Event) or moves
+            depends = (
+                isinstance(until, Event) or DURATION in self.whole.data or phase_model.time_name in self.whole.data
+            )
             self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
@@ -287,12 +228,17 @@ class MultiphaseRun:
 
     def after(self, number: int, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> State:
         """The state of some lanes after the switch that begins a phase, from the state before it."""
-        (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.phase_models[number - 1].phase if number else None
-        if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
+        impact = ended.impact if ended is not None and isinstance(ended.until, Event) else None
+        # Velocities fit rows that act already, but for what the steps leave; an impact keeps them so to rounding.
+        fits = (
+            number and impact is None and set(self.phase_models[number].rows) <= set(self.phase_models[number - 1].rows)
+        )
+        v = x.v if fits else at_time(jump, dynamics, t, x.q, x.v)[0]
+        if ended is not None and isinstance(ended.until, Event) and impact is not None:
             unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
             before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
-            v = velocities_after_impact(ended.impact, ended.until, views, lanes, dynamics, t, before)
+            v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, before)
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 

@@ -130,6 +130,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         _check_parts(name, mesh, parts)
         set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
+        self.arguments = reduction, interface, links, rigid  # for finer_mesh.py
         self.links = links = [*links, *rigid_links(mesh, rigid), *interfaces.links]
         self.parts = dict(parts)
         joined = merge_plates(self.parts)

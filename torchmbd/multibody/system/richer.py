@@ -1,27 +1,42 @@
-"""A copy of a system whose flexible bodies have more modes (multibody/bodies/richer_reduction.py).
+"""Copies of a system whose flexible bodies have more modes (bodies/richer_reduction.py) or finer meshes (bodies/finer_mesh.py).
 
+Bodies and parameters are copies too.
 Checked in tests/multibody/system/test_richer.py.
 """
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
+from torchmbd.multibody.bodies.finer_mesh import obstacle, refine
 from torchmbd.multibody.bodies.richer_reduction import enrich, has_reduction
 
 
 def richer_system(system: Any) -> tuple[Any, list[str]]:
-    """A copy of a system whose flexible bodies have more modes, and the names of those that do; parameters are copies too.
+    """A copy of a system whose flexible bodies have more modes, and the names of those that do.
 
     Bodies whose modes were given, and those that have all modes of their mesh, are as before.
     """
+    return _changed(system, lambda body: has_reduction(body) and enrich(body))
+
+
+def finer_mesh_system(system: Any) -> tuple[Any, list[str]]:
+    """A copy of a system whose flexible bodies have finer meshes, and the names of those that do."""
+
+    def change(body: Any) -> bool:
+        if obstacle(body):
+            return False
+        refine(body)
+        return True
+
+    return _changed(system, change)
+
+
+def _changed(system: Any, change: Callable[[Any], bool]) -> tuple[Any, list[str]]:
     other = copy.deepcopy(system)
     other.truncation = None  # of the modes that are in question
-    richer = []
-    for name in other.topology.names[: other.topology.flexible]:
-        body = other.body(name)
-        if has_reduction(body) and enrich(body):
-            richer.append(name)
+    names = [name for name in other.topology.names[: other.topology.flexible] if change(other.body(name))]
     other.load_state_dict(other.state_dict())  # joins the bodies again
-    return other, richer
+    return other, names

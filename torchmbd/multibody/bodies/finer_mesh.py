@@ -1,0 +1,103 @@
+"""A flexible body on a mesh with twice as many cells in each direction, to see the error of its mesh.
+
+Plates and straight beams, of the same modes, on the same flat cells and straight lines: nodes keep their numbers, so that
+frames and responses are at the same places. Clamped and rigid sets take the new nodes between theirs; mean motions stay those
+of the same nodes.
+Checked in tests/multibody/bodies/test_finer_mesh.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from torchmbd.fem.elements import BeamLine, Beams, Plates
+from torchmbd.fem.elements.beam_nodes import Straight, varying_nodes
+from torchmbd.fem.mesh import Mesh
+from torchmbd.fem.mesh.refinement import Middles, refined
+from torchmbd.multibody.bodies.interfaces import Interface
+from torchmbd.multibody.bodies.interpolation import node_indices
+
+MOST = 5_000  # nodes of a mesh that is refined: four times as many have the factor of a minute
+_KEPT = ("velocity", "angular_velocity")  # buffers or parameters of the start that the mesh does not change
+
+
+def obstacle(body: Any) -> str:
+    """Why the mesh of a flexible body cannot be refined, "" where it can."""
+    if body.given_structure is not None:
+        return "it has matrices, and no mesh of elements"
+    links = body.arguments[2]
+    if len(body.mesh.nodes) > MOST:
+        return f"its mesh has {len(body.mesh.nodes)} nodes, and up to {MOST} are refined"
+    if type(body.mesh) is Mesh and not len(body.mesh.lines):
+        flat = all(isinstance(part, Plates) and part.laminates[0].field is None for part in body.parts.values())
+        return "" if flat and not links else "it has links, or parts that are no plates of equal plies"
+    if isinstance(body.mesh, BeamLine) and body.mesh.middles is None:
+        if varying_nodes(body.mesh) and not isinstance(body.mesh.node_module, Straight):
+            return "its nodes vary one by one"
+        even = all(isinstance(x, Beams) and torch.as_tensor(x.arguments[2]).ndim < 2 for x in body.parts.values())
+        return "" if even and not links else "it has links, or elements that are twisted"
+    return "its mesh has arcs, lines, or elements that are neither plates nor beams"
+
+
+def refine(body: Any) -> None:
+    """Put a flexible body without an obstacle on the finer mesh; its modal start is zero afterwards."""
+    mesh, parts, middles = _refined_line(body) if isinstance(body.mesh, BeamLine) else _refined_plates(body)
+
+    def on_mesh(item: Any) -> Interface:
+        given = item if isinstance(item, Interface) else Interface(item)
+        nodes = node_indices(body.mesh, given.nodes)
+        return replace(given, nodes=middles.with_middles(nodes) if given.rigid and len(nodes) > 1 else nodes)
+
+    reduction, interface, _, rigid = body.arguments
+    if isinstance(interface, Mapping):
+        interface = {key: on_mesh(item) for key, item in interface.items()}
+    elif isinstance(interface, Interface):
+        interface = [on_mesh(interface)]
+    elif isinstance(interface, (list, tuple)) and any(isinstance(x, Interface) for x in interface):
+        interface = [on_mesh(x) if isinstance(x, Interface) else node_indices(body.mesh, x)[0] for x in interface]
+    else:
+        interface = node_indices(body.mesh, interface)
+    finer = type(body)(
+        body.name,
+        mesh,
+        parts,
+        body.reduction.n,
+        body.position,
+        body.axes,
+        reference=middles.with_middles(body.reference) if len(body.reference) > 1 else list(body.reference),
+        reduction=reduction,
+        interface=interface,
+        updated=body.reduction.updated,
+        rigid=[middles.with_middles(node_indices(body.mesh, nodes)) for nodes in rigid],
+        stiffening=body.stiffening is not None,
+    )
+    ratios = body.damping.ratios
+    finer.damping = replace(body.damping, ratios=(ratios + ratios[-1:] * finer.modes)[: finer.modes])
+    for name in _KEPT:
+        setattr(finer, name, getattr(body, name))
+    finer.velocities_given = body.velocities_given
+    body.__dict__.clear()
+    body.__dict__.update(finer.__dict__)
+
+
+def _refined_plates(body: Any) -> tuple[Mesh, dict[str, Any], Middles]:
+    mesh, parents, middles = refined(body.mesh)
+    return mesh, {name: part.on_mesh(mesh, parents) for name, part in body.parts.items()}, middles
+
+
+def _refined_line(body: Any) -> tuple[BeamLine, dict[str, Any], Middles]:
+    line = body.mesh
+    middles = Middles.of([line.elements], torch.empty(0, 4, dtype=torch.long), len(line.nodes))
+    start, end = line.elements.T
+    between = middles.of_sides(start, end)
+    elements = torch.stack([torch.stack([start, between], 1), torch.stack([between, end], 1)], 1).flatten(0, 1)
+    nodes: Any = middles.nodes(line.nodes)
+    if varying_nodes(line):
+        nodes = Straight(line.node_module.length, middles.nodes(line.node_module._unit))
+    finer = BeamLine(nodes, elements, line.node_sets)
+    parents = torch.arange(len(line.elements)).repeat_interleave(2).tolist()
+    return finer, {name: part.on_line(finer, parents) for name, part in body.parts.items()}, middles
