@@ -240,6 +240,9 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         soft_wrap=True,
     )
     with stages_told(Beginning(console).stage):
+        if problem.chooses_steps:
+            begin_stage("choosing the steps for the start design")
+            _ = problem.steps
         cost = estimate(study, problem)
         values, reason = _values_with_errors(problem, cost, others + 1)
     count = 0
@@ -285,14 +288,14 @@ def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tupl
         )
     begin_stage("simulating the start design with half the steps, and with more modes")
     try:
-        return start_values(problem, criteria, problem.errors(problem.start)), ""
+        return start_values(problem, criteria, problem.errors(problem.start, mesh=False)), ""
     except MbdError as error:
         return values, f"its errors are not estimated: {error}"
 
 
 def _steps_line(problem: Problem, share: float, reason: str) -> str:
     """Return how many steps a motion has, and what they are worth; `share`, `reason` as of the two functions that make them."""
-    how = "as given" if problem.simulation["steps"] else "chosen for the start design"
+    how = "chosen for the start design" if problem.chooses_steps else "as given"
     text = f"steps: by the method; {reason}" if problem.steps is None else f"steps: {problem.steps}, {how}"
     if reason:
         return f"{text}; {reason}"
