@@ -128,7 +128,7 @@ def test_a_store_that_cannot_be_written_costs_no_result(folder, capsys):
 def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store):
     shutil.copy(empty_store, folder / "mlflow.db")
     arguments = ["run", "study.yaml", "options.cells=3,4", "simulate.duration=0.002", "simulate.steps=8"]
-    assert cli.main([*arguments, "starts.count=1", "optimizer.max_iterations=1"]) == 0
+    assert cli.main([*arguments, "starts.count=1", "optimizer.max_iterations=1"]) in (0, cli.EXIT_UNVERIFIED)
     assert "options.cells=3 " in (output := capsys.readouterr().out)
     assert output.count("1 starts") == 2
     assert cli.main([*arguments, "starts.sampler=sobel"]) == 2  # all are checked before the first runs
@@ -152,7 +152,7 @@ def test_an_odd_folder_and_an_odd_name(folder, capsys, monkeypatch, empty_store)
     (odd / "st[u]dy.yaml").write_text(text.replace("duration: 0.01, steps: 60", "duration: 0.002, steps: 8"))
     shutil.copy(empty_store, odd / "mlflow.db")
     monkeypatch.chdir(odd)
-    assert cli.main(["run", "st[u]dy.yaml", "starts.count=1", "optimizer.max_iterations=1"]) == 0
+    assert cli.main(["run", "st[u]dy.yaml", "starts.count=1", "optimizer.max_iterations=1"]) in (0, cli.EXIT_UNVERIFIED)
     assert "st[u]dy: finished" in capsys.readouterr().out
     assert cli.main(["best", "st[u]dy"]) == 0
     assert "st[u]dy, " in capsys.readouterr().out
@@ -235,3 +235,9 @@ def test_ui_serves_the_store_on_loopback_and_ends_on_sigterm(folder):
     assert server.wait(timeout=30) == 0
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen("http://127.0.0.1:50731/", timeout=10)
+
+
+def test_the_module_has_the_exit_code_of_the_command():
+    for module in ("torchmbd", "torchmbd.cli"):
+        done = subprocess.run([sys.executable, "-m", module, "runn"], capture_output=True)
+        assert done.returncode == 2

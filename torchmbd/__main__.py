@@ -1,5 +1,7 @@
 """`python -m torchmbd` is the command `torchmbd`."""
 
+import sys
+
 from torchmbd.cli import main
 
-main()
+sys.exit(main())

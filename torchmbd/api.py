@@ -60,6 +60,7 @@ from torchmbd.design.rainflow import rainflow
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.stack_recovery import recover_stacks
+from torchmbd.design.verification import verify
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, LaminationParameters, SteeredLaminate
@@ -308,6 +309,7 @@ __all__ = [
     "spectral_function",
     "split",
     "variable",
+    "verify",
     "viz",
 ]
 

@@ -1,6 +1,7 @@
 """The command line: torchmbd new, check, schema, run, sync; list, best, compare, report, ui; cache.
 
-Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
+Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 3 a study is finished and its
+best design is not verified, or the start of `check` not resolved by the steps, 130 interrupted. Of several studies the highest.
 Torch, MLflow, Dask and the experiment layer are imported when a command needs them: the command line answers at once.
 Over 300 lines: a function for each command, with the texts of its arguments.
 """
@@ -25,7 +26,7 @@ from torchmbd.errors import InputError, MbdError
 from torchmbd.process import brief_warnings, imports, use_one_thread
 from torchmbd.progress import without_bars
 
-EXIT_INTERRUPTED = 130
+EXIT_UNVERIFIED, EXIT_INTERRUPTED = 3, 130
 
 app = App(
     name="torchmbd",
@@ -96,9 +97,11 @@ def check(file: Path, /, *assignments: str) -> int:
         from torchmbd.study.overrides import combinations
 
     console = Console()
+    codes = [0]
     for plan in [load(file, chosen) for chosen in combinations(assignments)]:
-        print_estimate(plan, console)
-    return 0
+        cost = print_estimate(plan, console)
+        codes.append(0 if cost is None or cost.resolved else EXIT_UNVERIFIED)
+    return max(codes)
 
 
 @app.command

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from torchmbd.study.config_index import QUESTION_MISSING, configs
 from torchmbd.study.load import FiguresPlan, load, load_study
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.study.yaml_file import read_yaml
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
@@ -89,7 +89,7 @@ def test_every_study_runs(file, uri):
     plan = load_study(file, overrides)
     tracker = MlflowTracker(file.stem, uri)
     output = io.StringIO()
-    assert run_study(plan, Console(file=output), tracker) == 0
+    assert run_study(plan, Console(file=output), tracker) in (0, UNVERIFIED)
     runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] in ("study", "sweep")]

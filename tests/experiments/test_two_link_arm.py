@@ -15,7 +15,7 @@ import torchmbd as mbd
 from experiments.two_link_arm import build, phases
 from torchmbd.design import Angle
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -83,7 +83,7 @@ def test_its_file_runs_for_two_iterations(tmp_path, empty_store):
     plan = load_study(FILE, [*small, "simulate.iterations=[6, 2]", "optimizer.max_iterations=2"])
     shutil.copy(empty_store, tmp_path / "runs.db")
     tracker = MlflowTracker("swing", f"sqlite:///{tmp_path / 'runs.db'}")
-    assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
+    assert run_study(plan, Console(file=io.StringIO()), tracker) in (0, UNVERIFIED)
     runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] == "study"]

@@ -14,7 +14,7 @@ import yaml
 from rich.console import Console
 
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -54,6 +54,6 @@ def finished(tmp_path_factory, empty_store):
     for steps in (8, 10):
         tracker = MlflowTracker("finished", uri)
         plan = load_study(file, ["simulate.duration=0.002", f"simulate.steps={steps}"])
-        assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
+        assert run_study(plan, Console(file=io.StringIO()), tracker) in (0, UNVERIFIED)  # few steps and modes
         runs.append(tracker.record.runs["study"])
     return SimpleNamespace(folder=folder, file=file, uri=uri, runs=runs, client=open_store(uri))

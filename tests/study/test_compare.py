@@ -44,10 +44,10 @@ def test_the_best_come_first(finished):
     text = shown(print_best, finished.runs[0], finished.uri, 1)
     best = children(finished.uri, find(finished.uri, finished.runs[0]))[0]
     assert f"{best.metrics['objective']:.6g}" in text
-    assert f"{best.metrics['design/angle_2_deg']:.3f}" in text
+    assert f" {best.metrics['design/angle_2_deg']:z.2f} " in text
     assert "[deg]" in text  # the headings of `run`
     assert "angle_2_deg" not in text
-    assert text.count("start ") == 1
+    assert sum(line.split()[:2] == ["start", best.name.split()[1]] for line in text.splitlines()) == 1
     assert finished.runs[1][:8] in shown(print_best, None, finished.uri, 5)  # the latest
 
 

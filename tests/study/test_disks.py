@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from torchmbd.study.run import UNVERIFIED
 from torchmbd.tracking.store import open_store
 
 pytestmark = pytest.mark.slow
@@ -76,7 +77,7 @@ def test_a_disk_without_room(study, folder, size):
         )
         subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)
         again = subprocess.run(command(study), cwd=disk, env=environment(), capture_output=True, text=True)
-        assert again.returncode == 0, again.stdout + again.stderr
+        assert again.returncode in (0, UNVERIFIED), again.stdout + again.stderr
         assert not table(full.stdout) or table(again.stdout) == table(full.stdout)
         assert set(statuses(disk)) == {"FINISHED"}
 
@@ -99,10 +100,10 @@ def test_a_power_cut(study, folder):
         shutil.copy(image, copy)
         process.send_signal(signal.SIGCONT)
         undisturbed = process.communicate()[0]
-        assert process.returncode == 0
+        assert process.returncode in (0, UNVERIFIED)
     with mounted(folder / "later", "-o", "loop", copy) as disk:
         later = subprocess.run(command(study), cwd=disk, env=environment(), capture_output=True, text=True)
-        assert later.returncode == 0, later.stdout + later.stderr
+        assert later.returncode in (0, UNVERIFIED), later.stdout + later.stderr
         known, total = map(int, re.findall(r"(\d+) of (\d+) evaluations known", later.stdout)[0])
         assert 24 <= known < total, seen  # every start's first two evaluations at least
         assert table(later.stdout) == table(undisturbed)

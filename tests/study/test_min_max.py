@@ -11,7 +11,7 @@ from rich.console import Console
 
 import torchmbd as mbd
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.catalog import find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
@@ -38,7 +38,7 @@ def test_a_study_of_the_highest_peaks_is_run_and_loaded(write, folder, empty_sto
     uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
     plan = load_study(write(minimize=PEAKS), SHORT)
     tracker = MlflowTracker("min-max", uri)
-    assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
+    assert run_study(plan, Console(file=io.StringIO()), tracker) in (0, UNVERIFIED)
     study = mbd.load(tracker.record.runs["study"], uri, folder / "rod_model.py")
     metrics = find(uri, tracker.record.runs["study"]).metrics
     assert study.x.shape == (2,)

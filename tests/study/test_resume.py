@@ -25,7 +25,7 @@ from torchmbd.errors import MbdError
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri
@@ -157,7 +157,7 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch, workers):
     for life in range(10):
         process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
         ended += _struck(process, chance, struck, "worker" if life % 2 else "")
-        if process.returncode == 0:  # it was faster: the next one has all to do again
+        if process.returncode in (0, UNVERIFIED):  # it was faster: the next one has all to do again
             for left in (folder / "place").glob("evaluations.db*"):
                 left.unlink()
     last = subprocess.run(command, env=environment, capture_output=True, text=True).stdout
@@ -225,7 +225,7 @@ def test_a_full_disk_is_a_message_and_no_loss(write, folder, monkeypatch):
     assert "The last evaluations are not on disk" in full.stdout
     assert len(table(full.stdout)) == 12
     again = shell("unlimited")
-    assert again.returncode == 0, again.stdout + again.stderr
+    assert again.returncode in (0, UNVERIFIED), again.stdout + again.stderr
     assert table(again.stdout) == table(full.stdout)
     runs = open_store(f"sqlite:///{folder / 'mlflow.db'}").search_runs(["1"])
     assert {run.info.status for run in runs} == {"FINISHED"}

@@ -121,6 +121,7 @@ def test_the_filed_config_runs_the_same_study(study):
 
 def test_pictures_are_filed(study):
     expected = {"config.yaml", "config_as_given.yaml", "design.yaml", "motion_start.html", "motion_best.html"}
+    expected |= {"answer.json"}
     drawn = {"convergence.png", "design_map.png", "parallel_coordinates.png"}
     drawn |= {f"criteria_over_{what}.{kind}" for what in ("time", "iterations") for kind in ("png", "pdf")}
     assert files(study) == expected | {f"figures/{name}" for name in drawn}

@@ -14,7 +14,7 @@ import torchmbd as mbd
 from tests.study.rod_model import build
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.catalog import children, find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
@@ -144,7 +144,7 @@ def test_records_have_the_sign_that_was_asked_for(write, empty_store, tmp_path):
     uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
     output, tracker = io.StringIO(), MlflowTracker("large", uri)
     study = load_study(file)
-    assert run_study(study, Console(file=output, width=100), tracker) == 0
+    assert run_study(study, Console(file=output, width=100), tracker) in (0, UNVERIFIED)
     entry = find(uri, "study")
     found = children(uri, entry)
     assert entry.metrics["best_objective"] == -study.outcome.result.best.value > 0.0

@@ -23,7 +23,7 @@ def problem(*limits, **options):
 
 def text(asked: mbd.Problem) -> str:
     output = io.StringIO()
-    print_start_values(asked, Console(file=output, width=80))
+    print_start_values(start_values(asked), Console(file=output, width=80))
     return output.getvalue()
 
 

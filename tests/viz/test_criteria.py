@@ -41,7 +41,7 @@ def curves(axes: Any) -> list[np.ndarray]:
 
 def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     figure = mbd.viz.criteria_over_time(problem, motion, LABELS, "What is best?")
-    energy, angle, failure = figure.axes
+    energy, angle, failure, window = figure.axes
     assert energy.get_ylabel() == "strain energy of arm [J]"
     assert angle.get_ylabel() == "angle about z of arm [deg]"
     for axes, history, factor in ((energy, ENERGY, 1.0), (angle, ANGLE, 180.0 / np.pi), (failure, FAILURE, 1.0)):
@@ -51,7 +51,12 @@ def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     assert "minimize weighted sum; max of strain energy at most" in energy.get_title(loc="left")
     assert "at least -28.65 deg" in angle.get_title(loc="left")
     assert [text.get_text() for text in failure.texts] == ["limit, at most 1: above"]  # far from the curves
-    assert len(failure.patches) == 1  # the window
+    assert len(failure.patches) == 1  # the window, which is drawn once more by itself
+    t = motion.t.numpy()
+    inside = (FAILURE(motion).detach().numpy())[:, (t >= window.get_xlim()[0]) & (t <= window.get_xlim()[1])]
+    assert window.get_title(loc="left").startswith("the window ")
+    assert window.get_ylim()[0] < inside.min() < inside.max() < window.get_ylim()[1]
+    assert window.get_ylim()[1] - window.get_ylim()[0] < 1.2 * np.ptp(inside)
     assert figure.get_suptitle() == "What is best?"
     assert mbd.viz.save(figure, tmp_path / "time.png").stat().st_size > 5000
 

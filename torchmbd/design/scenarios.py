@@ -201,7 +201,7 @@ class Scenarios(Problem):
         motions = self.motions_by_system(x)
         objective, *constraints = self._values_by_scenario(motions)
         excesses = self._excesses(constraints)
-        statuses = self._in_scenario_order([np.array([motion.status]) for motion in motions])[0]
+        statuses = self.in_scenario_order([np.array([motion.status]) for motion in motions])[0]
         objectives = np.where(statuses == OK, objective.max(1), -np.inf)
         candidates = np.flatnonzero(np.isclose(objectives, objectives.max(), rtol=1e-9, atol=0.0))
         return list(self.scenarios)[candidates[np.argmax(excesses[candidates])]]
@@ -212,7 +212,7 @@ class Scenarios(Problem):
             [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
             for measure in self.reference.measures
         )
-        return [self._in_scenario_order(parts)[0] for parts in values]
+        return [self.in_scenario_order(parts)[0] for parts in values]
 
     def _excesses(self, constraints: Sequence[np.ndarray]) -> np.ndarray:
         """The largest (g - limit) / scale in every scenario [scenarios], of values g [scenarios, rows] of each constraint."""
@@ -264,7 +264,7 @@ class Scenarios(Problem):
             designs[name] = values.repeat(len(X), *[1] * (values.dim() - 1))
         return designs
 
-    def _in_scenario_order(self, parts: Sequence[Any]) -> Any:
+    def in_scenario_order(self, parts: Sequence[Any]) -> Any:
         """One array [lanes, scenarios, ...] of arrays [lanes, scenarios of a group, ...]."""
         order = np.argsort([index for group in self.groups for index in group.indices])
         return np.concatenate(parts, 1)[:, order]
@@ -289,12 +289,18 @@ class Scenarios(Problem):
                     raise SimulationFailure(f"the initial design in scenario {name!r}: {status}")
         return motions
 
+    @property
+    def rules(self) -> list[tuple[str, bool]]:
+        """How `combined` joins the scenarios of the objective and of every constraint, and whether a limit is a lower one."""
+        objective = ("each" if self._objective_rule == "worst" else "mean", False)
+        return [objective, *((self._constraint_rule, c.kind == "at_least") for c in self.constraints)]
+
     def _limits(self, constraint: Constraint, measure: Measure, motions: Sequence[Trajectory]) -> np.ndarray:
         """Limits of the rows in every scenario [scenarios * rows], or of all scenarios together [rows] by the rule."""
         initial = np.zeros((len(self.scenarios), measure.rows))
         if motions:
             values = [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
-            initial = self._in_scenario_order(values)[0]
+            initial = self.in_scenario_order(values)[0]
         limits = limits_of(constraint, initial)
         if self._constraint_rule == "each":
             return limits.reshape(-1)
@@ -314,7 +320,7 @@ class Scenarios(Problem):
     def _statuses(self, motions: Sequence[Trajectory], count: int) -> Sequence[str]:
         """The status of each design: that of its first scenario that fails, with the name of the scenario."""
         by_group = [np.array(motion.status, dtype=object).reshape(count, -1) for motion in motions]
-        return [self._status(statuses) for statuses in self._in_scenario_order(by_group)]
+        return [self._status(statuses) for statuses in self.in_scenario_order(by_group)]
 
     def _status(self, statuses: Sequence[str]) -> str:
         for name, status in zip(self.scenarios, statuses, strict=True):
@@ -328,15 +334,13 @@ class Scenarios(Problem):
         measured = [differentiate(partial(self._measured, measures), motion) for motion in motions]
         lanes = sum(motion.lanes for motion in motions) // len(self.scenarios)
         by_group = [x.value.numpy() for x in measured]
-        values = self._in_scenario_order([x.reshape(lanes, -1, x.shape[1]) for x in by_group])
+        values = self.in_scenario_order([x.reshape(lanes, -1, x.shape[1]) for x in by_group])
         by_group = [x.gradient.numpy() @ self.space.map for x in measured if x.gradient is not None]
         slopes = None
         if by_group:
-            slopes = self._in_scenario_order([x.reshape(lanes, -1, *x.shape[1:]) for x in by_group])
-        rules = [("each" if self._objective_rule == "worst" else "mean", False)]
-        rules += [(self._constraint_rule, c.kind == "at_least") for c in self.constraints]
+            slopes = self.in_scenario_order([x.reshape(lanes, -1, *x.shape[1:]) for x in by_group])
         parts, first = [], 0
-        for measure, (rule, lower_limit) in zip(measures, rules, strict=True):
+        for measure, (rule, lower_limit) in zip(measures, self.rules, strict=True):
             rows = slice(first, first := first + measure.rows)
             own_slopes = None if slopes is None else slopes[:, :, rows]
             parts.append(combined(rule, values[:, :, rows], own_slopes, self.weights, lower_limit))

@@ -17,7 +17,7 @@ from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.fatigue import Damage
 from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.histories import Reaction
-from torchmbd.design.measures import Integral
+from torchmbd.design.measures import Frequency, Integral
 from torchmbd.design.response import Combined, CombinedMeasure, History, Measure, Total
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
@@ -74,6 +74,8 @@ def words(response: Response, bodies: bool = True) -> str:
     inner = getattr(response, "history", None)
     if isinstance(inner, History):
         return f"{name} of {words(inner, bodies)}"
+    if isinstance(response, Frequency) and response.number > 1:
+        name = f"{name} {response.number}"
     axis = getattr(response, "axis", None)
     if isinstance(axis, str):
         name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"

@@ -42,6 +42,7 @@ class _Part(NamedTuple):
     forces: Float[Tensor, "lanes ends 6 modes"]
     unit: Float[Tensor, "lanes points 6 6"]
     strength: Float[Tensor, "lanes points 8"] | None
+    length: Float[Tensor, "lanes elements"]
 
 
 class SectionHistory:
@@ -80,6 +81,10 @@ class SectionHistory:
     def ends(self, part: str | None = None) -> Int[Tensor, "ends 2"]:
         """Element and end (0 start, 1 end) of the section forces of a part; None: of the only one."""
         return self._beams[self._key(part)].ends
+
+    def lengths(self, part: str | None = None) -> Float[Tensor, "lanes elements"]:
+        """Lengths of the elements of a part, of each design its own [m]."""
+        return self._made[self._key(part)].length
 
     def forces(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends 6"]:
         """(N, V_y, V_z, T, M_y, M_z) at the chosen output times."""
@@ -205,7 +210,7 @@ class _Recovery(nn.Module):
         super().__init__()
         self.system, self.name = system, name
 
-    def forward(self, psi: Tensor) -> list[tuple[Tensor, Tensor, Tensor | None]]:
+    def forward(self, psi: Tensor) -> list[tuple[Tensor, Tensor, Tensor | None, Tensor]]:
         lanes, made = len(psi), []
         for beams in self.system.body(self.name).beams.values():
             forces = beams.section_forces(psi).flatten(1, 2)
@@ -213,5 +218,8 @@ class _Recovery(nn.Module):
             unit = beams.section.unit_stress() if meshed else psi.new_zeros(0, 6, 6)
             strength = _strengths(beams.section) if meshed else None
             strength = None if strength is None else strength.expand(lanes, -1, -1)
-            made.append((forces, unit.expand(lanes, *unit.shape[-3:]), strength))
+            length = beams.lengths
+            made.append(
+                (forces, unit.expand(lanes, *unit.shape[-3:]), strength, length.expand(lanes, length.shape[-1]))
+            )
         return made

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.errors import InputError
+from torchmbd.study.answers import comparison, print_answers, stored_verification
 from torchmbd.study.metric_names import (
     CONVERGED,
     EVALUATIONS,
@@ -18,10 +22,11 @@ from torchmbd.study.metric_names import (
     gain_metric,
     is_design,
     metric_heading,
+    number_text,
     without_group,
 )
 from torchmbd.study.progress import drop_order, gain_heading, print_table, violation_cell, wrapped_heading
-from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, studies
+from torchmbd.tracking.catalog import GOAL, MAXIMIZE, VERIFICATION, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import hidden
 
@@ -37,6 +42,7 @@ _IGNORED = (
     "process",
     "problem_key",
     "files",
+    VERIFICATION,
 )
 
 
@@ -61,14 +67,19 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         cells = [child.name, *(_cell(child, name, gain_metric(sign)) for name in criteria)]
         violation = child.metrics.get("violation")
         cells.append("-" if violation is None else violation_cell(violation))
-        cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
+        cells += [number_text(name, child.metrics[name]) if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
     if not print_table(table, console, drop_order(2 + len(criteria), len(names), [-1, 2])):
         for child in found:
             values = ", ".join(
-                f"{metric_heading(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics
+                f"{metric_heading(name)} {number_text(name, child.metrics[name])}"
+                for name in names
+                if name in child.metrics
             )
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
+        if verified := stored_verification(store, entry, Path(scratch)):
+            print_answers(verified, console)
     model = entry.params.get("model", "").rpartition(":")[0]
     expression = (
         f'torchmbd.load("{entry.run_id[:8]}", model="{model}")'
@@ -101,14 +112,20 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     table = _table("what differs, and how they ended")
     for title in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):
         table.add_column(escape(title), overflow="fold")
-    for name, left, right in differences(first, second):
-        table.add_row(*map(escape, (name, left, right)))
+    for row in differences(first, second):
+        table.add_row(*map(escape, row))
+    table.add_section()
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
+        verified = [stored_verification(store, one, Path(scratch)) for one in (first, second)]
+    for row in comparison(*verified):
+        table.add_row(*map(escape, row))
+    table.add_row("verification", *(escape(one.tags.get(VERIFICATION, "-")) for one in (first, second)))
     table.add_section()
     shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
     for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):
         table.add_row(
             escape(without_group(name)),
-            *(f"{e.metrics[name]:.6g}" if name in e.metrics else "-" for e in (first, second)),
+            *(number_text(name, e.metrics[name]) if name in e.metrics else "-" for e in (first, second)),
         )
     took = ["-" if e.seconds is None else f"{e.seconds:.0f} s" for e in (first, second)]
     table.add_row("took", *took)

@@ -23,7 +23,7 @@ import resource
 import tempfile
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -36,16 +36,20 @@ from torchmbd.design import Problem
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.design.verification import advice
 from torchmbd.design.words import words
 from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.optimization.pareto import group_sizes
+from torchmbd.progress import begin_stage, stages_told
+from torchmbd.results.answer import LIMIT
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
+from torchmbd.study.progress import Beginning
 from torchmbd.study.settings import StudySettings
-from torchmbd.study.start_values import print_start_values
+from torchmbd.study.start_values import Value, print_start_values, start_values, worst_share
 from torchmbd.viz.figures import convergence, save
 from torchmbd.viz.panels import histories_of, panels_of
 
@@ -57,6 +61,8 @@ _COPIES = 3.0
 _TRIES = 2
 _TRACKING = 4.0  # s: MLflow is loaded, its store opened, runs and files are written
 _PATIENCE = 60.0  # s: where a batch takes longer, the start design is not simulated
+_FINER = 7.0  # motions of the steps of the problem that its errors take: the same, of half the steps and a quarter
+_FASTER = 0.9  # of the time of the mode that is chosen
 _OTHER_MODE = {"forward": ("reverse",), "reverse": ("forward",)}
 _TOLERANCE_WORDS = {
     "expected": ", mean over the tolerances",
@@ -69,6 +75,7 @@ class Estimate:
     """Cost of a study on this machine: simulations at most, seconds of one batch and of all, peak memory [bytes].
 
     once       seconds that are spent once: first evaluation, pictures, tracking
+    resolved   whether the steps resolve the responses of the start design; True where that is not known
     gradients  mode of the gradients: "forward", "reverse", "none" of a sweep
     others     other mode -> seconds of one batch
     """
@@ -81,6 +88,7 @@ class Estimate:
     memory: float
     gradients: str
     others: dict[str, float]
+    resolved: bool = True
 
 
 def estimate(study: StudySettings, problem: Problem) -> Estimate:
@@ -94,10 +102,12 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
         starts, groups = np.repeat(starts, around, axis=0), [around * size for size in groups]
     X = starts[:LANES, : len(problem.names)]
     mode = problem.gradients if study.sweep is None else "none"
+    begin_stage(f"measuring the beginning of {_counted(len(X) * cases, 'motion')}, gradients: {mode}")
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
     first, batch, size = _measure_batch(problem, X, mode)
     others = {}
     for other in _OTHER_MODE.get(mode, ()):
+        begin_stage(f"measuring the same, gradients: {other}")
         with contextlib.suppress(MbdError):  # the method or the system has no such mode
             others[other] = _measure_batch(problem, X, other)[1]
     batches = each * sum(math.ceil(size / LANES) for size in groups)
@@ -229,9 +239,12 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         markup=False,
         soft_wrap=True,
     )
-    cost = estimate(study, problem)
-    ways = [f"{cost.gradients} mode, chosen by counting, {_duration(cost.batch_seconds)} a batch"]
-    ways += [f"{other} mode {_duration(seconds)}" for other, seconds in cost.others.items()]
+    with stages_told(Beginning(console).stage):
+        if problem.chooses_steps:
+            begin_stage("choosing the steps for the start design")
+            _ = problem.steps
+        cost = estimate(study, problem)
+        values, reason = _values_with_errors(problem, cost, others + 1)
     count = 0
     if evaluations_file().exists():
         with contextlib.closing(Evaluations(evaluations_file(), problem_key(problem))) as store:
@@ -248,11 +261,58 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     )
     _print_truncation(problem, console)
     _print_assembly(problem, console)
-    if cost.batch_seconds < _PATIENCE:
-        print_start_values(problem, console, others + 1)
+    if values is not None:
+        print_start_values(values, console)
+    share = worst_share(values) if isinstance(values, list) else 0.0
+    if line := _steps_line(problem, share, reason):
+        console.print(line, markup=False, soft_wrap=True)
     if cost.gradients != "none":
-        console.print(f"gradients: {'; '.join(ways)}", markup=False, soft_wrap=True)
-    return cost
+        console.print(f"gradients: {_modes_text(cost)}", markup=False, soft_wrap=True)
+    return replace(cost, resolved=not math.isnan(share))
+
+
+def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tuple[list[Value] | str | None, str]:
+    """Return the responses of the start design with their errors, as far as there is time, and why there are none."""
+    if cost.batch_seconds >= _PATIENCE:
+        return None, f"the start design is not simulated, as a batch takes {_duration(cost.batch_seconds)}"
+    begin_stage("simulating the start design")
+    began = time.perf_counter()
+    values = start_values(problem, criteria)
+    took = _FINER * (time.perf_counter() - began)
+    if isinstance(values, str):
+        return values, values
+    if took > _PATIENCE:
+        return (
+            values,
+            f"its errors are not estimated, which takes {_duration(took)}; allowed: problem.errors(...) in Python",
+        )
+    begin_stage("simulating the start design with half the steps, and with more modes")
+    try:
+        return start_values(problem, criteria, problem.errors(problem.start, mesh=False)), ""
+    except MbdError as error:
+        return values, f"its errors are not estimated: {error}"
+
+
+def _steps_line(problem: Problem, share: float, reason: str) -> str:
+    """Return how many steps a motion has, and what they are worth; `share`, `reason` as of the two functions that make them."""
+    how = "chosen for the start design" if problem.chooses_steps else "as given"
+    text = f"steps: by the method; {reason}" if problem.steps is None else f"steps: {problem.steps}, {how}"
+    if reason:
+        return f"{text}; {reason}"
+    if share <= LIMIT:
+        return f"{text}; the largest error at the start design is {100.0 * share:.1g} %"
+    found = "do not resolve it" if math.isnan(share) else f"leave an error of {100.0 * share:.2g} %"
+    return f"warning: {text}, {found}; allowed: {advice(problem, share / LIMIT)}"
+
+
+def _modes_text(cost: Estimate) -> str:
+    """Return the modes of gradients with their times, and which one to ask for where another is faster."""
+    text = f"{cost.gradients} mode, chosen by counting, {_duration(cost.batch_seconds)} a batch"
+    text += "".join(f"; {other} mode {_duration(seconds)}" for other, seconds in cost.others.items())
+    mode = min(cost.others, key=lambda other: cost.others[other], default=None)
+    if mode is None or not cost.others[mode] < _FASTER * cost.batch_seconds:
+        return text
+    return f"{text}, which is faster: simulate: {{gradients: {mode}}}"
 
 
 def _over_scenarios(problem: Problem) -> str:

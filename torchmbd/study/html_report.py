@@ -13,6 +13,7 @@ from html import escape
 from pathlib import Path
 
 from torchmbd.errors import InputError
+from torchmbd.study.answers import answers_page, stored_verification
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.metric_names import (
     ANALYSES,
@@ -26,6 +27,7 @@ from torchmbd.study.metric_names import (
     criterion_metrics,
     is_design,
     metric_heading,
+    number_text,
 )
 from torchmbd.summary import few
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
@@ -39,6 +41,7 @@ h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2rem; } .quiet { c
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9em; display: block; overflow-x: auto; }
 th, td { text-align: right; padding: 0.15rem 0.7rem; } th { border-bottom: 1px solid #888; }
 td:first-child, th:first-child { text-align: left; } td { white-space: nowrap; } tr.best { font-weight: 600; }
+.warning { color: #b00020; font-weight: 600; }
 img { max-width: 100%; } iframe { width: 100%; height: 34rem; border: 1px solid #ddd; }
 pre { background: #f6f6f6; padding: 0.8rem; overflow-x: auto; }
 """
@@ -84,8 +87,10 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
     ]
     if (note := entry.tags.get("mlflow.note.content")) and note != asked:
         parts.append(f"<p>{escape(note)}</p>")
+    if verified := stored_verification(store, entry, scratch):
+        parts += ["<h2>Answer</h2>", answers_page(verified)]
     parts.append(
-        _rows({label: _number(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
+        _rows({label: number_text(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
     )
     parts += [_children(store, entry), *_pictures(store, entry, scratch)]
     if motion := fetch(store, entry, "motion_best.html", scratch):
@@ -133,16 +138,11 @@ def _children(store: StoreURI, entry: Entry) -> str:
     head = "".join(f"<th>{escape(metric_heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []
     for child in found:
-        cells = [child.name, *(_number(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
+        cells = [child.name, *(number_text(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
         cells.append(child.tags.get("status", child.status.lower()).replace("_", " "))
         best = ' class="best"' * (child.tags.get("best") == "true")
         rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
     return f"<h2>{len(found)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
-
-
-def _number(metric: str, value: float) -> str:
-    """Return the text of a metric: angles and percentages to a hundredth, others to six digits."""
-    return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
 
 
 def _pictures(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:

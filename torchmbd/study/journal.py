@@ -18,22 +18,29 @@ import yaml
 
 from torchmbd.math.units import UNITS
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
+from torchmbd.results.answer import Verification
+from torchmbd.study.answers import ANSWER
 from torchmbd.study.metric_names import (
     ANALYSES,
+    BEST,
     CRITERION,
     DESIGN,
+    ERROR,
     EVALUATIONS,
     FAILED,
     ITERATIONS,
+    MARGIN,
+    START,
     constraint_names,
     gain_metric,
     legal_key,
+    unique,
 )
 from torchmbd.study.paths import problem_key
 from torchmbd.study.settings import StudySettings
 from torchmbd.study.yaml_file import without_user
 from torchmbd.tracking import MlflowTracker, Status
-from torchmbd.tracking.catalog import GOAL, MAXIMIZE
+from torchmbd.tracking.catalog import GOAL, MAXIMIZE, VERIFICATION
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import relative_to_store
 from torchmbd.tracking.uri import hidden
@@ -169,6 +176,17 @@ class Journal:
         """Mark the best start, and write its design."""
         self.tracker.tags(child(result.start), {"best": "true"})
         self.design(result.x)
+
+    def verified(self, verification: Verification) -> None:
+        """File the responses of start and best design with their errors, and whether the best design is verified."""
+        ends = [f"_{one.unit}" if one.unit in UNITS else "" for one in verification.answers]
+        names = unique([legal_key(one.words + end) for one, end in zip(verification.answers, ends, strict=True)])
+        numbers: dict[str, float] = {}
+        for name, one in zip(names, verification.answers, strict=True):
+            numbers |= {START + name: one.start.value, BEST + name: one.best.value, ERROR + name: one.best.error}
+            numbers |= {} if one.margin is None else {MARGIN + name: one.margin}
+        self.summary(numbers, {VERIFICATION: verification.status})
+        self.text(ANSWER, verification.to_json())
 
     def design(self, x: np.ndarray) -> None:
         """Write the best design [SI] by the names of the parameters, for torchmbd.study.stored_run."""

@@ -5,6 +5,7 @@
     design/angle_1_deg                                         the design, in the units of the study
     criterion/mass_kg                                          of a point of a front
     search/iterations, search/analyses, ...                    cost of the search
+    start/mass of rod_kg, best/..., error/..., margin/...      responses of start and best design, error of the best
 
 Checked in tests/study/test_metric_names.py.
 """
@@ -20,6 +21,7 @@ CONSTRAINT, CRITERION, DESIGN, SEARCH = "constraint/", "criterion/", "design/", 
 REDUCTION, INCREASE = "reduction_percent", "increase_percent"
 ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
 EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
+START, BEST, ERROR, MARGIN = "start/", "best/", "error/", "margin/"
 STARTS, CONVERGED = f"{SEARCH}starts", f"{SEARCH}converged_starts"
 
 
@@ -50,6 +52,11 @@ def metric_heading(metric: str) -> str:
     return f"{word.replace('_', ' ')} [{last}]" if last in (*UNITS, "%") else without_group(metric).replace("_", " ")
 
 
+def number_text(metric: str, value: float) -> str:
+    """Return the text of a metric: angles and percentages to a hundredth, others to six digits."""
+    return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
+
+
 def constraint_names(problem: Any, count: int) -> list[str]:
     """Return the names of the metrics of the constraint rows; numbers where the problem has no names for them."""
     from torchmbd.design import Problem  # imports torch, which commands that only read names do not need
@@ -70,10 +77,10 @@ def constraint_names(problem: Any, count: int) -> list[str]:
             names += [text + legal_key(suffix) + number for suffix in suffixes for number in numbers]
     if len(names) != count:  # over tolerances: the rows of many designs
         names = [str(k + 1) for k in range(count)]
-    return [CONSTRAINT + name for name in _unique(names)]
+    return [CONSTRAINT + name for name in unique(names)]
 
 
-def _unique(names: Sequence[str]) -> list[str]:
+def unique(names: Sequence[str]) -> list[str]:
     """Return the names, with a number behind each that has occurred before."""
     return [
         name if k == names.index(name) else f"{name} no {names[:k].count(name) + 1}" for k, name in enumerate(names)

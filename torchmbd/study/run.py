@@ -27,6 +27,7 @@ from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.progress import stages_told
+from torchmbd.results.answer import NOT_VERIFIED, Verification
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import search_on_steps
 from torchmbd.study.evaluations import Evaluations
@@ -40,13 +41,15 @@ from torchmbd.study.report import print_results, save_pictures
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
 from torchmbd.study.unfinished import StudyState, claim_study, unsent
+from torchmbd.study.verify import verify_best
 from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
-from torchmbd.tracking.catalog import Entry, find
+from torchmbd.tracking.catalog import VERIFICATION, Entry, find
 from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.store import own_files, store_uri
 from torchmbd.tracking.uri import StoreURI
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
+UNVERIFIED = 3  # exit code of a study that is finished, and whose best design does not hold in a finer model (cli.py)
 
 
 def run_study(
@@ -102,25 +105,28 @@ def run_study(
         cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch)
         status: Status = "FAILED"
         result: Any = None
+        verified: Verification | None = None
         try:
             if study.sweep is not None:
                 result, status = run_sweep(study, problem, cached.evaluate, journal, console)
             elif study.front:
                 result, status = run_front(study, cached, lanes, journal, console)
             else:
-                result, status = _search(study, cached, store, lanes, journal, console)
+                result, status, verified = _search(study, cached, store, lanes, journal, console)
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
             journal.end_all(status)
             record = close_tracker(tracker, unfinished, console, store.trouble)
-            study.outcome = Outcome(status, result, None if record is None else record.runs.get(PARENT))
+            run_id = None if record is None else record.runs.get(PARENT)
+            study.outcome = Outcome(status, result, run_id, verified)
         if journal.trouble:
             console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known"
         duration = f"{time.monotonic() - start_time:.1f} s{known if cached.hits else ''}"
         again = unfinished.command(workers=workers, scheduler=scheduler) if unfinished else ""
-        return print_outcome(study.name, study.kind, status, duration, record, unfinished, console, again)
+        code = print_outcome(study.name, study.kind, status, duration, record, unfinished, console, again)
+        return code or (0 if verified is None or verified.verified else UNVERIFIED)
 
 
 def _enter(pool: Workers, stack: ExitStack, study: StudyState | None) -> None:
@@ -149,9 +155,12 @@ def _print_finished(name: str, study: StudyState, uri: StoreURI, entry: Entry, a
     console.print(f"{escape(name)}: finished on {study.ended}{outcome}; nothing is run again", soft_wrap=True)
     record = Record(uri, entry.experiment_id, {PARENT: entry.run_id})
     print_run_links(record, entry.kind, "FINISHED", console)
+    verified = entry.tags.get(VERIFICATION, "")
+    if verified:
+        console.print(verified, soft_wrap=True, highlight=False, markup=False)
     short = entry.run_id[:8]
     console.print(f"its designs: torchmbd best {short}; to run it anew: {again}", soft_wrap=True, highlight=False)
-    return EXIT["FINISHED"]
+    return UNVERIFIED if verified.startswith(NOT_VERIFIED) else EXIT["FINISHED"]
 
 
 def _print_stored_count(name: str, count: int, study: StudyState | None, console: Console) -> None:
@@ -166,7 +175,7 @@ def _print_stored_count(name: str, count: int, study: StudyState | None, console
 
 def _search(
     study: StudySettings, cached: CachedProblem, store: Evaluations, lanes: int, journal: Journal, console: Console
-) -> tuple[MultistartResult | DiscreteResult, Status]:
+) -> tuple[MultistartResult | DiscreteResult, Status, Verification | None]:
     """Optimize from every start, with `lanes` simulations in a batch; track and report the results."""
     points = study.points
     journal.begin("study")
@@ -212,11 +221,17 @@ def _search(
     if best is not None and any(study.increments) and not interrupted:
         result = search_on_steps(study, target, points, options, found, journal, console)
         interrupted = result.status == "interrupted"
+    verified = None
+    if best is not None and not interrupted:
+        last = result.best
+        verified = verify_best(
+            study, best if last is None else last, found if result is found else None, journal, console
+        )
     visited = store.visited(len(study.simulated.start))
     save_pictures(study, found, visited, journal, console)
     if interrupted:
-        return result, "KILLED"
-    return result, "FINISHED" if best is not None else "FAILED"
+        return result, "KILLED", None
+    return result, "FINISHED" if best is not None else "FAILED", verified
 
 
 def _no_design_reason(found: MultistartResult, study: StudySettings) -> str:

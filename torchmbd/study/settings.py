@@ -22,6 +22,7 @@ from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.sampling import given, recipe
 from torchmbd.optimization.optimizer import find_method, require_count, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
+from torchmbd.results.answer import Verification
 from torchmbd.study.check import swept_index
 from torchmbd.study.columns import Columns
 from torchmbd.study.method_options import search_options
@@ -49,11 +50,13 @@ class Outcome:
     status   "FINISHED", "KILLED" (Ctrl-C, with what was computed) or "FAILED" (no start succeeded)
     result   of multistart, of pareto_front, of optimize_discrete where variables take steps, or SweepResult; None: nothing
     run_id   of the tracking store; None: it was not reached
+    verification   of the best design in a finer model; None: there is none, or nothing to simulate
     """
 
     status: str
     result: Any
     run_id: str | None
+    verification: Verification | None = None
 
 
 class StudySettings(Summary):

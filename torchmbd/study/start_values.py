@@ -1,9 +1,10 @@
-"""The responses of a problem at the start design, with their limits: they show wrong units and inactive constraints.
+"""The responses of a problem at the start design, with their limits and estimated errors: they show wrong units, inactive
+constraints and steps that are too large.
 
     at the start design:
-      minimize       max of |y displacement of jib|       0.119201 m
+      minimize       max of |y displacement of jib|       0.119201 m   error -0.02 %
       at most 0.6    mass of boom + mass of jib           0.417514 kg
-      at most 0.5    max of ply failure of boom           1.63182        violated
+      at most 0.5    max of ply failure of boom           1.63182      error +0.3 %    violated
 
 Checked in tests/study/test_start_values.py.
 """
@@ -12,14 +13,17 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 
 from torchmbd.design import Problem
 from torchmbd.design.problem_parts import governing_row
 from torchmbd.design.words import unit, words
 from torchmbd.optimization.api import FEASIBILITY
+from torchmbd.results.response_error import ResponseError, rows_of
 
 _FAR = 1e3  # factor between a value and its limit from which on they have hardly the same unit
 _PLAIN: Any = {"markup": False, "highlight": False, "soft_wrap": True}
@@ -27,19 +31,27 @@ _IDLE = 1e-9  # share of the limit below which a value counts as zero
 
 
 class Value(NamedTuple):
-    """A response at the start design: goal or limit, words, value, unit (None: unknown), and a note on the value."""
+    """A response at the start design.
+
+    asked  goal or limit
+    unit   None: unknown
+    note   on the value
+    error  estimated, over the value of an objective, or over the limit; 0.0: none, or not estimated; nan: not resolved
+    """
 
     asked: str
     words: str
     value: float
     unit: str | None
     note: str
+    error: float = 0.0
 
 
-def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
+def start_values(problem: Problem, criteria: int = 1, errors: Sequence[ResponseError] = ()) -> list[Value] | str:
     """Return the responses at the start design, of constraints the row nearest to its limit; or why it fails.
 
     criteria  of a front; all but the first are the first constraints of the problem
+    errors    of the objective and of every constraint at the start design; none: they are not estimated
     """
     [evaluation] = problem.evaluate(problem.start[None], False)
     if not evaluation.ok:
@@ -48,9 +60,10 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
     if problem.sign < 0.0:
         what, value = "maximize", -value
     factor, name = _shown(unit(problem.stated_objective))
-    values = [Value(what, words(problem.stated_objective), factor * value, name, "")]
+    shares = _error_shares(problem, errors)
+    values = [Value(what, words(problem.stated_objective), factor * value, name, "", shares[0])]
     own = evaluation.constraints[problem.peaks :]
-    for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
+    for constraint, rows, share in zip(problem.constraints, problem.constraint_rows, shares[1:], strict=True):
         c, limits, scales = own[rows], problem.limits[rows], problem.reference.scale[rows]
         worst = int(governing_row(constraint, c))
         limit, value = float(limits[worst]), float(limits[worst] + c[worst] * scales[worst])
@@ -60,12 +73,33 @@ def start_values(problem: Problem, criteria: int = 1) -> list[Value] | str:
             note = _implausible(value, limit, constraint.kind) or note
         factor, name = _shown(unit(constraint.measure))
         if len(values) < criteria:
-            values.append(Value("minimize", words(constraint.measure), factor * value, name, ""))
+            values.append(Value("minimize", words(constraint.measure), factor * value, name, "", share))
             continue
         text = "initial" if constraint.limit == "initial" else f"{factor * limit:.6g}"
         kind = "equal to" if constraint.kind == "equal" else constraint.kind.replace("_", " ")
-        values.append(Value(f"{kind} {text}", words(constraint.measure), factor * value, name, note))
+        values.append(Value(f"{kind} {text}", words(constraint.measure), factor * value, name, note, share))
     return values
+
+
+def _error_shares(problem: Problem, errors: Sequence[ResponseError]) -> list[float]:
+    """Return the errors of objective and constraints as shares: of the value, of the limits; zeros if none are estimated."""
+    if not errors:
+        return [0.0] * (1 + len(problem.constraints))
+    scales = [rows_of(errors[0].value).abs().max().numpy()]
+    scales += [abs(problem.reference.scale[rows]) for rows in problem.constraint_rows]
+    shares = []
+    for error, scale in zip(errors, scales, strict=True):
+        rows = rows_of(error.by_steps).numpy()[0]
+        worst = int(np.argmax(abs(rows)))
+        size = np.broadcast_to(scale, rows.shape)[worst]
+        shares.append(math.nan if not error.resolved.all() else float(rows[worst] / size) if rows[worst] else 0.0)
+    return shares
+
+
+def worst_share(values: Sequence[Value]) -> float:
+    """Return the size of the largest error of the responses, a share; nan where one is not resolved."""
+    sizes = [abs(one.error) for one in values]
+    return math.nan if any(map(math.isnan, sizes)) else max(sizes)
 
 
 def _shown(si: str | None) -> tuple[float, str | None]:
@@ -84,19 +118,26 @@ def _implausible(value: float, limit: float, kind: str) -> str:
     return ""
 
 
-def print_start_values(problem: Problem, console: Console, criteria: int = 1) -> None:
+def print_start_values(values: list[Value] | str, console: Console) -> None:
     """Print the responses at the start design, or why it cannot be simulated."""
-    values = start_values(problem, criteria)
     if isinstance(values, str):
         console.print(f"the start design {values}", markup=False, soft_wrap=True)
         return
     console.print("at the start design:", markup=False)
-    rows = [(f"  {one.asked}", one.words, f"{one.value:.6g} {one.unit or ''}".rstrip(), one.note) for one in values]
-    asked, _, number, note = (max(map(len, column)) for column in zip(*rows, strict=True))
-    width = max(console.width - asked - number - note - 6, 16)
+    rows = [
+        (f"  {one.asked}", one.words, f"{one.value:.6g} {one.unit or ''}".rstrip(), _error_text(one.error), one.note)
+        for one in values
+    ]
+    asked, _, number, error, note = (max(map(len, column)) for column in zip(*rows, strict=True))
+    width = max(console.width - asked - number - error - note - 8, 16)
     for row in rows:
         lines = textwrap.wrap(row[1], width)
         wide = min(width, max(len(one.words) for one in values))
-        console.print(f"{row[0]:<{asked}}  {lines[0]:<{wide}}  {row[2]:<{number}}  {row[3]}".rstrip(), **_PLAIN)
+        told = f"{row[0]:<{asked}}  {lines[0]:<{wide}}  {row[2]:<{number}}  {row[3]:<{error}}  {row[4]}"
+        console.print(told.rstrip(), **_PLAIN)
         for line in lines[1:]:
             console.print(" " * (asked + 2) + line, **_PLAIN)
+
+
+def _error_text(share: float) -> str:
+    return "not resolved" if math.isnan(share) else f"error {100.0 * share:+.1g} %" if share else ""

@@ -4,6 +4,7 @@
     study.check()                  what it will cost
     study.run()                    the same call continues a study that was interrupted or killed
     study.best, study.to_dataframe(), study.plot(), study.report("arm.html")
+    study.verification             the best design in a finer model
 
 `mbd.Study.from_file("arm.yaml")` makes the same object of an experiment file; `torchmbd run arm.yaml` runs it.
 Checked in tests/study/test_study.py.
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 from rich.console import Console
 
 from torchmbd.errors import InputError
+from torchmbd.results.answer import Verification
 from torchmbd.study.estimate import Estimate, print_estimate
 from torchmbd.study.html_report import write_report
 from torchmbd.study.load import load_study
@@ -114,6 +116,11 @@ class Study(StudySettings):
         return best if best is None or best.violation <= self.feasibility else None
 
     @property
+    def verification(self) -> Verification | None:
+        """Start and best design of the last run in a finer model: do gain and constraints hold? None: nothing to simulate."""
+        return self._ended.verification
+
+    @property
     def _searches(self) -> Any:
         searches = getattr(self.result, "relaxed", self.result)
         if searches is None:
@@ -137,5 +144,6 @@ class Study(StudySettings):
         if self.outcome is None:
             return [*rows, ("status", "has not run in this process")]
         rows.append(("status", self.status))
-        best = self.best
-        return rows if best is None else [*rows, ("best", f"{best.value:.8g} at {self.columns.named(best.x)}")]
+        if (best := self.best) is not None:
+            rows.append(("best", f"{best.value:.8g} at {self.columns.named(best.x)}"))
+        return rows if self.verification is None else [*rows, ("verification", self.verification.status)]

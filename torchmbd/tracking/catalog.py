@@ -15,6 +15,7 @@ from torchmbd.tracking.uri import StoreURI
 
 KINDS = ("study", "front", "sweep", "figures")
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is maximized
+VERIFICATION = "verification"  # tag of a study: "verified: ..." or "not verified: ..." with what to do
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
 
 

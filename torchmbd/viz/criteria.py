@@ -29,11 +29,15 @@ if TYPE_CHECKING:
     from torchmbd.optimization.optimizer import Iterate
 
 _SHORT = 24  # characters of the label of a low row
+_WHOLE = 0.9  # of the motion: a longer window is not drawn by itself
+_APART = 30.0  # ratio of the largest values of designs from which on an axis of a window is logarithmic
 _FAR = 3.0  # ranges of the curves: a limit that is farther away is written, not drawn
 
 
 def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
     """The histories of the objective and the constraints of a problem, with their limits; a curve for each design.
+
+    A window of a response, such as the dwell after a move, is drawn once more by itself.
 
     problem  an mbd.Problem
     motion   its motion, a lane for each design, as problem.simulate(X)
@@ -56,22 +60,31 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     panels = panels_of(problem)
     if not panels:
         return None
-    figure, rows = figure_of(1.0 + 2.1 * len(panels), rows=len(panels))
     t = motion.t.numpy()
-    for axes, panel in zip(rows, panels, strict=True):
+    whole = float(t[0]), float(t[-1])
+    spans = [(panel, span) for panel in panels for span in (whole, *_parts(panel.windows, whole))]
+    figure, rows = figure_of(1.0 + 2.1 * len(spans), rows=len(spans), sharex=False)
+    for axes, (panel, span) in zip(rows, spans, strict=True):
         factor, name = display_unit(unit(panel.history))
         curves = [samples_over_time(panel.history, motion, lane) for lane in range(motion.lanes)]
         drawn = [(x.numpy(), factor * np.asarray(y.detach())) for x, y in curves]
         for (x, y), label, color in zip(drawn, labels, _colors(len(labels)), strict=True):
             over_time(axes, x, y, label, color)
-        _limits(axes, np.concatenate([y for _, y in drawn]), [(factor * x, kind) for x, kind in panel.limits], name)
-        for window in panel.windows:
-            axes.axvspan(*window, color="#f0f0f0", zorder=0)
-        axes.set_title("; ".join(panel.asked), loc="left", fontsize=8)
+        parts = [y[(x >= span[0]) & (x <= span[1])] for x, y in drawn]
+        inside = np.concatenate(parts)
+        if span == whole:
+            _limits(axes, inside, [(factor * x, kind) for x, kind in panel.limits], name)
+            for window in panel.windows:
+                axes.axvspan(*window, color="#f0f0f0", zorder=0)
+        else:
+            _show_only(axes, parts)
+        said = "; ".join(panel.asked) if span == whole else f"the window {span[0]:.4g} to {span[1]:.4g} s"
+        axes.set_title(wrapped(said, LINE), loc="left", fontsize=8)
         axes.set_ylabel(_label(full_name(panel.history), name), fontsize=8)
-        axes.ticklabel_format(axis="y", scilimits=(-2, 4))
+        if axes.get_yscale() == "linear":
+            axes.ticklabel_format(axis="y", scilimits=(-2, 4))
+        axes.set_xlim(*span)
     rows[-1].set_xlabel("time [s]")
-    rows[-1].set_xlim(float(t[0]), float(t[-1]))
     _legend(figure, rows)
     return titled(figure, title)
 
@@ -185,6 +198,27 @@ def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     return curves
 
 
+def _parts(windows: Sequence[tuple[float, float]], whole: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the windows that are parts of the motion, each once: what counts there may be small beside the rest."""
+    short = [(start, end) for start, end in windows if end - start < _WHOLE * (whole[1] - whole[0])]
+    return list(dict.fromkeys(short))
+
+
+def _show_only(axes: Axes, parts: Sequence[np.ndarray]) -> None:
+    """Scale an axis by the values that are seen, of each design [n]; by powers of ten where designs are far apart."""
+    parts = [y[np.isfinite(y)] for y in parts]
+    values = np.concatenate(parts)
+    peaks = [float(y.max()) for y in parts if y.size]
+    if not values.size or values.max() <= values.min():
+        return
+    if values.min() >= 0.0 and max(peaks) > _APART * min(peaks) > 0.0:
+        axes.set_yscale("log")
+        axes.set_ylim(1e-2 * min(peaks), 2.0 * max(peaks))  # a square has zeros, which have no place there
+        return
+    edge = 0.08 * float(values.max() - values.min())
+    axes.set_ylim(float(values.min()) - edge, float(values.max()) + edge)
+
+
 def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]], name: str) -> None:
     """Draw limits near the curves as lines, and write those that are far away."""
     good = values[np.isfinite(values)]
@@ -196,6 +230,8 @@ def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]],
             axes.axhline(limit, color=BAD, lw=1.0, ls="--", label="limit")
         else:
             side = "above" if limit > high else "below"
+            room = 0.2 * (high - low) or 0.05 * abs(high) or 1.0  # for the text, which no curve crosses
+            axes.set_ylim(low - room * (side == "below") - 0.05 * room, high + room * (side == "above") + 0.05 * room)
             place = {"above": (0.99, 0.97, "top"), "below": (0.99, 0.03, "bottom")}[side]
             axes.text(
                 *place[:2],

@@ -95,7 +95,7 @@ def _on_mesh(owner: Any, found: list[tuple[np.ndarray, str]], labels: Sequence[s
     from matplotlib.collections import PolyCollection
 
     mesh = owner.mesh
-    flat = _flat(mesh.nodes.detach().numpy())
+    flat, names = _flat(mesh.nodes.detach().numpy())
     corners = [flat[cell] for cells in (mesh.triangles, mesh.quads) for cell in cells.numpy()]
     shown = [values for values, _ in found]
     low, high = min(0.0, *(float(v.min()) for v in shown)), max(float(v.max()) for v in shown)
@@ -111,23 +111,26 @@ def _on_mesh(owner: Any, found: list[tuple[np.ndarray, str]], labels: Sequence[s
         axes.set_title(wrapped(f"{label}:\nlargest index {place}", LINE), loc="left", fontsize=8)
         axes.set_aspect("equal")
         axes.autoscale_view()
-        axes.set_ylabel("[m]", fontsize=8)
+        axes.set_ylabel(f"{names[1]} [m]", fontsize=8)
         axes.grid(False)
-    rows[-1].set_xlabel("[m]", fontsize=8)
+    rows[-1].set_xlabel(f"{names[0]} of {owner.name} [m]", fontsize=8)
     assert parts is not None
-    said = f"failure index ({criterion.replace('_', ' ')}), largest of all times, layers and faces"
-    figure.colorbar(parts, ax=rows, label=said, location="bottom", aspect=50, shrink=0.9)
+    said = f"failure index of {owner.name} ({criterion.replace('_', ' ')}), largest of all times, layers and faces"
+    figure.colorbar(parts, ax=rows, label=wrapped(said, LINE), location="bottom", aspect=50, shrink=0.9)
     return figure
 
 
-def _flat(nodes: np.ndarray) -> np.ndarray:
-    """Return the nodes [n, 3] seen along the axis in which they spread least [n, 2]; in body axes if they are flat in one."""
+def _flat(nodes: np.ndarray) -> tuple[np.ndarray, Sequence[str]]:
+    """Return the nodes [n, 3] seen along the axis in which they spread least [n, 2], and what its axes are.
+
+    In body axes if the nodes are flat in one.
+    """
     spread = np.ptp(nodes, axis=0)
     axes = np.sort(np.argsort(-spread)[:2])
     if spread.min() <= 1e-9 * spread.max():
-        return nodes[:, axes]
+        return nodes[:, axes], ["xyz"[k] for k in axes]
     _, _, directions = np.linalg.svd(nodes - nodes.mean(0), full_matrices=False)
-    return (nodes - nodes.mean(0)) @ directions[:2].T
+    return (nodes - nodes.mean(0)) @ directions[:2].T, ("longest way", "across")
 
 
 def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion: str) -> Figure:
@@ -140,9 +143,10 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
         if strength is None:
             beams.failure(criterion)  # raises InputError
         assert strength is not None
-        x = _lengths(owner.beams[key].matrices.length.detach())
+        lengths = beams.lengths(key).detach()
         for lane, (label, color) in enumerate(zip(labels, CYCLE * len(labels), strict=False)):
             index = FailureForms(criterion, basis[lane].detach(), strength[lane].detach())
+            x = _lengths(lengths[lane])
             largest, when = _largest(index, beams.w[lane].detach(), basis.shape[1])
             each = largest.unflatten(0, (len(x), -1))
             most = each.amax(1).numpy()
@@ -151,8 +155,8 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
             said = wrapped(f"{label}: {most.max():.3g} at t = {time:.4g} s", LINE)
             axes.plot(x, most, color=color, lw=1.3, label=said)
             axes.plot(x[most.argmax()], most.max(), "o", ms=7, mfc="none", mec=BAD, mew=1.4)
-        _finish(axes, key if len(parts) > 1 else "", criterion)
-    rows[-1].set_xlabel("length along the beam [m]")
+        _finish(axes, key if len(parts) > 1 else "", body, criterion)
+    rows[-1].set_xlabel(f"length along {body} [m]")
     return figure
 
 
@@ -161,8 +165,8 @@ def _lengths(sizes: Tensor) -> np.ndarray:
     return torch.stack([torch.cumsum(sizes, 0) - sizes, torch.cumsum(sizes, 0)], 1).flatten().numpy()
 
 
-def _finish(axes: Axes, part: str, criterion: str) -> None:
-    axes.set_ylabel(f"failure index ({criterion.replace('_', ' ')})", fontsize=8)
+def _finish(axes: Axes, part: str, body: str, criterion: str) -> None:
+    axes.set_ylabel(wrapped(f"failure index of {body} ({criterion.replace('_', ' ')})", 30), fontsize=8)
     axes.set_ylim(bottom=0.0)
     title = {"title": part, "title_fontsize": 8} if part else {}
     axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), alignment="left", **title)

@@ -36,7 +36,7 @@ def convergence(
 
     >>> figure = mbd.viz.convergence({"start 0": [2.0, 1.5, 1.2]}, {"start 0": [0.0, 0.0, 0.0]})
     >>> [axes.get_ylabel() for axes in figure.axes]
-    ['objective', 'violation']
+    ['objective', 'violation [share]']
     """
     if not objectives or not any(len(values) for values in objectives.values()):
         raise InputError("objectives is empty; allowed: at least one start with one iteration")
@@ -52,7 +52,7 @@ def convergence(
     top.set_ylabel(wrapped(ylabel, 45))
     if best is not None:
         top.legend(frameon=False, loc="upper right")
-    bottom.set_ylabel("violation")
+    bottom.set_ylabel("violation [share]", fontsize=8)
     if not any(value > 0.0 for values in violations.values() for value in values):
         bottom.set_yticks([0.0])  # a scale would show rounding only
     bottom.set_xlabel("iteration")
@@ -178,13 +178,15 @@ def wrapped(text: str, width: int) -> str:
     return "\n".join(line for part in text.splitlines() for line in textwrap.wrap(part, width))
 
 
-def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
+def figure_of(
+    height: float, rows: int = 1, ratios: Sequence[float] | None = None, sharex: bool = True
+) -> tuple[Figure, list[Axes]]:
     """Return a figure of one column, in the style of all, with its axes."""
     with imports():
         from matplotlib.figure import Figure  # half a second: imported when a figure is drawn
 
     figure = Figure(figsize=(6.0, height), layout="constrained")
-    axes = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    axes = figure.subplots(rows, 1, sharex=sharex, squeeze=False, height_ratios=ratios)[:, 0]
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
         ax.tick_params(labelsize=9)

@@ -97,6 +97,11 @@ class Beams:
         return self._particles() if self.section.mass_varies or varying_nodes(self._line) else self._points
 
     @property
+    def lengths(self) -> Float[Tensor, "*lanes m"]:
+        """Lengths of the elements in the present design [m]."""
+        return self._present.length
+
+    @property
     def _present(self) -> BeamMatrices:
         """The elements in the present design."""
         return self.matrices.with_nodes(present_nodes(self._line)) if varying_nodes(self._line) else self.matrices

@@ -91,10 +91,9 @@ class Drive(Joint):
             yield Equation(Angle, axes, self.law)
 
 
-DIFFERENTIABLE = (
-    "allowed: a torch function of time that is differentiable twice; "
-    "a spline of SciPy as torch operations on its x and c"
-)
+OF_TABLES = "a table as a spline of SciPy, and that as torch operations on its x and c"
+DIFFERENTIABLE = f"allowed: a torch function of time that is differentiable twice; {OF_TABLES}"
+_SHOWN = 60  # characters of a wrong result in a message
 
 
 def _number(x: Any) -> float:
@@ -114,9 +113,10 @@ def _checked(name: str, key: str, law: Any) -> FiniteLaw:
     )
     if not callable(law) or not number:
         unit = "rad" if key == "angle" else "m"
+        said = repr(start).partition("\n")[0]
         raise InputError(
-            f"{key} of {name!r} gives {start!r} at t = 0; "
-            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64"
+            f"{key} of {name!r} gives {said if len(said) <= _SHOWN else said[:_SHOWN] + '...'} at t = 0; "
+            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64; {OF_TABLES}"
         )
     if not hasattr(law, "slopes"):
         require_differentiable(f"{key} of {name!r}", law, DIFFERENTIABLE)

@@ -1,0 +1,190 @@
+"""Optima in a finer model: gains that hold, artifacts of the steps, constraints that fail, orders that change."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from torchmbd.design.verification import verification
+from torchmbd.errors import InputError
+from torchmbd.optimization import MultistartResult
+from torchmbd.results.answer import Verification
+
+pytestmark = pytest.mark.usefixtures("compiled")
+
+X = mbd.Position("bob", "x")
+ENERGY = mbd.StrainEnergy("arm")
+
+
+def oscillator(frequency: float = 40.0) -> mbd.System:
+    """A mass of 1 kg on a spring, pushed at the start: x = v0/omega sin(omega t); its speed v0 is a variable."""
+    stiffness = (2.0 * math.pi * frequency) ** 2
+    bob = mbd.RigidBody("bob", mbd.variable(1.0), (1.0, 1.0, 1.0), velocity=(1.0, 0.0, 0.0))
+    ground = mbd.Ground()
+    spring = mbd.SpringDamper(ground.at(-1.0, 0.0, 0.0), bob.at(), stiffness=stiffness, rest=1.0)
+    return mbd.System([bob], [mbd.Prismatic(ground.at(), bob.at(), axis="x")], [spring])
+
+
+def vibrating(steps: int, **options: Any) -> mbd.Problem:
+    """Which mass lets the oscillator rest after a tenth of a second?"""
+    asked: dict[str, Any] = {"minimize": mbd.Final(X) ** 2, "variables": ["bob.mass"], "bounds": (0.8, 1.25)}
+    return mbd.Problem(oscillator(), 0.1, steps=steps, **asked | options)
+
+
+def least(problem: mbd.Problem, count: int = 41) -> tuple[np.ndarray, float]:
+    """The best of many masses, as an optimizer finds it: the design whose error is in its favor."""
+    designs = np.linspace(0.8, 1.25, count)[:, None]
+    values = [
+        e.objective if e.violation_ok else math.inf for e in map(_with_violation, problem.evaluate(designs, False))
+    ]
+    k = int(np.argmin(values))
+    return designs[k], values[k]
+
+
+def _with_violation(evaluation: Any) -> Any:
+    return SimpleNamespace(objective=evaluation.objective, violation_ok=(evaluation.constraints <= 0.0).all())
+
+
+@pytest.mark.thorough
+def test_a_gain_that_steps_resolve_is_verified() -> None:
+    """Its error and the gain in the finer model are those of a run with eight times the steps."""
+    problem, exact = (vibrating(n, minimize=mbd.Integral(X * X)) for n in (80, 640))
+    x, value = least(problem)
+    found = verification(problem, x, value)
+    assert found.verified, found.status
+    true = [e.objective for e in exact.evaluate(np.stack([problem.start, x]), False)]
+    objective = found.answers[0]
+    assert objective.best.value == pytest.approx(value, rel=1e-12)
+    assert objective.best.error == pytest.approx(true[1] - value, rel=0.1)
+    assert found.finer == pytest.approx(100.0 * (true[1] - true[0]) / true[0], rel=1e-2)
+    assert found.status.startswith("verified: the objective changed by -")
+
+
+def test_an_artifact_of_the_steps_is_not_verified() -> None:
+    """Two steps a period: the least of many designs is a number of the steps, not of the oscillator."""
+    problem = vibrating(8)
+    x, value = least(problem)
+    found = verification(problem, x, value)
+    assert not found.verified
+    assert found.status.startswith("not verified: ")
+    assert "Allowed: steps: " in found.status
+    assert "not resolved" in found.status or "in the finer model" in found.status
+
+
+def test_a_constraint_that_fails_in_the_finer_model() -> None:
+    """Of three steps a period the mean square is too small: an upper limit that is active there fails."""
+    x, square = np.array([1.0]), mbd.Integral(X * X)
+    given: dict[str, Any] = {"minimize": mbd.Mass("bob"), "start": [1.05]}
+    numbers = [square(vibrating(steps).motion(x)).item() for steps in (12, 96)]
+    problem = vibrating(12, subject_to=[square <= numbers[0]], **given)
+    found = verification(problem, x, 1.0)
+    assert "integral of x position of bob · x position of bob is beyond its limit by" in found.status
+    assert "steps: " in found.advice
+    [row] = [one for one in found.answers if one.asked == "at most"]
+    assert row.active
+    assert row.best.finer == pytest.approx(numbers[1], rel=0.02)
+    assert row.finer == pytest.approx(1.0 - numbers[1] / numbers[0], abs=0.02)
+    loose = vibrating(12, subject_to=[square <= 1.2 * numbers[0]], **given)
+    assert verification(loose, x, 1.0).verified
+
+
+def test_limits_of_the_initial_design_are_those_of_the_finer_model() -> None:
+    """The same peak at start and best design: the limit "initial" has its error too."""
+    problem = vibrating(32, minimize=mbd.Integral(X * X), subject_to=[mbd.Max(X) <= "initial"])
+    same = verification(problem, problem.start, problem.evaluate(problem.start[None], False)[0].objective)
+    assert same.verified, same.status
+    assert same.answers[1].finer == pytest.approx(0.0, abs=1e-12)
+    assert same.answers[1].limit == pytest.approx(same.answers[1].best.value)
+
+
+def test_an_order_of_starts_that_changes() -> None:
+    """Among ends that lie within the error of the best one, another is better in the finer model."""
+    problem, exact = vibrating(20), vibrating(320)
+    designs = np.linspace(0.8, 1.25, 41)[:, None]
+    coarse, fine = ([e.objective for e in one.evaluate(designs, False)] for one in (problem, exact))
+    best = int(np.argmin(coarse))
+    near = [k for k in np.argsort(coarse) if fine[k] < 0.2 * fine[best]][:3]
+    ends: Any = [SimpleNamespace(x=designs[k], value=coarse[k], start=int(k)) for k in near]
+    found = verification(problem, designs[best], coarse[best], ends)
+    assert not found.verified
+    assert any("is better in the finer model" in fault for fault in found.faults), found.status
+
+
+@pytest.mark.thorough
+def test_results_of_optimize_and_multistart() -> None:
+    energy = mbd.Integral(ENERGY)
+    problem = mbd.Problem(
+        mbd.examples.arm(),
+        0.05,
+        maximize=-energy,
+        steps=40,
+        subject_to=[mbd.Max(mbd.Displacement("arm", "z", node="right")) <= 0.5, mbd.Mass("arm") <= "initial"],
+        bounds=mbd.deg([-90, 90]),
+    )
+    result = mbd.multistart(problem, starts=mbd.sobol(2, seed=1), max_iterations=2)
+    for one in (result, result.best):
+        assert one is not None
+        found = mbd.verify(one)
+        assert [row.asked for row in found.answers] == ["maximize", "at most", "at most", "", ""]
+        assert found.answers[0].best.value == pytest.approx(-result.best.value, rel=1e-9)
+        assert found.answers[2].words == "mass of arm"
+        assert found.answers[2].unit == "kg"
+        assert found.answers[2].active
+        assert found.answers[3].words == "frequency of arm"
+        assert found.answers[3].best.error == 0.0
+        assert found.verified, found.status
+        assert "maximize" in repr(found)
+    assert Verification.from_json(found.to_json()) == found
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("rule", ["worst", "mean"])
+def test_scenarios(rule: str) -> None:
+    cases = {"thin": {"arm.laminate.thickness": 1e-3}, "thick": {"arm.laminate.thickness": 2e-3}}
+    given: dict[str, Any] = {"variables": ["arm.laminate.angles"], "scenarios": cases, "objective": rule}
+    limits = [mbd.Max(ENERGY) <= "initial"]
+    problem = mbd.Scenarios(mbd.examples.arm(), 0.05, mbd.Max(ENERGY), limits, steps=20, **given)
+    exact = mbd.Scenarios(mbd.examples.arm(), 0.05, mbd.Max(ENERGY), limits, steps=160, **given)
+    x = problem.start + np.append(np.radians([5.0, 5.0]), [0.0] * (rule == "worst"))
+    found = verification(problem, x, problem.evaluate(x[None], False)[0].objective)
+    names = list(cases)
+    values = [[float(mbd.Max(ENERGY)(p.simulate(x[None], scenario=n))[0]) for n in names] for p in (problem, exact)]
+    joined = [max(row) if rule == "worst" else sum(row) / 2.0 for row in values]
+    assert found.answers[0].best.value == pytest.approx(joined[0], rel=1e-9)
+    objective, constraint = problem.errors(x)
+    assert objective.by_modes is not None
+    worst = int(objective.value[0].argmax())
+    assert 0.5 < objective.by_steps[0, worst].item() / (joined[1] - joined[0]) < 2.0
+    both = objective.by_steps + objective.by_modes
+    assert found.answers[0].best.error == pytest.approx(both[0, worst].item(), rel=1e-6)
+    assert objective.value.shape == (1, 2 if rule == "worst" else 1)
+    assert constraint.value.shape == (1, 2)
+
+
+@pytest.mark.thorough
+def test_tolerances_are_verified_at_the_nominal_design() -> None:
+    inner = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Integral(ENERGY), steps=40, bounds=mbd.deg([-90, 90]))
+    result = mbd.optimize(mbd.RobustProblem(inner, mbd.deg(2.0), "worst"), max_iterations=2)
+    found = mbd.verify(result)
+    assert found.verified, found.status
+    assert any("nominal design" in note for note in found.notes)
+
+
+@pytest.mark.thorough
+def test_a_method_without_an_estimate_is_not_verified() -> None:
+    problem = vibrating(20, method="rk4")
+    found = verification(problem, np.array([1.1]), 0.0)
+    assert "errors by steps of method 'rk4'" in found.status
+    assert not found.verified
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InputError, match=r"result is 3; allowed: the result of mbd.optimize"):
+        mbd.verify(3)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="no design with a violation"):
+        mbd.verify(MultistartResult([], []))

@@ -1,0 +1,327 @@
+"""Verification of an optimum: best design and start are simulated with finer steps and more modes, and judged by their errors.
+
+The gain, the constraints and the rank among the other ends of the search must hold in the finer model, see results/answer.py.
+Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
+Over tolerances (RobustProblem) values and errors are those of the nominal design. Ends of other starts are judged where their
+values lie within twice the error of the best one.
+Checked in tests/design/test_verification.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from torchmbd.design.measures import Frequency, Mass
+from torchmbd.design.problem import Problem
+from torchmbd.design.problem_errors import design_errors
+from torchmbd.design.problem_parts import governing_row, limits_of
+from torchmbd.design.response import Constraint, Measure
+from torchmbd.design.words import unit, words
+from torchmbd.errors import InputError, MbdError
+from torchmbd.integrate.ode import ADAPTIVE
+from torchmbd.optimization import MultistartResult, OptimizationResult, RobustProblem
+from torchmbd.optimization.api import FEASIBILITY
+from torchmbd.results.answer import GAIN, LIMIT, Answer, Number, Verification
+from torchmbd.results.response_error import ResponseError, rows_of
+
+_ENDS = 3  # of other starts that are simulated, at most
+_ACTIVE = 1e-3  # margin of a constraint that holds the design, a share of its limit
+_FREQUENCIES = 2  # first ones of every body that are told
+_UNRESOLVED = 16.0  # reduction of the error that is asked for where none is known: four times the steps
+
+
+def verify(result: OptimizationResult | MultistartResult) -> Verification:
+    """Simulate best design and start with finer steps and more modes: do gain and constraints hold?
+
+    result  of `optimize` or `multistart`, of a Problem, Scenarios or RobustProblem
+
+    Its `verified` tells it, `status` why not and what to do. Printed, it has the objective, every constraint, mass and first
+    frequencies of start and best, with their estimated errors. A study does this at its end.
+    Raises InputError for a result without a feasible design, and for other problems.
+
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Integral(mbd.StrainEnergy("arm")), steps=40)
+    >>> verification = mbd.verify(mbd.optimize(problem, max_iterations=2))
+    >>> verification.verified, verification.answers[0].asked
+    (True, 'minimize')
+    """
+    if not isinstance(result, (OptimizationResult, MultistartResult)):
+        raise InputError(f"result is {result!r}; allowed: the result of mbd.optimize or mbd.multistart")
+    best, feasibility, others = result, FEASIBILITY, []
+    if isinstance(result, MultistartResult):
+        best, feasibility, others = result.best, result.feasibility, other_ends(result)
+    if best is None or not best.violation <= feasibility:  # type: ignore[union-attr]
+        raise InputError(f"result has no design with a violation <= {feasibility:g}; allowed: one that has")
+    problem = best.problem  # type: ignore[union-attr]
+    if not isinstance(nominal(problem), Problem):
+        raise InputError(f"problem of the result is {problem!r}; allowed: a Problem, Scenarios or RobustProblem")
+    return verification(problem, best.x, best.value, others, feasibility=feasibility)  # type: ignore[union-attr]
+
+
+def nominal(problem: Any) -> Any:
+    """The problem whose designs are simulated: of a RobustProblem the one without tolerances."""
+    return problem.problem if isinstance(problem, RobustProblem) else problem
+
+
+def other_ends(result: MultistartResult) -> list[OptimizationResult]:
+    """The feasible ends in other minima than the best one, in the order of their values."""
+    best = result.best
+    if best is None:
+        return []
+    same = [minimum.starts for minimum in result.minima if best.start in minimum.starts]
+    near = {best.start, *(start for starts in same for start in starts)}
+    ends = [r for r in result.results if r.start not in near and r.violation <= result.feasibility]
+    return sorted(ends, key=lambda r: r.value)
+
+
+def verification(
+    problem: Any,
+    x: np.ndarray,
+    value: float,
+    others: Sequence[OptimizationResult] = (),
+    start: np.ndarray | None = None,
+    feasibility: float = FEASIBILITY,
+) -> Verification:
+    """The verification of a best design x [n] of a problem against the design `start` [n], by default that of the problem.
+
+    value   of its objective, as minimized
+    others  ends of other starts, in the order of their values
+    A problem whose designs cannot be simulated with finer steps is not verified: no exception.
+    """
+    robust, simulated = nominal(problem) is not problem, nominal(problem)
+    n, first = len(simulated.space.names), simulated.space.start
+    designs = [first if start is None else start[:n], x[:n]]
+    needs_first = any(c.limit == "initial" for c in simulated.constraints) and not np.array_equal(designs[0], first)
+    try:
+        responses = _responses(simulated, [*designs, first] if needs_first else designs, _beside(simulated))
+        faults, need = _faults_of_constraints(responses, 1)
+        if not np.array_equal(*designs):
+            # A start beyond a limit may be better, and over tolerances the gain is that of other numbers.
+            claimed = not robust and _excess(responses, 0) <= feasibility
+            of_gain, more = _fault_of_gain(responses[0], claimed)
+            faults, need = of_gain + faults, max(need, more)
+            faults += [] if robust else _faults_of_order(simulated, responses, value, others)
+    except MbdError as error:
+        return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
+    notes = [f"{words(one.measure)}: {one.error.note}" for one in responses if one.error.note]
+    notes += dict.fromkeys(text for one in responses for text in one.error.unknown)
+    notes += ["values and errors are those of the nominal design, without tolerances"] * robust
+    objective = responses[0]
+    changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (objective.value, objective.finer)]
+    by_modes = any(one.by_modes for one in responses if one.asked and not any(one.reasons))
+    todo = f"{advice(simulated, need, by_modes)}, and the search again" if faults else ""
+    answers = tuple(one.answer for one in responses)
+    return Verification(answers, changes[0], changes[1], tuple(faults), todo, tuple(notes))
+
+
+@dataclass(frozen=True)
+class _Response:
+    """A response of several designs [lanes] in both models; of a constraint the row that governs.
+
+    sign                  -1 for an objective that is maximized
+    limit                 of a constraint [lanes]
+    excess, finer_excess  the largest (g - limit) / scale of its rows, positive beyond the limit [lanes]
+    change                the largest change of a row between the models, over its scale [lanes]
+    finer_limits          of all rows in the finer model
+    """
+
+    asked: str
+    measure: Measure
+    value: np.ndarray
+    finer: np.ndarray
+    error: ResponseError
+    sign: float = 1.0
+    limit: np.ndarray | None = None
+    excess: np.ndarray | None = None
+    finer_excess: np.ndarray | None = None
+    change: np.ndarray | None = None
+    finer_limits: np.ndarray | None = None
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why lanes are not resolved by the steps, "" where they are."""
+        return self.error.reasons
+
+    @property
+    def by_modes(self) -> bool:
+        """Whether the modes leave a larger error than the steps."""
+        sizes = {name: float(x.abs().nan_to_num().max()) for name, x in self.error.parts.items()}
+        return sizes.get("modes", 0.0) > sizes["steps"]
+
+    @property
+    def answer(self) -> Answer:
+        """Of the first design, the start, and the second, the best."""
+        name = unit(self.measure)
+        factor, name = (math.degrees(1.0), "deg") if name == "rad" else (1.0, name or "")
+        start, best = (
+            Number(factor * float(self.value[k]), factor * float(self.finer[k] - self.value[k]), self.reasons[k])
+            for k in (0, 1)
+        )
+        if self.limit is None or self.excess is None or self.finer_excess is None:
+            return Answer(self.asked, words(self.measure), name, start, best)
+        margin = -float(self.excess[1])
+        return Answer(
+            self.asked,
+            words(self.measure),
+            name,
+            start,
+            best,
+            factor * float(self.limit[1]),
+            margin,
+            -float(self.finer_excess[1]),
+            abs(margin) <= _ACTIVE,
+        )
+
+
+def _responses(
+    problem: Problem, designs: Sequence[np.ndarray], beside: Sequence[Measure], known: Sequence[_Response] = ()
+) -> list[_Response]:
+    """Simulate designs in both models: objective, constraints, then `beside`.
+
+    known  responses that have the limits of the finer model; none: the initial design is among the designs, if limits need it
+    """
+    objective, *errors = design_errors(problem, np.stack(designs), beside)
+    value, finer = (x.max(1) for x in _both(objective))
+    asked = "minimize" if problem.sign > 0.0 else "maximize"
+    found = [
+        _Response(asked, problem.stated_objective, value, finer, objective, problem.sign),
+    ]
+    initial = next((k for k, x in enumerate(designs) if np.array_equal(x, problem.space.start)), None)
+    count = len(problem.constraints)
+    for k, (constraint, rows, error) in enumerate(
+        zip(problem.constraints, problem.constraint_rows, errors[:count], strict=True), start=1
+    ):
+        limits = problem.limits[rows]
+        if known:
+            limits = known[k].finer_limits
+        elif constraint.limit == "initial":
+            limits = limits_of(constraint, _both(error)[1][initial].reshape(-1, constraint.measure.rows)).reshape(-1)
+        found.append(_constrained(constraint, error, problem.limits[rows], limits, problem.reference.scale[rows]))
+    for measure, error in zip(beside, errors[count:], strict=True):
+        value, finer = _both(error)
+        found.append(_Response("", measure, value[:, 0], finer[:, 0], error))
+    return found
+
+
+def _constrained(
+    constraint: Constraint, error: ResponseError, limits: np.ndarray, finer_limits: Any, scale: np.ndarray
+) -> _Response:
+    """A constraint of several designs, of its limits [rows] in both models."""
+    value, finer = _both(error)
+    c, finer_c = (value - limits) / scale, (finer - finer_limits) / scale
+    at = np.arange(len(value)), governing_row(constraint, c)
+    excess, finer_excess = ((np.abs(x) if constraint.kind == "equal" else x).max(1) for x in (c, finer_c))
+    return _Response(
+        "equal to" if constraint.kind == "equal" else constraint.kind.replace("_", " "),
+        constraint.measure,
+        value[at],
+        finer[at],
+        error,
+        limit=limits[at[1]],
+        excess=excess,
+        finer_excess=finer_excess,
+        change=np.abs(finer_c - c).max(1),
+        finer_limits=finer_limits,
+    )
+
+
+def _both(error: ResponseError) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of a response in both models [lanes, rows]: the value, and with all its estimated errors."""
+    value = rows_of(error.value).numpy()
+    return value, value + sum(rows_of(x).numpy() for x in error.parts.values())
+
+
+def _beside(problem: Problem) -> list[Measure]:
+    """Mass and first frequencies of the bodies that are designed, where the problem does not ask for them already."""
+    bodies = dict.fromkeys(name.partition(".")[0] for name in problem.space.variables)
+    wanted = [Mass(body) for body in bodies]
+    wanted += [Frequency(body, k + 1) for body in bodies for k in range(_FREQUENCIES)]
+    asked = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
+    found = []
+    for measure in wanted:
+        try:
+            measure.check(problem.system)
+        except InputError:  # a rigid body has no frequency, a controller no mass
+            continue
+        found += [measure] * (measure not in asked)
+    return found
+
+
+def _excess(responses: Sequence[_Response], lane: int, finer: bool = False) -> float:
+    """The largest violation of a constraint of a design, 0 where all are satisfied."""
+    every = [one.finer_excess if finer else one.excess for one in responses]
+    return max((float(x[lane]) for x in every if x is not None), default=0.0)
+
+
+def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> tuple[list[str], float]:
+    """Constraints that do not hold in the finer model, and by which factor the errors must fall."""
+    faults, need = [], 1.0
+    for one in responses:
+        if one.excess is None or one.finer_excess is None or one.change is None:
+            continue
+        beyond = float(one.finer_excess[lane])
+        if one.reasons[lane] and not one.change[lane] < -one.excess[lane]:
+            faults.append(f"{words(one.measure)} is not resolved: {one.reasons[lane]}")
+            need = max(need, _UNRESOLVED)
+        elif not beyond <= LIMIT:
+            faults.append(f"{words(one.measure)} is beyond its limit by {100.0 * beyond:.3g} % in the finer model")
+            need = max(need, beyond / LIMIT)
+    return faults, need
+
+
+def _fault_of_gain(objective: _Response, claimed: bool) -> tuple[list[str], float]:
+    """Why the gain does not hold, and by which factor its error must fall.
+
+    claimed  whether the gain over the start is what the design is chosen for; else the value of the best design counts
+    """
+    counted = {"start": objective.reasons[0] if claimed else "", "best": objective.reasons[1]}
+    unresolved = [f"the objective of the {name} design is not resolved: {why}" for name, why in counted.items() if why]
+    if unresolved:
+        return unresolved, _UNRESOLVED
+    (first, best), (finer_first, finer_best) = objective.value[:2], objective.finer[:2]
+    gain, finer = objective.sign * (first - best), objective.sign * (finer_first - finer_best)
+    size, error = (abs(gain), abs(finer - gain)) if claimed else (abs(best), abs(finer_best - best))
+    if error <= GAIN * size:
+        return [], 1.0
+    need = error / (GAIN * size) if size else _UNRESOLVED
+    if not claimed:
+        share = 100.0 * error / size if size else math.inf
+        return [f"the objective of the best design has an error of {share:.3g} %"], need
+    shares = [100.0 * g / abs(f) if f else math.inf for g, f in ((gain, first), (finer, finer_first))]
+    return ["the gain of {:.4g} % is {:.4g} % in the finer model".format(*shares)], need
+
+
+def _faults_of_order(
+    problem: Problem, responses: Sequence[_Response], value: float, others: Sequence[OptimizationResult]
+) -> list[str]:
+    """Ends of other starts that are better in the finer model, of those whose values are near."""
+    objective = responses[0]
+    error = objective.sign * float(objective.finer[1] - objective.value[1])
+    near = [end for end in others if end.value - value <= 2.0 * abs(error)][:_ENDS]
+    if not near:
+        return []
+    n, faults = len(problem.space.names), []
+    again = _responses(problem, [end.x[:n] for end in near], (), responses)
+    ends = np.array([end.value for end in near]) + objective.sign * (again[0].finer - again[0].value)
+    least = LIMIT * abs(float(objective.value[0] - objective.value[1]))
+    for lane, end in enumerate(near):
+        if value + error - ends[lane] > least and _excess(again, lane, finer=True) <= LIMIT:
+            numbers = (objective.sign * ends[lane], objective.sign * (value + error))
+            faults.append("start {} is better in the finer model, {:.6g} against {:.6g}".format(end.start, *numbers))
+    return faults
+
+
+def advice(problem: Problem, need: float, by_modes: bool = False) -> str:
+    """What to do where errors must fall by the factor `need`, inf: nobody knows; by_modes: those of the modes are larger."""
+    if by_modes:
+        return f"more modes of the flexible bodies, {advice(problem, need)}"
+    steps = problem.steps
+    if steps is None or problem.simulation["method"] in ADAPTIVE:
+        return "tighter tolerances of the method (rtol, atol)"
+    more = math.sqrt(max(need, 4.0) if math.isfinite(need) else _UNRESOLVED) * steps
+    digit = 10 ** max(len(str(int(more))) - 2, 0)
+    return f"steps: {math.ceil(more / digit) * digit} or more"
