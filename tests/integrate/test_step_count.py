@@ -9,6 +9,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import box, tensor
+from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_count import all_modes, announce, first_steps, needed_steps
 from torchmbd.progress import motion_shown, without_bars
 
@@ -80,8 +81,8 @@ def test_what_starts_in_a_high_mode_is_resolved():
     assert motion.stats["steps"] > 15 * 0.02 * float(mbd.equilibrium(system).frequencies[0, 4])
 
 
-def stats(turn: float, error: float, suggested: float) -> dict[str, torch.Tensor]:
-    return {"turn": tensor(turn), "step_error": tensor(error), "suggested_steps": tensor(suggested)}
+def stats(turn: float, error: float, suggested: float) -> Statistics:
+    return Statistics(turn=tensor(turn), step_error=tensor(error), suggested_steps=tensor(suggested))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from torchmbd.integrate.retries import LaneResults
 from torchmbd.multibody.system import Dynamics
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
+from torchmbd.results.motion_data import Switch
 
 
 class IntegratedMotion:
@@ -35,6 +36,11 @@ class IntegratedMotion:
     def status(self) -> list[str]:
         """Of all lanes."""
         return self.results.status
+
+    @property
+    def switches(self) -> list[Switch]:
+        """Between segments, without a graph of torch."""
+        return self.results.switches
 
     @cached_property
     def stats(self) -> dict[str, Any]:

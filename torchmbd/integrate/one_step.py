@@ -64,14 +64,15 @@ class OneStep(Integrator):
     iterations  corrections of values, and the least number of corrections of tangents, in every step; None: 3 and 1, or 4 and
                 2 with elements of beams, whose forces turn far in a step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction; with elements of
-                beams these begin with a uniform motion, and converge where the accelerations of before say nothing of a step
+                beams these begin with a uniform motion, and converge where the accelerations of before say nothing of a step.
+                None: 1, or 2 with elements of beams, whose matrices are half of a step, where there are no tangents
     halvings    how many times the step of lanes that fail may be halved
     checkpoint  steps between two states that are kept: the motion has these times alone, and its memory falls so many times.
                 Reverse mode makes the steps between them again
     """
 
     iterations: tuple[int, int] | None = None
-    refresh: int = 1
+    refresh: int | None = None
     halvings: int = 1
     checkpoint: int = 1
     native_kind: ClassVar[str | None] = "step"
@@ -85,7 +86,7 @@ class OneStep(Integrator):
         if len(counts) != 2 or not all(is_whole(k) and k >= 1 for k in counts):
             allowed = "two positive integers, for values and for tangents"
             raise InputError(f"iterations is {self.iterations!r}; allowed: {allowed}")
-        if not is_whole(self.refresh) or self.refresh < 0:
+        if self.refresh is not None and (not is_whole(self.refresh) or self.refresh < 0):
             raise InputError(f"refresh is {self.refresh!r}; allowed: a number of steps, or 0 for every correction")
         if not is_whole(self.halvings) or self.halvings < 0:
             raise InputError(f"halvings is {self.halvings!r}; allowed: a whole number, 0 or more")
@@ -108,7 +109,10 @@ class OneStep(Integrator):
 
     def stepper(self, dynamics: Dynamics, h: float) -> EagerStepper:
         """As of Integrator."""
-        return steps.stepper_of(dynamics, self.weights(h), self.counts(dynamics), self.refresh)
+        refresh = self.refresh
+        if refresh is None:
+            refresh = 1 if dynamics.topology.beams is None or dynamics.tangents else 2
+        return steps.stepper_of(dynamics, self.weights(h), self.counts(dynamics), refresh)
 
     def counts(self, dynamics: Dynamics) -> tuple[int, int]:
         """Corrections of values and tangents for a system."""
@@ -182,7 +186,7 @@ class OneStep(Integrator):
         The matrix of the step before does not suit one near a singular position: there its inverse grows without bound. Nor do
         the accelerations of the nodes of beams before, where they last for much less than a step (`Step.uniform`).
         """
-        if self.refresh:
+        if self.refresh != 0:
             values, tangents = self.iterations or _OF_BEAMS
             return Retry(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
         return Retry(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None

@@ -54,7 +54,6 @@ from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
 from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
-from torchmbd.results.motion_data import Switch
 from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.time_rows import IntegratedSignals, StepStates
@@ -263,8 +262,7 @@ def _reverse(
     outputs: Any = Motion.apply(integration, *data.values(), *designs)
     if not torch.is_grad_enabled():
         shapes = {}  # made on demand: they take memory
-    labels, switches = entry_labels(system, names), integration.results.switches
-    motion = trajectory_of(system, integration, outputs, data, batch, labels, names, shapes, switches)
+    motion = trajectory_of(system, integration, outputs, data, batch, names, shapes)
     motion.actions = tuple(segment.topology.actions for segment in segments or ())
     return _at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
@@ -289,9 +287,8 @@ def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
     """A motion whose tangents are integrated with it."""
     outputs: Any = Motion.apply(integration, *_lanes_last(batch))
-    made, names = integration, list(integration.variables)
     motion = trajectory_of(
-        made.system, made, outputs, made.dynamics.data, batch, made.labels, names, switches=made.results.switches
+        integration.system, integration, outputs, integration.dynamics.data, batch, integration.variables
     )
     motion.actions = integration.actions
     return motion
@@ -303,16 +300,12 @@ def trajectory_of(
     outputs: Sequence[Tensor],
     data: dict[str, Any],
     designs: dict[str, Tensor],
-    labels: tuple[str, ...],
-    names: list[str],
+    names: Sequence[str],
     shapes: Mapping[str, Tensor] = MappingProxyType({}),
-    switches: Sequence[Switch] = (),
 ) -> Trajectory:
     """The motion as a function of the outputs of `Motion`, the data of the reduced model and the designs.
 
-    labels     one for each entry of the variables `names`
-    shapes     mode shapes that were made already
-    switches   without a graph of torch
+    names    of the variables;  shapes: mode shapes that were made already
     """
     motion = integration.outputs.like(outputs)
     q, v, vd, lam = motion.states
@@ -333,9 +326,9 @@ def trajectory_of(
         shapes=DesignShapes(system, designs, signals.lanes, good, shapes),
         good=good,
         designs=designs,
-        parameters=labels,
+        parameters=entry_labels(system, names),
         variables={name: designs[name] for name in names},
-        switches=switches_with(switches, motion.switches),
+        switches=switches_with(integration.switches, motion.switches),
         integration=integration,
     )
 

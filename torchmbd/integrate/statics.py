@@ -23,7 +23,7 @@ from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.pullback import leaf
-from torchmbd.integrate.simulate import entry_labels, lanes_of_batch, plain, trajectory_of, variable_names
+from torchmbd.integrate.simulate import lanes_of_batch, plain, trajectory_of, variable_names
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.gradients import in_transform
 from torchmbd.math.module_call import exclusive
@@ -37,7 +37,7 @@ from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
 from torchmbd.results.load_share import warn_of_loads
-from torchmbd.results.motion_data import OK
+from torchmbd.results.motion_data import OK, Switch
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.trajectory import Trajectory
 
@@ -108,6 +108,7 @@ class StaticIntegration:
     outputs: Outputs = field(init=False)
     stats: dict[str, Any] = field(default_factory=dict, init=False)
     variables: tuple[str, ...] = ()
+    switches: tuple[Switch, ...] = ()
     _balances: list[list[Balance]] = field(default_factory=list, init=False, repr=False)
 
     @property
@@ -251,9 +252,7 @@ def equilibrium(
         outputs: Any = Motion.apply(integration, *data.values())
         if not torch.is_grad_enabled():
             shapes = {}
-        motion = trajectory_of(
-            system, integration, outputs, dict(data), batch, entry_labels(system, names), names, shapes
-        )
+        motion = trajectory_of(system, integration, outputs, dict(data), batch, names, shapes)
         motion.stats["gradients"] = "reverse" if names else "none"
         motion.stats["backend"] = "eager"
         with torch.no_grad():

@@ -54,12 +54,12 @@ def digest(*objects: Any, ignored: Iterable[Any] = ()) -> str:
 
 
 def source_digest(folder: Path, parts: Iterable[str]) -> str:
-    """Return the digest of source files (Python, C++, CUDA) of a folder, or of folders in it."""
+    """Return the digest of source files (Python, C++) of a folder, or of folders in it."""
     hash = hashlib.sha256()
     for part in parts:
         path = folder / part
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            if file.suffix in (".py", ".cpp", ".cu", ".h"):
+            if file.suffix in (".py", ".cpp", ".h"):
                 hash.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
     return hash.hexdigest()[:32]
 

@@ -3,7 +3,6 @@
     partition, account, time   of every job, as sbatch takes them; time: "04:00:00"
     workers_per_job            processes of one job, one core each
     memory_per_worker          "2 GB"
-    gpus_per_worker            0, or 1: then a job has one worker, and that sees one GPU of its own
     interface                  network between the jobs and the process that runs the study: ib0, eth0; all listen there
                                only. Default: the network of this machine's way out
     setup                      shell lines before the workers start: module load gcc
@@ -24,10 +23,9 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
-from pydantic import Field, PositiveInt, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, PositiveInt
 
 from torchmbd.errors import InputError, nearest
 from torchmbd.process import ONE_THREAD
@@ -50,17 +48,9 @@ class Slurm(Section):
     time: Annotated[str, Field(pattern=r"^(\d+-)?\d{1,2}:\d{2}:\d{2}$")]
     workers_per_job: PositiveInt = 1
     memory_per_worker: Annotated[str, Field(pattern=r"^\d+(\.\d+)? ?[KMGT]i?B$")] = "2 GB"
-    gpus_per_worker: int = Field(default=0, ge=0, le=1)
     interface: Word | None = None
     setup: list[Line] = Field(default_factory=list)
     directives: list[Line] = Field(default_factory=list)
-
-    @model_validator(mode="after")
-    def _one_gpu(self) -> Self:
-        if self.gpus_per_worker and self.workers_per_job > 1:
-            text = f"gpus_per_worker = 1 with workers_per_job = {self.workers_per_job}; allowed: workers_per_job = 1"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
-        return self
 
     def start(self, workers: int) -> Any:
         """Submit jobs for so many workers and return the cluster that they join."""
@@ -80,7 +70,7 @@ class Slurm(Section):
             memory=format_bytes(n * parse_bytes(self.memory_per_worker)),
             interface=self.interface,
             job_name="torchmbd",
-            job_extra_directives=[*(["--gpus-per-task=1"] if self.gpus_per_worker else []), *self.directives],
+            job_extra_directives=self.directives,
             job_script_prologue=[
                 *(f"export {name}={value}" for name, value in ONE_THREAD.items()),
                 *self.setup,

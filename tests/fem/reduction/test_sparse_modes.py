@@ -71,15 +71,6 @@ def test_agrees_with_the_dense_route(shuffled, free, mass):
     torch.testing.assert_close(Z, Z_expected, rtol=1e-9, atol=1e-9 * Z_expected.abs().max().item())
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_a_cuda_device_gives_the_same_modes():
-    K_form, K, M_form, M = problem(True, False, "sparse")
-    here, there = (SparseModes(K_form, M_form, K.to(device), M.to(device), 4) for device in ("cpu", "cuda"))
-    torch.testing.assert_close(there.lowest()[0].cpu(), here.lowest()[0], rtol=1e-6, atol=0)
-    F = torch.randn(LANES, N, 2, 4, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
-    torch.testing.assert_close(there.deflated_solve(F.cuda()).cpu(), here.deflated_solve(F), rtol=0, atol=1e-9)
-
-
 def test_the_deflated_solve_satisfies_its_equation():
     K_form, K, M_form, M = problem(True, False, "sparse")
     modes = SparseModes(K_form, M_form, K, M, 4)

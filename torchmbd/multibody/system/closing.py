@@ -55,6 +55,7 @@ class Closing:
     far: bool = False
 
     @classmethod
+    @torch.no_grad()
     def of(cls, dynamics: Any, given: Tensor, closed: Tensor) -> Closing:
         """That of one design from given coordinates to closed ones [n_q, 1, 1]."""
         T, data = dynamics.topology, dynamics.values().data

@@ -98,20 +98,10 @@ class Factored:
 
 def factored(K: Tensor) -> Factored:
     """Factors of matrices [lanes, n, n]; nan in lanes whose matrix is singular."""
-    if K.device.type != "cpu":
-        return _factored_on_device(K)
     LU, pivots, info = torch.linalg.lu_factor_ex(K)
     if bool(info.any()):
         LU = torch.where((info == 0)[:, None, None], LU, torch.nan)
     return Factored(LU, pivots)
-
-
-def _factored_on_device(K: Tensor) -> Factored:
-    """The same on a device, without a synchronization, and without factoring nan, whose pivots its libraries do not define."""
-    finite = torch.isfinite(K).all(2).all(1)
-    safe = torch.where(finite[:, None, None], K, torch.eye(K.shape[-1], dtype=K.dtype, device=K.device))
-    LU, pivots, info = torch.linalg.lu_factor_ex(safe)
-    return Factored(torch.where((finite & (info == 0))[:, None, None], LU, torch.nan), pivots)
 
 
 def rates_of_bodies(T: Topology) -> list[list[int]]:
