@@ -54,6 +54,17 @@ def test_which_way_gradients_come_can_be_chosen(write, way):
 
 
 @pytest.mark.thorough
+def test_steps_that_are_left_out_have_a_tolerance(write):
+    plain = load(write(simulate={"duration": 0.002})).simulated
+    assert plain.chooses_steps
+    assert plain.tolerance == 0.01
+    finer = load(write(simulate={"duration": 0.002, "tolerance": 1e-3})).simulated
+    assert finer.tolerance == 1e-3
+    assert finer.settings() != plain.settings()
+    for wrong in (0, 1.0, "small"):
+        assert "simulate.tolerance" in faults(write(simulate={"duration": 0.002, "tolerance": wrong}))
+
+
 def test_motions_start_where_the_file_says(write):
     simulate = {"duration": 0.002, "steps": 20}
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}

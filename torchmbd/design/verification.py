@@ -4,6 +4,7 @@ The gain, the constraints and the rank among the other ends of the search must h
 Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
 Over tolerances (RobustProblem) values and errors are those of the nominal design. Ends of other starts are judged where their
 values lie within twice the error of the best one.
+Over 300 lines: what is simulated, and each way in which a design may fail to be verified, stand side by side.
 Checked in tests/design/test_verification.py.
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,12 +99,11 @@ def verification(
     needs_first = any(c.limit == "initial" for c in simulated.constraints) and not np.array_equal(designs[0], first)
     try:
         responses = _responses(simulated, [*designs, first] if needs_first else designs, _beside(simulated))
-        faults, need = _faults_of_constraints(responses, 1)
+        faults = _faults_of_constraints(responses, 1)
         if not np.array_equal(*designs):
             # A start beyond a limit may be better, and over tolerances the gain is that of other numbers.
             claimed = not robust and _excess(responses, 0) <= feasibility
-            of_gain, more = _fault_of_gain(responses[0], claimed)
-            faults, need = of_gain + faults, max(need, more)
+            faults = _faults_of_gain(responses[0], claimed) + faults
             faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
@@ -112,10 +112,12 @@ def verification(
     notes += ["values and errors are those of the nominal design, without tolerances"] * robust
     objective = responses[0]
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (objective.value, objective.finer)]
-    by_modes = any(one.by_modes for one in responses if one.asked and not any(one.reasons))
-    todo = f"{advice(simulated, need, by_modes)}, and the search again" if faults else ""
+    todo = ""
+    if faults:
+        by_modes = any(fault.response.by_modes and not fault.unresolved for fault in faults)
+        todo = f"{advice(simulated, max(fault.need for fault in faults), by_modes)}, and the search again"
     answers = tuple(one.answer for one in responses)
-    return Verification(answers, changes[0], changes[1], tuple(faults), todo, tuple(notes))
+    return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,15 @@ class _Response:
             -float(self.finer_excess[1]),
             abs(margin) <= _ACTIVE,
         )
+
+
+class _Fault(NamedTuple):
+    """Why a design is not verified, and by which factor the errors of a response must fall."""
+
+    text: str
+    response: _Response
+    need: float = 1.0
+    unresolved: bool = False  # by the steps
 
 
 def _responses(
@@ -257,47 +268,50 @@ def _excess(responses: Sequence[_Response], lane: int, finer: bool = False) -> f
     return max((float(x[lane]) for x in every if x is not None), default=0.0)
 
 
-def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> tuple[list[str], float]:
-    """Constraints that do not hold in the finer model, and by which factor the errors must fall."""
-    faults, need = [], 1.0
+def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> list[_Fault]:
+    """Constraints that do not hold in the finer model."""
+    faults = []
     for one in responses:
         if one.excess is None or one.finer_excess is None or one.change is None:
             continue
-        beyond = float(one.finer_excess[lane])
+        beyond, name = float(one.finer_excess[lane]), words(one.measure)
         if one.reasons[lane] and not one.change[lane] < -one.excess[lane]:
-            faults.append(f"{words(one.measure)} is not resolved: {one.reasons[lane]}")
-            need = max(need, _UNRESOLVED)
+            faults.append(_Fault(f"{name} is not resolved: {one.reasons[lane]}", one, _UNRESOLVED, True))
         elif not beyond <= LIMIT:
-            faults.append(f"{words(one.measure)} is beyond its limit by {100.0 * beyond:.3g} % in the finer model")
-            need = max(need, beyond / LIMIT)
-    return faults, need
+            text = f"{name} is beyond its limit by {100.0 * beyond:.3g} % in the finer model"
+            faults.append(_Fault(text, one, beyond / LIMIT))
+    return faults
 
 
-def _fault_of_gain(objective: _Response, claimed: bool) -> tuple[list[str], float]:
-    """Why the gain does not hold, and by which factor its error must fall.
+def _faults_of_gain(objective: _Response, claimed: bool) -> list[_Fault]:
+    """Why the gain does not hold.
 
     claimed  whether the gain over the start is what the design is chosen for; else the value of the best design counts
     """
     counted = {"start": objective.reasons[0] if claimed else "", "best": objective.reasons[1]}
-    unresolved = [f"the objective of the {name} design is not resolved: {why}" for name, why in counted.items() if why]
+    unresolved = [
+        _Fault(f"the objective of the {name} design is not resolved: {why}", objective, _UNRESOLVED, True)
+        for name, why in counted.items()
+        if why
+    ]
     if unresolved:
-        return unresolved, _UNRESOLVED
+        return unresolved
     (first, best), (finer_first, finer_best) = objective.value[:2], objective.finer[:2]
     gain, finer = objective.sign * (first - best), objective.sign * (finer_first - finer_best)
     size, error = (abs(gain), abs(finer - gain)) if claimed else (abs(best), abs(finer_best - best))
     if error <= GAIN * size:
-        return [], 1.0
+        return []
     need = error / (GAIN * size) if size else _UNRESOLVED
     if not claimed:
         share = 100.0 * error / size if size else math.inf
-        return [f"the objective of the best design has an error of {share:.3g} %"], need
+        return [_Fault(f"the objective of the best design has an error of {share:.3g} %", objective, need)]
     shares = [100.0 * g / abs(f) if f else math.inf for g, f in ((gain, first), (finer, finer_first))]
-    return ["the gain of {:.4g} % is {:.4g} % in the finer model".format(*shares)], need
+    return [_Fault("the gain of {:.4g} % is {:.4g} % in the finer model".format(*shares), objective, need)]
 
 
 def _faults_of_order(
     problem: Problem, responses: Sequence[_Response], value: float, others: Sequence[OptimizationResult]
-) -> list[str]:
+) -> list[_Fault]:
     """Ends of other starts that are better in the finer model, of those whose values are near."""
     objective = responses[0]
     error = objective.sign * float(objective.finer[1] - objective.value[1])
@@ -311,7 +325,8 @@ def _faults_of_order(
     for lane, end in enumerate(near):
         if value + error - ends[lane] > least and _excess(again, lane, finer=True) <= LIMIT:
             numbers = (objective.sign * ends[lane], objective.sign * (value + error))
-            faults.append("start {} is better in the finer model, {:.6g} against {:.6g}".format(end.start, *numbers))
+            text = "start {} is better in the finer model, {:.6g} against {:.6g}".format(end.start, *numbers)
+            faults.append(_Fault(text, objective))
     return faults
 
 
