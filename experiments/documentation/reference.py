@@ -40,7 +40,7 @@ GROUPS: dict[str, str] = {
     "Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
-    "sobol latin_hypercube",
+    "verify sobol latin_hypercube",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
     "errors": "MbdError InputError ArgumentError SimulationFailure",
 }
