@@ -84,7 +84,7 @@ def test_it_is_tracked_and_reported(own, small):
         mbd.load("small")
     shutil.copytree(own, own / "copy", ignore=lambda folder, names: {"copy"} & {*names})
     shutil.rmtree(own / "mlartifacts")
-    with pytest.raises(mbd.InputError, match=r"lacks config.yaml, .* in sqlite:.*; allowed: a store with the whole"):
+    with pytest.raises(mbd.InputError, match=r"lacks answer.json, config.yaml, .* in sqlite:.*; allowed: a store"):
         write_report("small", own / "empty.html", f"sqlite:///{own / 'mlflow.db'}")
     assert not (own / "empty.html").exists()
     copied = write_report("small", own / "copied.html", f"sqlite:///{own / 'copy' / 'mlflow.db'}")

@@ -14,6 +14,7 @@ from rich.console import Console
 from torchmbd.cli import EXIT_UNVERIFIED, main
 from torchmbd.study.compare import print_best, print_comparison
 from torchmbd.study.html_report import write_report
+from torchmbd.study.listing import print_studies
 from torchmbd.study.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.catalog import find
@@ -117,6 +118,16 @@ def test_best_compare_and_report_show_it(runs: SimpleNamespace) -> None:
     assert '<p class="warning">not verified: ' in page
     assert "mass of bob [kg]" in page
     assert page.index("Answer") < page.index("Figures")
+
+
+def test_the_list_of_studies_shows_it(runs: SimpleNamespace) -> None:
+    output = io.StringIO()
+    print_studies(runs.uri, Console(file=output, width=200))
+    lines = {
+        name: line for line in output.getvalue().splitlines() for name in ("fine", "coarse") if f" {name} " in line
+    }
+    assert "not verified" in lines["coarse"]
+    assert "finished" in lines["fine"]
 
 
 def test_the_command_tells_a_finished_study_by_its_exit_code(

@@ -159,6 +159,19 @@ def test_the_failure_map_of_a_beam():
     assert_allclose(np.max(y), mbd.SectionHistory(motion, "rod").failure().amax().item(), rtol=1e-12)
 
 
+def test_beams_of_a_failure_map_have_the_lengths_of_their_designs():
+    tube = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3, cells=(12, 1))
+    line = mbd.BeamLine.straight(mbd.variable(0.5), 3)
+    rod = mbd.FlexibleBody.beam("rod", line, tube, modes=2, reference="start")
+    system = mbd.System([rod], [mbd.Fixed(mbd.Ground().at(), rod.at("start"))], [mbd.Force(rod.at("end"), (0, 0, 9.0))])
+    designs = {"rod.line.length": torch.tensor([0.5, 0.4], dtype=torch.float64)}
+    motion = mbd.simulate(system, 0.005, steps=10, designs=designs, gradients="none")
+    (axes,) = mbd.viz.failure_map(motion, "rod", ["start", "best"]).axes
+    curves = [line for line in axes.lines if len(line.get_xdata()) > 1]  # the other lines are marks
+    assert_allclose([np.max(line.get_xdata()) for line in curves], [0.5, 0.4])
+    assert axes.get_xlabel() == "length along rod [m]"
+
+
 def test_bodies_without_plies_have_no_failure_map(motion):
     with pytest.raises(InputError, match="has no plies"):
         mbd.viz.failure_map(motion, "tool", LABELS)

@@ -99,7 +99,8 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
     if config:
         parts += ["<h2>Experiment</h2>", f"<pre>{escape(hidden((given or config).read_text(encoding='utf-8')))}</pre>"]
     parts += ["<h2>Where it comes from</h2>", _rows({k: hidden(entry.tags[k]) for k in _PROVENANCE if k in entry.tags})]
-    head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(entry.name)}</title>'
+    head = '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+    head += f'<meta name="viewport" content="width=device-width"><title>{escape(entry.name)}</title>'
     return f"{head}<style>{_STYLE}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
 
 

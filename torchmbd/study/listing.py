@@ -12,10 +12,11 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
+from torchmbd.results.answer import NOT_VERIFIED
 from torchmbd.study.config_index import configs
 from torchmbd.study.metric_names import INCREASE, REDUCTION
 from torchmbd.study.progress import print_table, wrapped_heading
-from torchmbd.tracking.catalog import Entry, children, studies
+from torchmbd.tracking.catalog import VERIFICATION, Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI
@@ -116,7 +117,7 @@ def _cells(entry: Entry) -> list[str]:
         entry.kind,
         f"{entry.began:%d %b %H:%M}",
         "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
-        entry.status.lower(),
+        NOT_VERIFIED if entry.tags.get(VERIFICATION, "").startswith(NOT_VERIFIED) else entry.status.lower(),
         number("best_objective", "{:.6g}"),
         number(INCREASE if INCREASE in entry.metrics else REDUCTION, "{:.2f} %"),
         entry.run_id[:8],
