@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,12 @@ class ChildFailure(RuntimeError):
     """A process that failed; its message has what that wrote to standard error."""
 
 
-def lines(module: str, *arguments: str, folder: Path = ROOT, **environment: str) -> list[tuple[float, str]]:
+def lines(
+    module: str, *arguments: str, folder: Path = ROOT, codes: Sequence[int] = (0,), **environment: str
+) -> list[tuple[float, str]]:
     """Lines that `python -m module *arguments` prints, each with its seconds from the start of the process.
 
-    ChildFailure, with its standard error, where it fails.
+    codes  exit codes that are no failure; any other: ChildFailure, with its standard error
     """
     command = [sys.executable, "-W", "ignore", "-u", "-m", module, *arguments]
     known = os.environ | {"PYTHONPATH": str(ROOT)} | environment
@@ -35,7 +37,7 @@ def lines(module: str, *arguments: str, folder: Path = ROOT, **environment: str)
             assert child.stdout is not None
             found = [(time.perf_counter() - began, line.rstrip("\n")) for line in child.stdout]
         errors.seek(0)
-        if child.returncode != 0:
+        if child.returncode not in codes:
             raise ChildFailure(f"{' '.join(command)} ended with {child.returncode}\n{errors.read().strip()}")
     return found
 

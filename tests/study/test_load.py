@@ -62,7 +62,8 @@ def test_steps_that_are_left_out_have_a_tolerance(write):
     assert finer.tolerance == 1e-3
     assert finer.settings() != plain.settings()
     for wrong in (0, 1.0, "small"):
-        assert "simulate.tolerance" in faults(write(simulate={"duration": 0.002, "tolerance": wrong}))
+        [fault] = faults(write(simulate={"duration": 0.002, "tolerance": wrong}))
+        assert fault.path == ("simulate", "tolerance")
 
 
 def test_motions_start_where_the_file_says(write):
