@@ -21,7 +21,7 @@ class ChildFailure(RuntimeError):
 
 
 def lines(
-    module: str, *arguments: str, folder: Path = ROOT, codes: Sequence[int] = (0,), **environment: str
+    module: str, *arguments: str, folder: Path = ROOT, codes: Sequence[int] = (0,), **environment: Any
 ) -> list[tuple[float, str]]:
     """Lines that `python -m module *arguments` prints, each with its seconds from the start of the process.
 
@@ -44,7 +44,7 @@ def lines(
 
 def fresh(module: str, *arguments: str, folder: Path = ROOT, **environment: str) -> dict[str, Any]:
     """The JSON object in the last of these lines."""
-    return json.loads(lines(module, *arguments, folder=folder, **environment)[-1][1])
+    return json.loads(lines(module, *arguments, folder=folder, codes=(0,), **environment)[-1][1])
 
 
 def resident_mb() -> float:

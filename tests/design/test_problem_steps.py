@@ -50,15 +50,15 @@ def test_chosen_steps_have_the_error_that_was_asked_for(tolerance):
 @pytest.mark.thorough
 def test_a_small_difference_asks_for_more_steps_than_its_parts():
     final = mbd.Final(mbd.Position("bob", "x"))
-    whole = problem(tolerance=1e-3)
+    whole = problem(tolerance=4e-3)
     value = whole.objective(whole.motion(whole.start)).item()
-    small = problem(final + -0.9 * value, tolerance=1e-3)
+    small = problem(final + -0.9 * value, tolerance=4e-3)
     assert (small.steps or 0) > 2 * (
         whole.steps or 0
     )  # a tenth of the value: sqrt(10) times, or the most that are tried
     found = small.objective(small.motion(small.start)).item()
     true = exact() - 0.9 * value
-    assert abs(found - true) <= 1.1e-3 * abs(true)
+    assert abs(found - true) <= 4.4e-3 * abs(true)
 
 
 @pytest.mark.thorough
