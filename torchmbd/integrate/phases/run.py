@@ -230,11 +230,7 @@ class MultiphaseRun:
         """The state of some lanes after the switch that begins a phase, from the state before it."""
         ended = self.phase_models[number - 1].phase if number else None
         impact = ended.impact if ended is not None and isinstance(ended.until, Event) else None
-        # Velocities fit rows that act already, but for what the steps leave; an impact keeps them so to rounding.
-        fits = (
-            number and impact is None and set(self.phase_models[number].rows) <= set(self.phase_models[number - 1].rows)
-        )
-        v = x.v if fits else at_time(jump, dynamics, t, x.q, x.v)[0]
+        (v,) = at_time(jump, dynamics, t, x.q, x.v)  # also where the rate of a drive jumps
         if ended is not None and isinstance(ended.until, Event) and impact is not None:
             unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
             before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
