@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 
 import pytest
@@ -63,6 +64,21 @@ def test_a_jump_of_a_reaction_at_a_switch_is_no_ringing() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         motion.reaction("hinge")
+
+
+@pytest.mark.parametrize("options", [{"steps": 200, "checkpoint": 20}, {"steps": 10, "method": "dopri5"}])
+def test_few_states_of_a_resolved_motion_are_no_ringing(options: dict) -> None:
+    """Two states to a period of an accurate vibration alternate, but are no errors of steps."""
+    bob = box("bob", velocity=(1.0, 0.0, 0.0))
+    spring = mbd.SpringDamper(mbd.Ground().at(-1.0, 0.0, 0.0), bob.at(), stiffness=(20.0 * math.pi) ** 2, rest=1.0)
+    post = box("post", position=(0.0, 1.0, 0.0))
+    hold = mbd.Fixed(mbd.Ground().at(0.0, 1.0, 0.0), post.at(), name="hold")
+    guide = mbd.Prismatic(mbd.Ground().at(), bob.at(), axis="x")
+    pull = mbd.SpringDamper(post.at(), bob.at(), stiffness=100.0, rest=0.0)
+    motion = mbd.simulate(mbd.System([bob, post], [hold, guide], [spring, pull]), 0.5, gradients="none", **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        motion.reaction("hold")
 
 
 def test_a_resolved_vibration_does_not_alternate() -> None:

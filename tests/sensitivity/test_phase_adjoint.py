@@ -218,7 +218,13 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
     monkeypatch.setattr(equations, "placement", counted)
     for variables in ([NAME], [NAME], names):  # the first looks at what modes leave out, and writes what is compiled
         counts.append([])
-        options = {"steps": 30, "phases": falling(0.4), "gradients": "reverse", "variables": variables}
+        options = {
+            "steps": 30,
+            "phases": falling(0.4),
+            "gradients": "reverse",
+            "variables": variables,
+            "backend": "eager",
+        }
         motion = mbd.simulate(system, 0.06, **options).require_ok()
         response = motion.switches[0].t.sum() + motion.q[:, -1].sum()
         found = torch.autograd.grad(response, list(motion.variables.values()), allow_unused=True)
@@ -227,5 +233,5 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
     assert len(counts[2]) == pytest.approx(
         len(counts[1]), rel=0.15
     )  # a tangent for each of 16 would be 16 times as many
-    assert len(counts[1]) > 20
+    assert len(counts[1]) > 60
     assert max(counts[1]) <= 2  # the size of a last step, during its search, is the only tangent

@@ -109,7 +109,7 @@ class LaneResults:
         self, lanes: Sequence[int], targets: list[int], sources: list[int], substeps: int, other: Statistics
     ) -> None:
         """Take over the statistics of replaced lanes, and list them by how they were integrated again."""
-        self.statistics.replace_lanes(targets, other, sources, substeps)
+        self.statistics.replace_lanes(targets, other, sources, substeps, len(self.status))
         by_smaller_steps = {lanes[source] for source in other.halved or []}.intersection(targets)
         halved = set(targets) if substeps > 1 else by_smaller_steps
         failed = {lane for lane in targets if has_failed(self.status[lane])}

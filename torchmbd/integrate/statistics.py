@@ -1,6 +1,6 @@
 """What is known of the steps of a motion: `motion.stats` shows it by name.
 
-Checked in tests/integrate/test_simulate.py, tests/integrate/phases/test_retries.py.
+Checked in tests/integrate/test_statistics.py, tests/integrate/phases/test_retries.py.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ class Statistics:
         both, rest = self.numbers(), other.numbers()
         return Statistics(**(rest | {name: x.maximum(rest.get(name, x)) for name, x in both.items()}))
 
-    def replace_lanes(self, targets: list[int], other: Statistics, sources: list[int], substeps: int) -> None:
-        """Take over the numbers of lanes from another integration, of which so many steps stand for one."""
+    def replace_lanes(
+        self, targets: list[int], other: Statistics, sources: list[int], substeps: int, lanes: int
+    ) -> None:
+        """Take over the numbers of lanes, out of so many, from another integration, of which so many steps stand for one."""
         for name in OF_LANES:
             new, x = getattr(other, name), getattr(self, name)
             if new is None and x is None:
                 continue
             if x is None:  # of a lane that has not come to a check there is none
-                x = torch.zeros(
-                    max(targets) + 1 if self.valid_times is None else len(self.valid_times), dtype=torch.float64
-                )
+                x = torch.zeros(lanes, dtype=torch.float64)
                 setattr(self, name, x)
             x[targets] = 0.0 if new is None else new[sources]
         if self.valid_times is not None and other.valid_times is not None:

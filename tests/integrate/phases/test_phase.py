@@ -217,6 +217,30 @@ def test_a_jointed_body_rebounds_from_a_wall(restitution, backend, native):
     assert_close(after, torch.zeros_like(after), rtol=0, atol=1e-10)
 
 
+@pytest.mark.thorough("rk4")
+@pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
+def test_velocities_follow_a_drive_whose_rate_jumps_at_a_switch(method):
+    """A bob hangs on a driven arm: the jump of the arm is an impulse at the pin, about which the bob keeps its momentum."""
+    arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.02), position=(0.3, 0.0, 0.0))
+    bob = mbd.RigidBody("bob", 0.5, (0.01, 0.01, 0.01), position=(0.9, 0.0, 0.0))
+    joints = [
+        mbd.Revolute(GROUND.at(), arm.at(-0.3, 0.0, 0.0), axis="z"),
+        mbd.Drive(GROUND, arm, axis="z", angle=lambda t: torch.where(t < 0.1, 0.0 * t, 5.0 * (t - 0.1))),
+        mbd.Revolute(arm.at(0.3, 0.0, 0.0), bob.at(-0.3, 0.0, 0.0), axis="z"),
+    ]
+    phases = [mbd.Phase(until=0.1), mbd.Phase()]
+    motion = mbd.simulate(mbd.System([arm, bob], joints), 0.2, method, steps=40, phases=phases, gradients="none")
+    motion.require_ok()
+    (switch,) = motion.switches
+    after = motion.at_moment(0, switch.t[0], switch.after)
+    pin, turn = 0.6 * 5.0, -0.5 * 0.3 * (0.6 * 5.0) / (0.5 * 0.3**2 + 0.01)  # [m/s], [rad/s]
+    assert float(after.body("arm").omega[0, 0, 2]) == pytest.approx(5.0, abs=1e-9)
+    assert float(after.body("bob").at((-0.3, 0.0, 0.0)).velocity[0, 0, 1]) == pytest.approx(pin, abs=1e-9)
+    assert float(after.body("bob").omega[0, 0, 2]) == pytest.approx(turn, abs=1e-9)
+    first = int((motion.t > 0.1 + 1e-9).nonzero()[0])
+    assert float(motion.body("bob").omega[0, first, 2]) == pytest.approx(turn, rel=0.01)
+
+
 class TestDoor:
     def refused(self, match: str, phases, system: mbd.System | None = None) -> None:
         with pytest.raises(mbd.InputError, match=match):
