@@ -21,6 +21,7 @@ from torchmbd.summary import Summary
 
 GAIN = 0.1  # of the gain: its largest error
 LIMIT = 0.01  # of the limit of a constraint: the largest violation in the finer model
+_ROUNDING = 1e-12  # of a value: an error below it is not told
 VERIFIED, NOT_VERIFIED = "verified", "not verified"  # beginnings of a status
 
 
@@ -37,7 +38,7 @@ class Number:
         return self.value + self.error
 
     def __str__(self) -> str:
-        text = f"{self.value:.6g}" + (f" ({self.error:+.1g})" if self.error else "")
+        text = f"{self.value:.6g}" + (f" ({self.error:+.1g})" if abs(self.error) > _ROUNDING * abs(self.value) else "")
         return f"{text} not resolved" if self.reason else text
 
 
