@@ -111,7 +111,6 @@ class CallbackLaw(Control):
         return f"law {self.law!r}"
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
-        """As of Control."""
         s, rate = x[:2, None, None]
         f = self.law(s, rate, t)
         if not isinstance(f, Tensor) or f.shape != s.shape or f.dtype != s.dtype:
@@ -120,7 +119,6 @@ class CallbackLaw(Control):
         return f[0]
 
     def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
-        """As of Control."""
         s, rate = x[:2, None, None]
         by = law_slopes(self.law, s, rate, t)
         return self.at(p, x, t), torch.stack([*(y.expand(1, 1, x.shape[1])[0, 0] for y in by), x[2] * 0.0])[None]
