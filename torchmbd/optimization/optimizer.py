@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.math import units
 from torchmbd.summary import Summary, few
 
 if TYPE_CHECKING:
@@ -281,6 +282,14 @@ def require_count(name: str, value: int, low: int, high: int) -> int:
         raise InputError(f"{name} = {value!r}: must be an integer")
     require_range(name, value, low, high)
     return value
+
+
+def require_inside(what: str, names: Sequence[str], lower: np.ndarray, x: np.ndarray, upper: np.ndarray) -> None:
+    """Raise InputError unless a design [n] lies in its bounds [n]; `what`: the noun of the message."""
+    for name, low, value, high in zip(names, lower, x, upper, strict=True):
+        if not low <= value <= high:
+            between = f"must lie between {units.shown(name, low)} and {units.shown(name, high)}"
+            raise InputError(f"{what} of {name} = {units.shown(name, value)}: {between}")
 
 
 def require_problem(problem: Any) -> None:
