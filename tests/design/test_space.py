@@ -59,9 +59,19 @@ def test_bounds_and_start_one_for_each(system):
         ({"bounds": (0.0, 1.0, 2.0)}, ["bounds is (0.0, 1.0, 2.0)", "two entries, (lower, upper)"]),
         ({"bounds": 1.0}, ["bounds is 1.0", "(lower, upper)"]),
         ({"bounds": ([0.0] * 4, 1.0)}, ["lower bound has 4 values", "allowed: 5, or one number for all"]),
-        ({"bounds": (1.0, -1.0)}, ["lower bound of one.laminate.angles[0]", "= 1 rad (57.2958 deg)", "must be below upper = -1 rad"]),
+        (
+            {"bounds": (1.0, -1.0)},
+            ["lower bound of one.laminate.angles[0]", "= 1 rad (57.2958 deg)", "must be below upper = -1 rad"],
+        ),
         ({"bounds": (np.nan, 1.0)}, ["lower", "nan", "numbers"]),
-        ({"bounds": (0.5, 2.0)}, ["start of one.laminate.angles[0]", "(20 deg)", "must lie between 0.5 rad (28.6479 deg) and 2 rad (114.592 deg)"]),
+        (
+            {"bounds": (0.5, 2.0)},
+            [
+                "start of one.laminate.angles[0]",
+                "(20 deg)",
+                "must lie between 0.5 rad (28.6479 deg) and 2 rad (114.592 deg)",
+            ],
+        ),
         ({"start": [0.0, 1.0]}, ["start has 2 values", "allowed: 5, or one number for all"]),
         ({"start": [np.nan] * 5}, ["start", "nan", "numbers"]),
         ({"bounds": ("low", 1.0)}, ["lower bound is 'low'", "numbers"]),

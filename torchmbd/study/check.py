@@ -6,7 +6,7 @@ Checked in tests/contracts/test_file_mistakes.py, tests/study/test_load.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path as FilePath
@@ -33,6 +33,7 @@ from torchmbd.study.model import (
     option_faults,
     require_returns,
 )
+from torchmbd.study.scenario_keys import Scenario
 from torchmbd.study.schema import OBJECTIVE_KEYS, Simulation, Variable
 
 Sections = Mapping[str, Any]
@@ -184,7 +185,8 @@ def _design_fault(name: str, variable: Variable, construct: Any) -> Fault | None
 
 def _add_scenarios(faults: Faults, sections: Sections, system: System, folder: FilePath) -> None:
     """Add the faults of scenarios: options that cannot be built, parameters that they cannot set."""
-    for k, scenario in enumerate(sections.get("scenarios") or ()):
+    scenarios: Sequence[Scenario] = sections.get("scenarios") or ()
+    for k, scenario in enumerate(scenarios):
         own, path, before = system, ("scenarios", k), len(faults)
         options = {**sections["options"], **scenario.options}
         builder = find_model(sections["model"], folder)

@@ -36,13 +36,13 @@ class Scenario(Section):
     With `options`, the model is built for it with these in place of those of the file; its topology may differ.
     """
 
-    name: str | None = Field(None, description="Its name; default: scenario 1, 2, ...")
+    name: str | None = Field(default=None, description="Its name; default: scenario 1, 2, ...")
     set: dict[str, Numbers | Setting] = Field(
-        {},
+        default={},
         description="Parameters of the model that are no design variables, with their values [SI]; of angles with a unit.",
     )
-    options: dict[str, Any] = Field({}, description="Other arguments of the model's function in this scenario.")
-    weight: float = Field(1.0, ge=0, description="Its weight in means.")
+    options: dict[str, Any] = Field(default={}, description="Other arguments of the model's function in this scenario.")
+    weight: float = Field(default=1.0, ge=0, description="Its weight in means.")
 
     @model_validator(mode="after")
     def _sets_something(self) -> Self:

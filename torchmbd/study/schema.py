@@ -79,17 +79,19 @@ class Variable(Section):
     (optimization/discrete/branch_and_bound.py).
     """
 
-    start: Numbers | None = Field(None, description="First value, one or a list; default: as the model is built.")
+    start: Numbers | None = Field(
+        default=None, description="First value, one or a list; default: as the model is built."
+    )
     lower: Numbers | None = Field(
-        None, description="Lower bound, one or a list."
+        default=None, description="Lower bound, one or a list."
     )  # required, unless all entries follow
-    upper: Numbers | None = Field(None, description="Upper bound, one or a list.")
+    upper: Numbers | None = Field(default=None, description="Upper bound, one or a list.")
     # The unit has no default: an angle of 45 in radians would be wrong.
     unit: Unit = Field(description="Unit of all numbers of this variable; `none`: the SI unit.")
     tolerance: Numbers | None = Field(
-        None, description="Largest deviation when it is made; the question is then asked over all deviations."
+        default=None, description="Largest deviation when it is made; the question is then asked over all deviations."
     )
-    step: Numbers | None = Field(None, description="The study ends with multiples of it; 0: any value.")
+    step: Numbers | None = Field(default=None, description="The study ends with multiples of it; 0: any value.")
 
     @field_validator("tolerance", "step")
     @classmethod
@@ -121,13 +123,15 @@ class Simulation(Section):
     duration: float = Field(gt=0)
     method: Annotated[str, one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
-    tolerance: float = Field(TOLERANCE, gt=0, lt=1)
+    tolerance: float = Field(default=TOLERANCE, gt=0, lt=1)
     phases: str | None = Field(
-        None, description="Function that returns the phases: path/to/file.py:function or package.module:function."
+        default=None,
+        description="Function that returns the phases: path/to/file.py:function or package.module:function.",
     )
     backend: Annotated[str, one_of(BACKENDS)] = "auto"
     start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = Field(
-        STARTS[0], description="`assembled`: undeformed; `equilibrium`: at rest under its loads; or values by name."
+        default=STARTS[0],
+        description="`assembled`: undeformed; `equilibrium`: at rest under its loads; or values by name.",
     )
     gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"
 
@@ -143,13 +147,15 @@ class Constraint(Section):
     """
 
     measure: Measure
-    at_most: Limit | None = Field(None, description="Largest allowed value; `initial`: the value at the start design.")
-    at_least: Limit | None = Field(
-        None, description="Smallest allowed value; `initial`: the value at the start design."
+    at_most: Limit | None = Field(
+        default=None, description="Largest allowed value; `initial`: the value at the start design."
     )
-    equal: Limit | None = Field(None, description="Required value; `initial`: the value at the start design.")
+    at_least: Limit | None = Field(
+        default=None, description="Smallest allowed value; `initial`: the value at the start design."
+    )
+    equal: Limit | None = Field(default=None, description="Required value; `initial`: the value at the start design.")
     scale: float | None = Field(default=None, gt=0)
-    unit: Unit | None = Field(None, description="Unit of limit and scale; default: SI; an angle needs one.")
+    unit: Unit | None = Field(default=None, description="Unit of limit and scale; default: SI; an angle needs one.")
 
     @model_validator(mode="before")
     @classmethod
@@ -213,7 +219,7 @@ class Optimizer(Section):
 
     model_config = ConfigDict(extra="allow")
     name: Annotated[str, one_of(OPTIMIZERS)] = Field(
-        "mmfd", description="Its name; more keys of this section are its options."
+        default="mmfd", description="Its name; more keys of this section are its options."
     )
     max_iterations: PositiveInt = 60
 
@@ -226,14 +232,14 @@ class Starts(Section):
     """Where the optimizer starts: the design of the file (start 0) and more points between the bounds."""
 
     sampler: Annotated[str, one_of(SAMPLERS)] = Field(
-        "none",
+        default="none",
         description="`sobol` or `latin_hypercube` points between the bounds, `given` points, or `none`: one design alone.",
     )
     count: Annotated[PositiveInt, Field(le=2**20)] | None = None
     seed: NonNegativeInt = 0
     include_initial: bool = True
     points: Annotated[list[list[float]], Len(min_length=1)] | None = Field(
-        None, description="The points of `given`: a list of numbers for each, in the units of `design`."
+        default=None, description="The points of `given`: a list of numbers for each, in the units of `design`."
     )
 
     @model_validator(mode="after")
@@ -285,8 +291,10 @@ class Figures(Section):
     """An experiment file that draws figures."""
 
     figures: str = Field(pattern=FUNCTION, description=f"The function that draws into a folder: {_WHERE}.")
-    options: dict[str, Any] = Field({}, description="Arguments of this function; `folder` is given by the program.")
-    tracking: Tracking = Field(Tracking(), description="Where MLflow keeps the runs.")
+    options: dict[str, Any] = Field(
+        default={}, description="Arguments of this function; `folder` is given by the program."
+    )
+    tracking: Tracking = Field(default=Tracking(), description="Where MLflow keeps the runs.")
 
     def resolved(self) -> dict[str, Any]:
         """Return the file with every default filled in."""
@@ -297,34 +305,36 @@ class StudyFile(Section):
     """An experiment file that optimizes, or sweeps a variable."""
 
     model: str = Field(pattern=FUNCTION, description=f"The function that returns the System: {_WHERE}.")
-    options: dict[str, Any] = Field({}, description="Arguments of the model's function.")
+    options: dict[str, Any] = Field(default={}, description="Arguments of the model's function.")
     design: Annotated[dict[str, Variable], Len(min_length=1), AfterValidator(_units_fit)] = Field(
         description="Design variables: parameters of the model with bounds and a unit."
     )
     links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(
-        {}, description="Entries of `design` that follow others: entry -> {entry: factor, constant: offset}."
+        default={}, description="Entries of `design` that follow others: entry -> {entry: factor, constant: offset}."
     )
     simulate: Simulation = Field(description="The motion: duration, steps, start, method.")
     minimize: Measure | None = None
     maximize: Measure | None = None
     tradeoff: Annotated[dict[str, Measure], Len(min_length=2)] | None = Field(
-        None, description="Named responses whose Pareto front is sought; stands instead of `minimize`."
+        default=None, description="Named responses whose Pareto front is sought; stands instead of `minimize`."
     )
     robust: Annotated[str, one_of(KINDS_OF_ROBUST)] | None = Field(
-        None, description="What is asked over the tolerances of `design`: `expected`, the mean, or `worst`."
+        default=None, description="What is asked over the tolerances of `design`: `expected`, the mean, or `worst`."
     )
-    subject_to: list[Constraint] = Field([], description="Constraints, all of which hold.")
+    subject_to: list[Constraint] = Field(default=[], description="Constraints, all of which hold.")
     scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = Field(
-        None, description="Load cases or settings in which one design is simulated."
+        default=None, description="Load cases or settings in which one design is simulated."
     )
-    combine: Combine | None = Field(None, description="What is asked of objective and constraints over the scenarios.")
-    optimizer: Optimizer | None = Field(None, description="The method of optimization with its options.")
-    starts: Starts | None = Field(None, description="Designs from which the optimizer starts.")
+    combine: Combine | None = Field(
+        default=None, description="What is asked of objective and constraints over the scenarios."
+    )
+    optimizer: Optimizer | None = Field(default=None, description="The method of optimization with its options.")
+    starts: Starts | None = Field(default=None, description="Designs from which the optimizer starts.")
     sweep: Annotated[dict[str, Range], Len(1, 1)] | None = Field(
-        None,
+        default=None,
         description="One entry of `design` with a range: evaluated along it; stands instead of `optimizer` and `starts`.",
     )
-    tracking: Tracking = Field(Tracking(), description="Where MLflow keeps the runs.")
+    tracking: Tracking = Field(default=Tracking(), description="Where MLflow keeps the runs.")
 
     @model_validator(mode="after")
     def _one_question(self) -> Self:
