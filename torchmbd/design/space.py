@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.integrate.simulate import entry_labels
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
@@ -70,7 +71,7 @@ class DesignSpace:
                 "the system has no parameter that requires a gradient; allowed: at least one design variable"
             )
         self.shapes = {name: parameters[name].shape for name in self.variables}
-        self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]
+        self.entries = list(entry_labels(system, self.variables))
         self.map, self.offset = _linked(self.entries, links or {})
         free = [i for i, entry in enumerate(self.entries) if entry not in (links or {})]
         self.names = [self.entries[i] for i in free]
@@ -114,20 +115,18 @@ class DesignSpace:
         x        a number for all, or one for each; or parameter name -> such numbers of its entries; None: `default`
         default  numbers of parameters that a mapping does not name [n]
         """
-        parts = x if isinstance(x, Mapping) else {} if x is None else None
-        if parts is None:
-            result = _numbers(what, x, len(self.names))
-        else:
-            result = np.array(default, dtype=float)
-            for name, numbers in parts.items():
-                if name not in self.shapes:
-                    raise unknown(f"{what} of parameter", name, self.shapes)
-                indices = self._indices(name)
-                if not indices:
-                    raise InputError(f"{what} of {name} is given, but every entry follows others; allowed: none")
-                result[indices] = _numbers(f"{what} of {name}", numbers, len(indices), self._free(indices))
-        for name in self.variables:
-            check_parameter(f"{what} of", name, torch.from_numpy(result[self._indices(name)]))
+        if x is not None and not isinstance(x, Mapping):
+            numbers = _numbers(what, x, len(self.names))
+            x = {name: numbers[i] for name in self.variables if (i := self._indices(name))}
+        result = np.array(default, dtype=float)
+        for name, numbers in (x or {}).items():
+            if name not in self.shapes:
+                raise unknown(f"{what} of parameter", name, self.shapes)
+            indices = self._indices(name)
+            if not indices:
+                raise InputError(f"{what} of {name} is given, but every entry follows others; allowed: none")
+            result[indices] = _numbers(f"{what} of {name}", numbers, len(indices), self._free(indices))
+            check_parameter(f"{what} of", name, torch.from_numpy(result[indices]))
         return result
 
     def point(self, what: str, x: Any, default: np.ndarray) -> np.ndarray:
