@@ -11,7 +11,7 @@ import torch
 from hypothesis import settings
 
 import torchmbd as mbd
-from experiments.slider_crank import build
+from torchmbd.examples.slider_crank import build
 from torchmbd.integrate import Trajectory
 from torchmbd.math import compiled_products
 from torchmbd.math.codegen.compiler import compiler

@@ -14,10 +14,10 @@ from torch.testing import assert_close
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torchmbd as mbd
-from experiments import two_link_arm
 from tests.mechanisms import GRAVITY, SOFT, laminate, pendulum, plate, tensor
 from tests.multibody.system.test_robot import ARM
 from tests.multibody.system.test_robot_mjcf import MECHANISM
+from torchmbd.examples import two_link_arm
 
 PACKAGE = str(Path(mbd.__file__).parent)
 BARS = """BEGIN BULK

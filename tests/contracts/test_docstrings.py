@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -46,6 +48,21 @@ def test_methods_are_described(name):
         own = inspect.isfunction(method) or isinstance(method, (property, classmethod, staticmethod))
         if own and not key.startswith("_"):
             assert inspect.getdoc(getattr(thing, key)), f"{name}.{key}"
+
+
+def test_no_docstring_sends_the_reader_elsewhere():
+    """A method that does what its base class says has no docstring of its own: `help` shows that of the base."""
+    package = Path(api.__file__).parent
+    trees = [(file, ast.parse(file.read_text())) for file in sorted(package.rglob("*.py"))]
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    parts = [(file, part) for file, tree in trees for part in ast.walk(tree) if isinstance(part, kinds)]
+    empty = [f"{file.relative_to(package)}:{part.lineno}" for file, part in parts if is_reference(part)]
+    assert len(parts) > 3000
+    assert empty == []
+
+
+def is_reference(part: ast.FunctionDef | ast.ClassDef) -> bool:
+    return re.match(r"As (of|in|for) ", ast.get_docstring(part) or "") is not None
 
 
 RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(api, name)) and issubclass(x, (History, Measure))]

@@ -282,7 +282,7 @@ class AdjointSolver:
         return Cotangents(by, torch.cat(laws[::-1]) if varied else None, y), error
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
-        """As of `__call__`, of one segment from the cotangents y of its last state; `start` are those of its first state."""
+        """Cotangents through one segment, from those y of its last state; `start` are those of its first state."""
         steps, lanes = self.segments[number], len(self.grid.lanes)
         T = self.dynamics.topology
         schedule = self._schedule(steps)

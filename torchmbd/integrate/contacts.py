@@ -82,7 +82,6 @@ class _LawGap:
         return [f"contact by Gap(limit={self.law.limit:g}, sign={self.law.sign:g})"]
 
     def __call__(self, data: Mapping[str, Tensor], s: Tensor) -> tuple[Tensor, Tensor]:
-        """As of _ContactGaps."""
         i, j = self.inputs
         return self.law.sign * (s[i : i + 1] - self.law.limit), self.law.sign * s[j : j + 1]
 

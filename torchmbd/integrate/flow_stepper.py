@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
 from torchmbd.integrate.phases.lanes import join_states, lane_numbers, lanes_of, pick_lanes
@@ -30,7 +31,7 @@ from torchmbd.results.state import State
 _SAME = 1e-15  # of a time: times that are equal
 
 
-class FlowStepper:
+class FlowStepper(Stepper):
     """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint. Each lane has steps of its own in them."""
 
     def __init__(self, dynamics: Dynamics, h: float, arguments: dict[str, Any]):
@@ -40,7 +41,7 @@ class FlowStepper:
         self._rates: dict[int, RightHandSide] = {}
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
-        """As of Stepper; the right-hand side evaluates laws itself."""
+        """See Stepper. The schedule counts steps only: the right-hand side evaluates laws itself."""
         moving, self.steps = lane_numbers(self.counts), len(schedule)
         for k in range(len(schedule)):
             full = [_full(y).clone() for y in x]
@@ -52,7 +53,7 @@ class FlowStepper:
         return x
 
     def algorithmic(self, a: Any, vd: Tensor) -> Any:
-        """As of Stepper: it is the true one."""
+        """See Stepper. It is the true acceleration here."""
         return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
@@ -71,14 +72,14 @@ class FlowStepper:
         return [*y.split([len(own[0]), len(own[1])]), a, a, lam]
 
     def restart(self, lanes: Tensor | None = None) -> None:
-        """As of Stepper: nothing is kept."""
+        """See Stepper. Nothing is kept."""
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:
-        """As of Stepper: there are none."""
+        """See Stepper. Zero: these steps are not iterated."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
     def statistics(self) -> Statistics:
-        """As of Stepper: there are none."""
+        """See Stepper. There are none."""
         return Statistics()
 
 
@@ -93,7 +94,7 @@ def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[
 
 
 def _flow_of_lane(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:
-    """As of `flow_of_size`, of one lane; nan where it cannot be integrated."""
+    """The state of one lane time h later, at t1; nan where it cannot be integrated."""
     t0 = t1 - h
     y = _shifted(dynamics, _full(cat([x.q, x.v])), t0, -1.0)
     now, then = float(value(t0)), float(value(t1))

@@ -64,7 +64,6 @@ class ForwardIntegration(IntegratedMotion):
     _tangents: list[Tensor] = field(default_factory=list, init=False)
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
-        """As of `Integration`."""
         given = zip(self.names, inputs, strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in given}
         lanes = max((len(x) for x in designs.values()), default=1)
@@ -99,7 +98,6 @@ class ForwardIntegration(IntegratedMotion):
         return SeveralSegments(dynamics, segments, views, self.duration)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
-        """As of `Integration`."""
         if not self.variables:
             raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
         by_name = dict(zip(self.names, directions, strict=True))
@@ -115,7 +113,6 @@ class ForwardIntegration(IntegratedMotion):
         return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in products]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
-        """As of `Integration`."""
         parts = [
             torch.einsum("krl,kbl->brl", y.flatten(0, -3), dx.flatten(0, -3).expand(-1, -1, y.shape[-1]))
             for y, dx in zip(outputs, self._tangents, strict=True)

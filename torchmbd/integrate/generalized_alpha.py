@@ -39,11 +39,9 @@ class GeneralizedAlpha(OneStep):
             raise InputError(f"spectral_radius is {rho!r}; allowed: 0 (strong damping) to 1 (none)")
 
     def with_defaults(self, topology: Topology) -> GeneralizedAlpha:
-        """As of Integrator."""
         own = self.spectral_radius is None and topology.beams is not None
         return replace(self, spectral_radius=_OF_BEAMS) if own else self
 
     def weights(self, h: Any) -> Weights:
-        """As of OneStep."""
         rho = _RADIUS if self.spectral_radius is None else self.spectral_radius
         return Weights.newmark(h, (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0))

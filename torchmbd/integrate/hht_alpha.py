@@ -40,5 +40,4 @@ class HHTAlpha(OneStep):
             raise InputError(f"alpha is {x!r}; allowed: -1/3 (strong damping) to 0 (none)")
 
     def weights(self, h: Any) -> Weights:
-        """As of OneStep."""
         return Weights.newmark(h, 0.0, -self.alpha)

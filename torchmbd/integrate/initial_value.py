@@ -24,11 +24,8 @@ class InitialValueProblem(Protocol):
     dynamics   of the whole system;  duration [s]
     """
 
-    @property
-    def dynamics(self) -> Dynamics: ...
-
-    @property
-    def duration(self) -> float: ...
+    dynamics: Dynamics
+    duration: float
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
         """States of all lanes at steps + 1 equal times, with tangents where the dynamics have any."""
@@ -52,28 +49,24 @@ class InitialValueProblem(Protocol):
 
 
 @dataclass(frozen=True)
-class OneSegment:
+class OneSegment(InitialValueProblem):
     """A motion without switches."""
 
     dynamics: Dynamics
     duration: float
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
-        """As of InitialValueProblem."""
         return integrator.integrate(self.dynamics, self.duration, steps)
 
     def select_lanes(self, lanes: Sequence[int]) -> OneSegment:
-        """As of InitialValueProblem."""
         return OneSegment(self.dynamics.select_lanes(lanes), self.duration)
 
     def values(self) -> OneSegment:
-        """As of InitialValueProblem."""
         return OneSegment(self.dynamics.values(), self.duration) if self.dynamics.tangents else self
 
     def held_times(self) -> list[float]:
-        """As of InitialValueProblem."""
         return held_times_of(self.dynamics, self.duration)
 
     def rows_at_end(self, result: IntegrationResult, lane: int) -> list[int]:
-        """As of InitialValueProblem: all."""
+        """See InitialValueProblem. All rows act throughout."""
         return list(range(self.dynamics.topology.rows))

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -20,8 +21,8 @@ from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 
-class MovingSteps:
-    """As of Stepper; time(i): the time [1 + n, lanes] at the end of step i."""
+class MovingSteps(Stepper):
+    """Steps whose sizes depend on the design; time(i): the time [1 + n, lanes] at the end of step i."""
 
     def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
         self.integrator, self.dynamics, self.time = integrator, dynamics, time
@@ -29,7 +30,7 @@ class MovingSteps:
         self.counts = torch.ones(dynamics.lanes, dtype=torch.bool)
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
-        """As of Stepper; laws are evaluated at times that move."""
+        """See Stepper. The schedule counts steps only: laws are evaluated at times that depend on the design."""
         self.steps = len(schedule)  # the last ones
         for k in range(len(schedule)):
             begin, end = self.time(first + k - 1), self.time(first + k)
@@ -38,16 +39,15 @@ class MovingSteps:
         return x
 
     def algorithmic(self, a: Any, vd: Tensor) -> Any:
-        """As of Stepper."""
         return algorithmic(self.integrator.weights(1.0), a, vd)
 
     def restart(self, lanes: Tensor | None = None) -> None:
-        """As of Stepper: nothing is kept."""
+        """See Stepper. Nothing is kept."""
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:
-        """As of Stepper: there are none."""
+        """See Stepper. Zero: every step is iterated to rounding."""
         return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
     def statistics(self) -> Statistics:
-        """As of Stepper: there are none."""
+        """See Stepper. There are none."""
         return Statistics()

@@ -94,13 +94,11 @@ class OneStep(Integrator):
             raise InputError(f"checkpoint is {self.checkpoint!r}; allowed: a number of steps, 1 or more")
 
     def stored_intervals(self, steps: int) -> int:
-        """As of Integrator."""
         if steps % self.checkpoint:
             raise InputError(f"steps is {steps}; allowed: a multiple of checkpoint, {self.checkpoint}")
         return steps // self.checkpoint
 
     def round_up_steps(self, steps: int) -> int:
-        """As of Integrator."""
         return -(-steps // self.checkpoint) * self.checkpoint
 
     @abstractmethod
@@ -108,7 +106,6 @@ class OneStep(Integrator):
         """Weights of a step of size h [s]: a float, or a number [1, 1] that may be a pair (variable_step.py)."""
 
     def stepper(self, dynamics: Dynamics, h: float) -> EagerStepper:
-        """As of Integrator."""
         refresh = self.refresh
         if refresh is None:
             refresh = 1 if dynamics.topology.beams is None or dynamics.tangents else 2
@@ -119,11 +116,9 @@ class OneStep(Integrator):
         return self.iterations or (_ITERATIONS if dynamics.topology.beams is None else _OF_BEAMS)
 
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
-        """As of Integrator."""
         return step_of_size(dynamics, self.weights, x, h, t1, near)
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
-        """As of Integrator."""
         h, every = duration / steps, self.checkpoint
         whole, condensed, x = prepare(dynamics).detached()
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
@@ -169,7 +164,7 @@ class OneStep(Integrator):
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)
 
     def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
-        """As of Integrator; alternations are those of second halves of phases."""
+        """See Integrator. Alternations are measured in the second half of each phase."""
         estimates = self.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
         statistics = loop.integrate(multiphase, self, estimates)
         estimates.put_into(statistics, multiphase.phase_number, self.checkpoint)
@@ -177,7 +172,6 @@ class OneStep(Integrator):
 
     @property
     def refines(self) -> bool:
-        """As of Integrator."""
         return self.halvings > 0
 
     def retry(self) -> Retry | None:

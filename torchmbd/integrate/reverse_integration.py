@@ -80,7 +80,6 @@ class ReverseIntegration(IntegratedMotion):
         return vars(self) | {"_of_leaves": None}  # has a graph of torch
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
-        """As of `Integration`."""
         data = dict(zip(self.names, inputs, strict=False))
         if DURATION in data and data[DURATION].shape[-1] > 1:
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
@@ -110,7 +109,6 @@ class ReverseIntegration(IntegratedMotion):
         return self.outputs.values()
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
-        """As of `Integration`."""
         along = dict(zip(self.names, directions, strict=False))
         moves = zip(self.designs, directions[len(self.names) :], strict=True)
         designs = {name: dx.movedim((-2, -1), (0, 1)) for name, dx in moves if dx is not None}
@@ -123,7 +121,6 @@ class ReverseIntegration(IntegratedMotion):
         return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in sums]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
-        """As of `Integration`."""
         differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
         names, by_designs = [name for name in differentiated if name != DURATION], any(needs_grad[len(self.names) :])
         result: dict[str, Tensor] = {}

@@ -117,7 +117,6 @@ class StaticIntegration:
         return float(self.times[-1])
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
-        """As of `Integration`."""
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
@@ -133,7 +132,6 @@ class StaticIntegration:
         return self.outputs.values()
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
-        """As of `Integration`."""
         data = self.dynamics.data
         moving = {n: Pair.of(data[n], dx) for n, dx in zip(self.names, directions, strict=True) if dx is not None}
         count = max(dx.shape[-2] for dx in directions if dx is not None)
@@ -142,7 +140,6 @@ class StaticIntegration:
         return [*by, self.validity.new_zeros(2, count, len(self.status))]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
-        """As of `Integration`."""
         lanes = self.dynamics.lanes
         leaves = {
             name: leaf(x.expand(*x.shape[:-1], lanes).contiguous())
@@ -170,11 +167,9 @@ class StaticIntegration:
         return [torch.cat(by_leaf[name], -2) if name in by_leaf else None for name in self.names]
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
-        """As of ReverseIntegration."""
         return None
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
-        """As of ReverseIntegration."""
         return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)
 
     def _states(self, dynamics: Dynamics) -> list[Tensor]:

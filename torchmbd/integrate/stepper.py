@@ -65,7 +65,7 @@ def first_true(mask: Tensor) -> Tensor:
     return torch.where(mask.any(0), mask.int().argmax(0), len(mask))
 
 
-class EagerStepper:
+class EagerStepper(Stepper):
     """Steps of one simulation; keeps the factors and what the iterations leave."""
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
@@ -93,7 +93,6 @@ class EagerStepper:
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
-        """As of Stepper."""
         for i, prescribed in enumerate(schedule):
             x = self._step(first + i, x, prescribed)
             record.put(start + i, x)
@@ -105,7 +104,6 @@ class EagerStepper:
         return step(y, lambda K: self.factor(regularized(K.mT, self.diagonal)))
 
     def restart(self, lanes: Tensor | None = None) -> None:
-        """As of Stepper."""
         self.H = None
         self.scale = None if lanes is None or self.scale is None else torch.where(lanes, torch.nan, self.scale)
 
@@ -200,11 +198,9 @@ class EagerStepper:
         self.most = int(self.passes.max())
 
     def algorithmic(self, a: Any, vd: Tensor) -> Any:
-        """As of Stepper."""
         return algorithmic(self.model.w, a, vd)
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:
-        """As of Stepper."""
         counted = self.counts if counted is None else counted
         before, last, further = torch.cat(self.sizes).unbind(1)
         self.sizes = []
@@ -213,7 +209,6 @@ class EagerStepper:
         return torch.where(counted, errors, 0.0).T
 
     def statistics(self) -> Statistics:
-        """As of Stepper."""
         error = torch.stack(self.tangent_error).amax(0) if self.tangent_error else None
         return Statistics(tangent_error=error, further_corrections=self.further)
 

@@ -61,7 +61,7 @@ class Torchdiffeq(Integrator):
                 raise InputError(f"options of method {self.name!r}: {key} is {x!r}; allowed: {words}")
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
-        """As of Integrator; statistics: the number of evaluations of the right-hand side."""
+        """See Integrator. The statistics are the number of evaluations of the right-hand side."""
         before = dynamics.statistics["evaluations"]
         try:
             history = self._integrate_together(dynamics, duration, steps)
@@ -92,17 +92,15 @@ class Torchdiffeq(Integrator):
         return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
 
     def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
-        """As of Integrator; statistics as of `integrate`."""
+        """See Integrator. The statistics are those of `integrate`."""
         before = multiphase.whole.statistics["evaluations"]
         loop.integrate(multiphase, self)
         return Statistics(evaluations=multiphase.whole.statistics["evaluations"] - before)
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
-        """As of Integrator."""
         return FlowStepper(dynamics, h, self.arguments(dynamics))
 
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
-        """As of Integrator."""
         return flow_of_size(dynamics, x, h, t1, self.arguments(dynamics))
 
     def arguments(self, dynamics: Dynamics) -> dict[str, Any]:

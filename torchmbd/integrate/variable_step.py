@@ -86,7 +86,7 @@ def _rounding(step: Step) -> Tensor:
 
 
 def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor]:
-    """As of `_solved` from one estimate by operators of torch, and which lanes converged."""
+    """The unknowns that operators of torch find from one estimate, and which lanes converged."""
     K: Any = None
     H: Any = None
     size = torch.full((estimate.shape[-1],), torch.inf, dtype=torch.float64)

@@ -30,7 +30,7 @@ _native = Native("math/compiled_products.cpp")
 
 
 class _Factor(ctypes.Structure):
-    """As in compiled_products.cpp."""
+    """The struct of this name in compiled_products.cpp: fields, order and types are the same."""
 
     _fields_ = (
         ("lanes", c_long),

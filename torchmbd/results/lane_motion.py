@@ -132,7 +132,6 @@ class _Lane(Signals):
         self.lanes, self.times = 1, base.times
 
     def detach(self) -> Signals:
-        """As of Signals."""
         return _Lane(self.base.detach(), self.lane)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
@@ -151,7 +150,6 @@ class _WithSides(Signals):
         self.lanes, self.times = 1, base.times + len(sides)
 
     def detach(self) -> Signals:
-        """As of Signals."""
         return _WithSides(self.base.detach(), [side.detach() for side in self.sides], self.lane, self.order)
 
     def _values(self, name: str, rows: Rows) -> Tensor:

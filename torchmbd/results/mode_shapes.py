@@ -61,7 +61,6 @@ class DesignShapes(Shapes):
         self._kept |= {(name, True): self._in_all_lanes(psi) for name, psi in shapes.items()}
 
     def detach(self) -> DesignShapes:
-        """As of Shapes."""
         designs = {name: x.detach() for name, x in self.designs.items()}
         return DesignShapes(self.system, designs, self.lanes, self.good)
 
@@ -94,7 +93,6 @@ class SomeLanes(Shapes):
         return self.base.values(name)[self.lanes]
 
     def detach(self) -> SomeLanes:
-        """As of Shapes."""
         return SomeLanes(self.base.detach(), self.lanes)
 
 
@@ -109,7 +107,6 @@ class GivenShapes(Shapes):
         return self._make(name)
 
     def detach(self) -> GivenShapes:
-        """As of Shapes."""
         return GivenShapes(lambda name: self._make(name).detach())
 
 

@@ -70,7 +70,6 @@ class TensorSignals(Signals):
         self.lanes, self.times = values["q"].shape[:2]
 
     def detach(self) -> TensorSignals:
-        """As of Signals."""
         return TensorSignals({name: x.detach() for name, x in self._all.items()})
 
     def _values(self, name: str, rows: Rows) -> Tensor:
@@ -126,7 +125,6 @@ class IntegratedSignals(Signals):
         self._all_multipliers: dict[bool, Tensor] = {}
 
     def detach(self) -> IntegratedSignals:
-        """As of Signals."""
         h, data = self.history, {name: detached(x) for name, x in self.data.items()}
         expansion = None if h.expansion is None else replace(h.expansion, data=data)
         plain = History(

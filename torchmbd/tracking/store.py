@@ -126,7 +126,7 @@ def open_store(uri: StoreURI | str) -> MlflowClient:
 
 def _require_file(file: Path) -> None:
     """Create a SQLite store that does not exist; one with some of its tables could not be completed later."""
-    from mlflow import MlflowClient
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 
     file.parent.mkdir(parents=True, exist_ok=True)
     if file.exists():
@@ -135,10 +135,7 @@ def _require_file(file: Path) -> None:
         return
     with tempfile.TemporaryDirectory(prefix=f".{file.name}-", dir=file.parent) as folder:
         draft = Path(folder) / file.name
-        MlflowClient(f"sqlite:///{draft}").search_experiments(max_results=1)  # the first query makes the tables
-        with closing(sqlite3.connect(draft)) as base:  # MLflow's experiment "Default" is in the working directory
-            base.execute("update experiments set artifact_location = ? || experiment_id", (ARTIFACTS,))
-            base.commit()
+        SqlAlchemyStore(f"sqlite:///{draft}", ARTIFACTS)  # its experiment "Default" too has its files beside the store
         draft.replace(file)
 
 

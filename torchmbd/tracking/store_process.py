@@ -67,7 +67,7 @@ class StoreProcess:
         return self._last.processor_time
 
     def write(self, run: str, draft: PendingRun) -> None:
-        """As of StudyStore; TrackingError if the store does not answer."""
+        """See StudyStore. TrackingError if the store does not answer."""
         self._call("write", run, draft)
 
     def opened(self) -> None:

@@ -22,7 +22,7 @@ Where eigenvalues meet, with C the block of dKr that belongs to them:
   nearer than NOISE that is not enough, and they are refused.
 
 So at repeated eigenvalues these derivatives are exact in every mode: of symmetric functions of the eigenvalues alone (their
-sum, the sum of their squares), and of functions of their span alone (Psi Psi'). **Functions of values and vectors same,
+sum, the sum of their squares), and of functions of their span alone (Psi Psi'). **Functions of values and vectors together,
 such as Psi g(Lambda) Psi'**, are exact in forward mode, for C is diagonal. In reverse mode all entries of C would enter: such
 functions, and those of a single vector (whose dR is missing in forward mode), are recognized by their cotangents, and
 refused by InputError. So is forward mode where the direction is not known when the modes are made, as under `jvp` of `vmap`,
@@ -206,7 +206,7 @@ def _refuse(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, 
         unequal = high.amax(-1) - low.amin(-1) > UNEQUAL * g.abs().amax(-1, keepdim=True)
         inside = torch.where(noisy, X, 0.0).abs().amax(-1) > UNEQUAL * size
         wrong = turned | lost | (unequal & inside)
-        what = "a gradient by single ones of their vectors, or by values and vectors same,"
+        what = "a gradient by single ones of their vectors, or by values and vectors together,"
     if wrong.any():
         lane, mode = (int(i) for i in wrong.reshape(-1, wrong.shape[-1]).nonzero()[0])
         labels = near.expand(*X.shape).reshape(-1, *near.shape[-2:])[lane, mode].nonzero().squeeze(-1) + 1

@@ -54,7 +54,7 @@ def distinct(K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(same, first, lanes).unique(return_inverse=True)  # type: ignore[return-value]
 
 
-class SharedModes:
+class SharedModes(Modes):
     """`modes` of the lanes that differ; `index` [lane] tells which of them a lane is."""
 
     def __init__(self, modes: Modes, index: Tensor) -> None:
@@ -64,12 +64,10 @@ class SharedModes:
         self._place = same.tril(-1).sum(1)  # among the lanes of the same matrices
 
     def lowest(self) -> tuple[Tensor, Tensor]:
-        """As of Modes."""
         values, vectors = self.modes.lowest()
         return values[self.index], vectors[self.index]
 
     def deflated_solve(self, F: Tensor) -> Tensor:
-        """As of Modes."""
         count = int(self._place.max()) + 1
         columns = F.new_zeros(len(self.modes.shift), count, *F.shape[1:])
         columns[self.index, self._place] = F

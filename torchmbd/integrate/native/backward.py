@@ -33,7 +33,7 @@ _ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes"
 
 
 class _Job(ctypes.Structure):
-    """As in adjoint.cpp."""
+    """The struct of this name in adjoint.cpp: fields, order and types are the same."""
 
     _fields_ = [
         *((n, ctypes.c_long) for n in _NUMBERS),

@@ -82,7 +82,7 @@ class CalledLaws:
 
 
 class _Struct(ctypes.Structure):
-    """As in feedback.cpp."""
+    """The struct of this name in feedback.cpp: fields, order and types are the same."""
 
     _fields_ = [("call", _CALL)] + [
         (name, ctypes.c_void_p) for name in ("signals", "strengths", "slopes", "tangents", "strength_tangents")

@@ -23,7 +23,7 @@ from torchmbd.multibody.system.unit_forces import UnitForces
 
 
 class _Struct(ctypes.Structure):
-    """As in factors.cpp."""
+    """The struct of this name in factors.cpp: fields, order and types are the same."""
 
     _fields_ = [
         ("sizes", ctypes.c_void_p),

@@ -26,7 +26,7 @@ _ARRAYS = ("prescribed", "values", "tangents", "y", "dy", "lam", "scratch", "mec
 
 
 class _Job(ctypes.Structure):
-    """As in rates.cpp."""
+    """The struct of this name in rates.cpp: fields, order and types are the same."""
 
     _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
 

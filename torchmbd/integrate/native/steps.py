@@ -39,7 +39,7 @@ _ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback", "counted", "s
 
 
 class Job(ctypes.Structure):
-    """As in steps.cpp."""
+    """The struct of this name in steps.cpp: fields, order and types are the same."""
 
     _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import held_times_of, within_phases
 from torchmbd.integrate.phases.events import Views
@@ -18,8 +19,8 @@ from torchmbd.multibody.system import Dynamics
 
 
 @dataclass(frozen=True)
-class SeveralSegments:
-    """The motion of some lanes through phases, as of InitialValueProblem.
+class SeveralSegments(InitialValueProblem):
+    """The motion of some lanes through phases.
 
     dynamics   of the whole system, with all joints and locks
     """
@@ -30,7 +31,6 @@ class SeveralSegments:
     duration: float
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
-        """As of InitialValueProblem."""
         every = steps // integrator.stored_intervals(steps)
         run = MultiphaseRun(self.dynamics, self.segments, self.views, self.duration, steps, integrator, every)
         statistics = integrator.integrate_phases(run)
@@ -42,26 +42,22 @@ class SeveralSegments:
         )
 
     def select_lanes(self, lanes: Sequence[int]) -> SeveralSegments:
-        """As of InitialValueProblem."""
         dynamics = lanes_of(self.dynamics, lanes)
         if dynamics is self.dynamics:
             return self
         return replace(self, dynamics=dynamics, views=self.views.select_lanes(lanes, dynamics))
 
     def values(self) -> SeveralSegments:
-        """As of InitialValueProblem."""
         if not self.dynamics.tangents:
             return self
         values = self.dynamics.values()
         return replace(self, dynamics=values, views=self.views.values(values))
 
     def held_times(self) -> list[float]:
-        """As of InitialValueProblem."""
         phases = [segment.phase for segment in self.segments]
         return within_phases(held_times_of(self.dynamics, self.duration), phases, self.duration)
 
     def rows_at_end(self, result: IntegrationResult, lane: int) -> list[int]:
-        """As of InitialValueProblem."""
         assert result.history.segment is not None
         number = int(result.history.segment[-1, 0, lane])
         return self.segments[number].rows if number >= 0 else []

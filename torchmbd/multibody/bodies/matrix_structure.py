@@ -105,7 +105,7 @@ class MatrixStructure:
         return mass_invariants(self.mesh.nodes - self.origin, M, psi, self._arms) | {"Kr": Kr, "psi": psi}
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
-        """As of FlexibleBody; None where the modes are given, as no freedom is held then."""
+        """See FlexibleBody. None where the caller supplies the modes: no freedom is held then."""
         if self.shapes is not None:
             return None
         with torch.no_grad():

@@ -112,12 +112,10 @@ class ContactControl(Control):
         """Distances between the surfaces that may touch, and their rates [gaps, lanes]."""
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
-        """As of Control."""
         numbers = self.numbers(p)
         return x.new_zeros(self.outputs, x.shape[1]) if self._apart(numbers, x) else self.strengths(numbers, x)
 
     def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
-        """As of Control."""
         numbers, lanes = self.numbers(p), x.shape[1]
         if self._apart(numbers, x):
             return x.new_zeros(self.outputs, lanes), x.new_zeros(self.outputs, self.inputs, lanes)
@@ -131,7 +129,6 @@ class ContactControl(Control):
         return not recorded and bool((self.gaps(numbers, x)[0] > 0.0).all())
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
-        """As of Control."""
         return self.slopes(self.numbers(self._parameters(x, data)[:, 0]), x[:, 0]).movedim(-1, 0)
 
     def _over_lanes(self, t: Any, f: Any = None) -> Any:
@@ -146,18 +143,15 @@ class StopControl(ContactControl):
         self.sides = tuple(sides)
 
     def strengths(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
-        """As of ContactControl."""
         parts = [sign * normal_force(p, -gap, -rate).force for sign, gap, rate in self._each(p, x)]
         return sum(parts[1:], parts[0])[None]
 
     def slopes(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
-        """As of ContactControl."""
         parts = [normal_force(p, -gap, -rate) for _, gap, rate in self._each(p, x)]
         by = [-sum((y[k] for y in parts[1:]), parts[0][k]) for k in (1, 2)]
         return torch.stack(by)[None]
 
     def gaps(self, p: Mapping[str, Any], x: Tensor) -> tuple[Tensor, Tensor]:
-        """As of ContactControl."""
         _, gaps, rates = zip(*self._each(p, x), strict=True)
         return torch.stack(gaps), torch.stack(rates)
 
@@ -179,7 +173,6 @@ class PlaneControl(ContactControl):
         self.has_friction, self.rolls = has_friction, rolls
 
     def strengths(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
-        """As of ContactControl."""
         force = normal_force(p, p["radius"] - x[0], -x[1]).force
         if not self.has_friction:
             return force[None]
@@ -189,7 +182,6 @@ class PlaneControl(ContactControl):
         return torch.stack([force, first, second, *torques])
 
     def slopes(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
-        """As of ContactControl."""
         found = normal_force(p, p["radius"] - x[0], -x[1])
         normal = torch.stack([-found.by_depth, -found.by_rate])
         if not self.has_friction:
@@ -209,7 +201,6 @@ class PlaneControl(ContactControl):
         return J
 
     def gaps(self, p: Mapping[str, Any], x: Tensor) -> tuple[Tensor, Tensor]:
-        """As of ContactControl."""
         return (x[0] - p["radius"])[None], x[1][None]
 
     def _sliding(self, p: Mapping[str, Any], x: Tensor) -> list[Tensor]:

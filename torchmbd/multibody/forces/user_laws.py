@@ -23,7 +23,7 @@ from torchmbd.math.codegen.scalar_derivatives import derivative
 from torchmbd.math.codegen.scalars import Tape, Untraceable
 from torchmbd.multibody.forces.action import law_slopes
 from torchmbd.multibody.forces.feedback import Control, Port
-from torchmbd.multibody.forces.laws import LAWS, Scaled
+from torchmbd.multibody.forces.laws import LAWS, Scaled, data_fields
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
 
 _INPUTS = ("s", "rate", "t")
@@ -77,7 +77,7 @@ def is_library_law(law: Any) -> bool:
     """Whether a law is of this library and contains no function of a user."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return is_library_law(law.law)
-    return type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None))
+    return bool(data_fields(law)) or (type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None)))
 
 
 def traceable_part(law: Any) -> Any:
@@ -111,7 +111,6 @@ class CallbackLaw(Control):
         return f"law {self.law!r}"
 
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
-        """As of Control."""
         s, rate = x[:2, None, None]
         f = self.law(s, rate, t)
         if not isinstance(f, Tensor) or f.shape != s.shape or f.dtype != s.dtype:
@@ -120,7 +119,6 @@ class CallbackLaw(Control):
         return f[0]
 
     def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
-        """As of Control."""
         s, rate = x[:2, None, None]
         by = law_slopes(self.law, s, rate, t)
         return self.at(p, x, t), torch.stack([*(y.expand(1, 1, x.shape[1])[0, 0] for y in by), x[2] * 0.0])[None]

@@ -80,7 +80,7 @@ class _Vectors(torch.autograd.Function):
 
 
 def lowest_vectors(pattern: Pattern, K: Tensor, Kg: Tensor, count: int) -> tuple[Tensor, float]:
-    """As of `_Vectors`, for one lane: eigenvectors [N, count], and the largest eigenvalue of either sign."""
+    """Eigenvectors [N, count] of one lane for the lowest eigenvalues of Kg by K, and the largest eigenvalue of either sign."""
     A, B = pattern.to_scipy(Kg), pattern.to_scipy(K)
     if pattern.size <= max(SMALL, 4 * count):
         values, shapes = scipy.linalg.eigh(A.toarray(), B.toarray())

@@ -141,7 +141,7 @@ class Dynamics:
         return outside_transforms(run, *values, *tensors)
 
     def _rank(self) -> Rank:
-        """As of `rank`, of plain data."""
+        """The rank of the constraint rows for data without tangents."""
         lane = first_finite_lane(self.data) if self.topology.rows else None
         if lane is None:
             return Rank(0, ())
