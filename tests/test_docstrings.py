@@ -17,7 +17,6 @@ import torch
 
 import torchmbd as mbd
 from torchmbd import cli
-from torchmbd.docstrings import meanings
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
@@ -50,23 +49,6 @@ def _methods(found: Any) -> list[Any]:
 @pytest.mark.parametrize("name", mbd.__all__)
 def test_every_public_name_has_an_example(name):
     assert ">>> " in (inspect.getdoc(getattr(mbd, name)) or ""), f"mbd.{name}: an example is missing in its docstring"
-
-
-def test_arguments_have_their_meaning():
-    def documented():
-        """What it does.
-
-        first, second   how long [m];
-                        "initial": as at the start
-        third   as in `other`
-        fourth  a word
-
-        Not an entry  of the table; see above.
-        """
-
-    length = 'how long [m]; "initial": as at the start'
-    assert meanings(documented) == {"first": length, "second": length, "fourth": "a word"}
-    assert meanings(mbd.Problem)["tolerance"].startswith("error by steps of every response, as a share")
 
 
 @pytest.fixture(scope="module")

@@ -132,7 +132,7 @@ class DesignSpace:
     def point(self, what: str, x: Any, default: np.ndarray) -> np.ndarray:
         """A design [n] within the bounds; arguments as of `vector`."""
         result = self.vector(what, x, default)
-        require_inside(what, self.names, self.lower, result, self.upper)
+        require_inside(what, self.names, self.lower, result, self.upper, shown)
         return result
 
     def designs(self, X: np.ndarray | Tensor) -> dict[str, Tensor]:

@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from torchmbd.errors import InputError, nearest, unknown
-from torchmbd.math import units
 from torchmbd.summary import Summary, few
 
 if TYPE_CHECKING:
@@ -284,12 +283,23 @@ def require_count(name: str, value: int, low: int, high: int) -> int:
     return value
 
 
-def require_inside(what: str, names: Sequence[str], lower: np.ndarray, x: np.ndarray, upper: np.ndarray) -> None:
-    """Raise InputError unless a design [n] lies in its bounds [n]; `what`: the noun of the message."""
+def require_inside(
+    what: str,
+    names: Sequence[str],
+    lower: np.ndarray,
+    x: np.ndarray,
+    upper: np.ndarray,
+    shown: Callable[[str, float], str] = lambda name, x: f"{x:g}",
+) -> None:
+    """Raise InputError unless a design [n] lies in its bounds [n].
+
+    what   the noun of the message
+    shown  writes a value of a variable
+    """
     for name, low, value, high in zip(names, lower, x, upper, strict=True):
         if not low <= value <= high:
-            between = f"must lie between {units.shown(name, low)} and {units.shown(name, high)}"
-            raise InputError(f"{what} of {name} = {units.shown(name, value)}: {between}")
+            between = f"must lie between {shown(name, low)} and {shown(name, high)}"
+            raise InputError(f"{what} of {name} = {shown(name, value)}: {between}")
 
 
 def require_problem(problem: Any) -> None:

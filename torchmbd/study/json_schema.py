@@ -7,6 +7,7 @@ Checked in tests/study/test_json_schema.py.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +18,6 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
-from torchmbd.docstrings import meanings
 from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS, optimize, sobol
@@ -34,6 +34,24 @@ CONSTRUCTORS: dict[str, Sequence[Any]] = {
     "Starts": (sobol,),
     "Tracking": (Study,),
 }
+
+
+_ENTRY = re.compile(r"(\w+(?:, \w+)*) {2,}(\S.*)")  # of a docstring: names, two spaces or more, meaning
+
+
+def meanings(documented: object) -> dict[str, str]:
+    """Argument -> its meaning in the docstring of a function or class; names that share a line share their meaning."""
+    result: dict[str, str] = {}
+    names: list[str] = []
+    for line in inspect.cleandoc(getattr(documented, "__doc__", None) or "").splitlines():
+        if entry := _ENTRY.fullmatch(line):
+            names = [] if entry[2].startswith("as in ") else entry[1].split(", ")  # explained there
+            result |= dict.fromkeys(names, entry[2])
+        elif line.startswith("  ") and names:
+            result |= {name: f"{result[name]} {line.strip()}" for name in names}
+        else:
+            names = []
+    return result
 
 
 def json_schema() -> dict[str, Any]:
@@ -76,7 +94,8 @@ def json_schema() -> dict[str, Any]:
         known = {key: text for constructor in reversed(constructors) for key, text in meanings(constructor).items()}
         for key, entry in properties.items():
             if key in known and "description" not in entry:
-                properties[key] = entry | {"description": known[key]}
+                sentence = known[key][0].upper() + known[key][1:].removesuffix(".") + "."
+                properties[key] = entry | {"description": sentence}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",

@@ -15,6 +15,7 @@ import numpy as np
 
 from torchmbd.design import Tradeoff
 from torchmbd.errors import InputError, unknown
+from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts
 from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
@@ -159,7 +160,7 @@ class StudySettings(Summary):
         require_count("count of sweep", count, 2, 100_000)
         low, high = (np.asarray(x)[[index]] for x in (self.problem.lower, self.problem.upper))
         for value in (first, last):
-            require_inside("sweep", [name], low, np.array([value]), high)
+            require_inside("sweep", [name], low, np.array([value]), high, shown)
         return index, np.linspace(first, last, count)
 
     @property
