@@ -44,9 +44,7 @@ def test_commands_and_keys_are_those_of_the_program():
     ):
         assert word in keys
     assert "[" not in keys.replace("`[]`", "")  # mkdocs takes a unit in brackets for a link
-    files = [
-        path for path in (DOCS.parent / "configs").rglob("*.yaml") if path.parent.name not in ("configs", "cluster")
-    ]
+    files = [path for path in (DOCS.parent / "configs").rglob("*.yaml") if path.parent.name != "configs"]
     assert reference.experiments().count("\n| `configs/") == len(files)
     assert reference.first_file().startswith("```yaml\n# ")
 

@@ -12,10 +12,11 @@ import pytest
 
 from tests.test_layers import circles
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+ROOT = Path(__file__).parents[2]
+EXPERIMENTS = ROOT / "experiments"
 FOLDERS = ("models", "peers", "paper", "benchmark", "tutorial", "documentation")  # each imports those before it
 MODULES = {
-    ".".join(file.relative_to(EXPERIMENTS.parent).with_suffix("").parts).removesuffix(".__init__"): file
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
     for file in sorted(EXPERIMENTS.rglob("*.py"))
 }
 
@@ -69,6 +70,26 @@ def test_a_folder_says_what_it_has_and_how_it_runs(folder):
         if word.startswith("experiments."):
             assert importlib.util.find_spec(word) is not None, command
         else:
-            assert (EXPERIMENTS.parent / more[0]).exists(), command
+            assert (ROOT / more[0]).exists(), command
     files = {file.stem for file in (EXPERIMENTS / folder).iterdir() if file.suffix in (".py", ".yaml")}
     assert files - set(re.findall(r"\w+", said)) <= {"__init__", "__main__"}
+
+
+TEXTS = [
+    file
+    for pattern in ("*.py", "*.md", "*.ipynb", "*.y*ml", "*.toml", "*.json", "README*", ".ci/*")
+    for file in ROOT.rglob(pattern)
+    if file.is_file() and not {"site", ".venv", "build"} & set(file.relative_to(ROOT).parts)
+]
+NAME = re.compile(r"(?<![\w/#])experiments[./](?!__)(\w+)(?:[./](\w+))?")  # #/experiments/ are pages of MLflow
+
+
+def test_every_name_of_a_module_or_file_here_leads_somewhere():
+    """In pages, notebooks, experiment files, docstrings and tests: a move leaves no name of the former place."""
+    lost = [
+        f"{file.relative_to(ROOT)}: experiments.{folder}.{name}"
+        for file in TEXTS
+        for folder, name in NAME.findall(file.read_text(encoding="utf-8"))
+        if not (EXPERIMENTS / folder).is_dir() or (name and not list((EXPERIMENTS / folder).glob(f"{name}*")))
+    ]
+    assert lost == []

@@ -2,9 +2,9 @@
 # SLURM on one machine, to try it, run by you in a folder of yours: nothing else of the machine changes.
 #
 #     sudo apt-get install slurm-wlm munge
-#     sh configs/cluster/one_machine.sh start ~/slurm      # writes slurm.conf there and starts munged, slurmctld, slurmd
-#     export SLURM_CONF=~/slurm/slurm.conf                 # where sinfo, sbatch and torchmbd find it
-#     sh configs/cluster/one_machine.sh stop ~/slurm
+#     sh docs/how-to/cluster/one_machine.sh start ~/slurm  # writes slurm.conf there and starts munged, slurmctld, slurmd
+#     export SLURM_CONF=~/slurm/slurm.conf                     # where sinfo, sbatch and torchmbd find it
+#     sh docs/how-to/cluster/one_machine.sh stop ~/slurm
 #
 # Tried with SLURM 22.05. Ports: 6817 and the next, or those of the variable PORT.
 set -eu
