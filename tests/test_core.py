@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHORT = ["simulate.steps=80", "starts.count=1", "optimizer.max_iterations=2", "options.cells=[6, 2]"]
+SHORT = ["simulate.steps=400", "starts.count=1", "optimizer.max_iterations=2", "options.cells=[6, 2]"]
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ LAYERS = (
     {"optimization"},
     {"design"},
     {"viz", "tracking"},
-    {"extensions.fatigue", "extensions.openmdao"},
+    {"extensions.beamdyn", "extensions.fatigue", "extensions.openmdao", "extensions.robots", "extensions.windio"},
     {"study"},
     {"api", "cli"},
     {"__main__"},

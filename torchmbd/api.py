@@ -66,7 +66,6 @@ from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
-from torchmbd.io.windio import WindIOBlade
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -269,7 +268,6 @@ __all__ = [
     "Universal",
     "Velocity",
     "WeightedSum",
-    "WindIOBlade",
     "buckling",
     "craig_bampton",
     "deg",

@@ -11,13 +11,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
+    from torchmbd.extensions.beamdyn import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
+    from torchmbd.extensions.robots import *  # noqa: F403
+    from torchmbd.extensions.windio import *  # noqa: F403
 
 #: Extension -> its public names, `mbd.<name>`.
 NAMES = {
+    "beamdyn": "read_beamdyn",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
     "openmdao": "openmdao_component",
+    "robots": "read_mjcf read_urdf",
+    "windio": "read_windio",
 }
 #: Registry (design/responses.py) -> name in experiment files -> "extension:class".
 ENTRIES: dict[str, dict[str, str]] = {
