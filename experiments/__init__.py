@@ -1,8 +1,12 @@
-"""Models, the tables and figures of the paper, comparisons with other programs, and benchmarks.
+"""What torchmbd was tried on. The docstring of each folder says what is in it and how to run it.
 
-models        slider_crank, sar_antenna (with sar_antenna_*), two_link_arm, spatial_arm, panel, steered_rod, tutorial/
-paper/        `python -m experiments.paper`: table3, table4, table5, figures4_7, figures8_11, minima, ...
-others        exudyn_*, mujoco_models, robots, flexible_arm, nastran_decks, wing_body, iea_blade, *_slider_crank
-benchmark/    `python -m experiments.benchmark`; benchmark_elements, benchmark_modes, benchmark_tracking
-pages         validation writes docs/validation; gallery/ and documentation/ make pictures, notebooks, links
+models         mechanisms and structures; the slider-crank and the two-link arm are in torchmbd.examples
+paper          tables and figures of the paper, beside ours: `python -m experiments.paper`
+peers          other programs, and files and published numbers of others, beside ours
+benchmark      times, memory, accuracy: `python -m experiments.benchmark`
+tutorial       the programs of docs/tutorials
+documentation  what docs/ has that is computed: pictures, tables, notebooks, the pages of docs/validation
+
+A folder imports those above it in the order models, peers, paper, benchmark, tutorial, documentation; no module imports
+itself through others. Checked in tests/experiments/test_imports.py.
 """

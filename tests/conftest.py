@@ -34,7 +34,7 @@ if CORE:
 collect_ignore = ["extensions"] if CORE else []
 
 import torchmbd as mbd
-from experiments.slider_crank import build
+from torchmbd.examples.slider_crank import build
 from torchmbd.integrate import Trajectory
 from torchmbd.math import compiled_products
 from torchmbd.math.codegen.compiler import compiler

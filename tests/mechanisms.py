@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments import slider_crank
+from torchmbd.examples import slider_crank
 from torchmbd.math.pair import linear, value
 
 CARBON = {"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9, "nu12": 0.23, "density": 1586.0}

@@ -18,7 +18,7 @@ SHORT = ["simulate.steps=400", "starts.count=1", "optimizer.max_iterations=2", "
 def core(tmp_path, empty_store):
     """A function that runs Python on the copy, in a folder with an empty tracking store."""
     leave = shutil.ignore_patterns("__pycache__", "extensions")
-    for folder in ("torchmbd", "experiments", "configs/slider_crank"):
+    for folder in ("torchmbd", "configs/slider_crank"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=leave)
     shutil.copy(empty_store, tmp_path / "mlflow.db")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "TORCHMBD_COMPILE": "0"}

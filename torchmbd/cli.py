@@ -53,7 +53,7 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
         Processes that evaluate designs; 0: one for each core.
     scheduler
         Address of a Dask scheduler whose workers evaluate, tcp://host:8786, or a cluster file:
-        configs/cluster/slurm.yaml
+        docs/how-to/cluster/slurm.yaml
     fresh
         Forget the evaluations of this problem, and begin anew.
     """

@@ -49,7 +49,6 @@ import torch
 from rich.console import Console
 
 import torchmbd as mbd
-from experiments import exudyn_peer
 from experiments.benchmark import chains, costs, motion
 from experiments.benchmark.adjoint import adjoint
 from experiments.benchmark.angles import many_angles
@@ -65,6 +64,7 @@ from experiments.benchmark.report import Result, Settings, machine
 from experiments.benchmark.segments import segments
 from experiments.benchmark.stiffening import stiffening
 from experiments.benchmark.study import study
+from experiments.peers import exudyn_peer
 
 PARTS: dict[str, Callable[[Settings], Result]] = {
     "motion": motion.slider_crank_part,

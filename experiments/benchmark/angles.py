@@ -16,7 +16,7 @@ import torchmbd as mbd
 from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.processes import fresh, resident_mb
 from experiments.benchmark.report import Grid, Result, Settings
-from experiments.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
+from torchmbd.examples.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
 from torchmbd.fem.elements import Plates
 from torchmbd.math.codegen.compiler import unavailable
 

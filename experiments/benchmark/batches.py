@@ -13,10 +13,10 @@ from collections.abc import Callable
 import torch
 
 import torchmbd as mbd
-from experiments import slider_crank
 from experiments.benchmark.cases import compilation, crank3, interleaved
 from experiments.benchmark.report import Cell, Grid, Result, Settings
 from torchmbd.design.response import Measure
+from torchmbd.examples import slider_crank
 from torchmbd.math.codegen.compiler import unavailable
 
 FEW, MANY = 1, 32

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments import closed_loops, exudyn_peer, slider_crank
+from experiments.peers import closed_loops, exudyn_peer
 from torchmbd.design.spline import Spline
+from torchmbd.examples import slider_crank
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.native import library
@@ -95,7 +96,7 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
 
 
 def loops(modes: int = 8, cells: tuple[int, int] = (16, 2), duration: float = 0.06) -> Case:
-    """The cube of experiments/closed_loops.py, three angles of each of its twelve links."""
+    """The cube of experiments/peers/closed_loops.py, three angles of each of its twelve links."""
     variables = {f"link{i}.laminate.angles": 0.5 for i in range(12)}
     return Case("closed loops", closed_loops.build(modes, cells), duration, variables, closed_loops.peer)
 

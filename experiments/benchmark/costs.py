@@ -17,7 +17,6 @@ from functools import partial
 import torch
 
 import torchmbd as mbd
-from experiments import exudyn_peer, gradients, slider_crank
 from experiments.benchmark.cases import (
     Case,
     compilation,
@@ -29,9 +28,12 @@ from experiments.benchmark.cases import (
     motion_backwards,
     pendulum,
 )
+from experiments.benchmark.modes import rod
 from experiments.benchmark.processes import fresh, resident_mb
 from experiments.benchmark.report import Cell, Grid, Result, Settings
-from experiments.benchmark_modes import rod
+from experiments.paper import gradients
+from experiments.peers import exudyn_peer
+from torchmbd.examples import slider_crank
 from torchmbd.integrate.native import library
 from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair

@@ -14,14 +14,10 @@ from functools import partial
 from typing import NamedTuple
 
 import torchmbd as mbd
-from experiments import (
-    modal_slider_crank,
-    slider_crank,
-    soft_slider_crank,
-    two_link_arm,
-)
 from experiments.benchmark.report import Grid, Result, Settings
-from experiments.gallery import chain, delta_robot, flapping_blade, four_bar, spacecraft
+from experiments.models import chain, delta_robot, flapping_blade, four_bar, spacecraft
+from experiments.peers import modal_slider_crank, soft_slider_crank
+from torchmbd.examples import slider_crank, two_link_arm
 
 LOW, HIGH = 0.5, 2.0  # an estimate within these times the true error is a good one
 SMALL = 1e-9  # of the value: true errors below it are those of Newton's iterations

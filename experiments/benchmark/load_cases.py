@@ -13,10 +13,11 @@ import numpy as np
 import torch
 
 import torchmbd as mbd
-from experiments import exudyn_peer, slider_crank
 from experiments.benchmark.cases import Case, compilation, interleaved
 from experiments.benchmark.motion import Row, measured
 from experiments.benchmark.report import Grid, Result, Settings
+from experiments.peers import exudyn_peer
+from torchmbd.examples import slider_crank
 from torchmbd.math.codegen.compiler import unavailable
 
 DURATION, STEPS = 0.4, 200

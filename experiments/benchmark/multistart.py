@@ -20,7 +20,7 @@ import torch
 import torchmbd as mbd
 from experiments.benchmark.cases import compilation, compiled_ready, measures
 from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
-from experiments.slider_crank import DURATION, build
+from torchmbd.examples.slider_crank import DURATION, build
 from torchmbd.optimization import Evaluation
 from torchmbd.process import use_one_thread
 
@@ -48,12 +48,12 @@ def _begin(peer: bool) -> None:
     use_one_thread()
     _worker["system"] = build(3, joint="spherical")
     if peer:
-        import experiments.exudyn_peer  # noqa: F401  before the clock starts
+        import experiments.peers.exudyn_peer  # noqa: F401  before the clock starts
 
 
 def _peer_measures(X: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
     """Peak and integral of U [designs, 2], and the seconds that the peer integrated."""
-    from experiments.exudyn_peer import slider_crank
+    from experiments.peers.exudyn_peer import slider_crank
 
     found = [
         run(DURATION, steps) for run in slider_crank(_worker["system"], {ANGLES: torch.tensor(X, dtype=torch.float64)})

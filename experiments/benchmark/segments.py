@@ -14,9 +14,10 @@ from functools import partial
 import torch
 
 import torchmbd as mbd
-from experiments import sar_antenna_whole, slider_crank
 from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.report import Grid, Result, Settings
+from experiments.models import sar_antenna_whole
+from torchmbd.examples import slider_crank
 from torchmbd.integrate.phase import Phase
 from torchmbd.math.codegen.compiler import unavailable
 

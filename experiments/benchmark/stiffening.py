@@ -7,9 +7,9 @@ from functools import partial
 import torch
 
 import torchmbd as mbd
-from experiments import slider_crank
 from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.report import Grid, Result, Settings
+from torchmbd.examples import slider_crank
 from torchmbd.math.codegen.compiler import unavailable
 
 LANES, FEW, MANY = 32, 400, 4400

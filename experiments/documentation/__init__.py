@@ -1,1 +1,8 @@
-"""What the documentation has that is made by programs: reference pages, tables of the paper, figures."""
+"""What docs/ has that is computed. docs/develop.md builds the site.
+
+hooks, reference, blocks, docstrings   parts of pages that mkdocs and the tests put in: tables, blocks of code, signatures
+validation, recorded                   pages of docs/validation: `python -m experiments.documentation.validation --list`
+pictures, animated_svg                 docs/images: `python -m experiments.documentation.pictures falling_arm`
+notebooks                              tutorials as notebooks: `python -m experiments.documentation.notebooks`
+links                                  follows all links of the built site: `python -m experiments.documentation.links site`
+"""

@@ -19,7 +19,7 @@ SCALE = 10.0  # of the rod's deflections
 
 def slider_crank(folder: Path) -> Path:
     """The rod of the slider-crank before and after the optimization of its three ply angles, deflections enlarged."""
-    from experiments.slider_crank import build
+    from torchmbd.examples.slider_crank import build
 
     system = build(layers=3, cells=(16, 2))
     energy = mbd.StrainEnergy("rod")
@@ -59,7 +59,7 @@ def robot_arm(folder: Path) -> Path:
 
 def two_link_arm(folder: Path) -> Path:
     """The two-link arm whose elbow latches."""
-    from experiments.two_link_arm import build, phases
+    from torchmbd.examples.two_link_arm import build, phases
 
     motion = mbd.simulate(build(), 1.2, steps=400, phases=phases(), gradients="none", spectral_radius=0.7).require_ok()
     tip = {"fore": [(-0.15, 0, 0), (0.15, 0, 0)]}
@@ -68,7 +68,7 @@ def two_link_arm(folder: Path) -> Path:
 
 def spatial_arm(folder: Path) -> Path:
     """The spatial arm of two tubes from rest, deflections enlarged."""
-    from experiments.spatial_arm import END, build
+    from experiments.models.spatial_arm import END, build
 
     motion = mbd.simulate(build(), END, steps=300, gradients="none", start="equilibrium").require_ok()
     lines = drawing(motion, 61, view="iso", scale=10.0)
@@ -77,7 +77,7 @@ def spatial_arm(folder: Path) -> Path:
 
 def antenna(folder: Path) -> Path:
     """The first phase of the antenna from the side."""
-    from experiments.sar_antenna import build
+    from experiments.models.sar_antenna import build
 
     motion = mbd.simulate(build((55.0, -55.0), modes=4), 7.9, steps=1580, gradients="none")
     return animated_svg([("", drawing(motion, 61, view="xz"))], folder / "antenna.svg", 6.0, duration=7.9)
@@ -86,7 +86,7 @@ def antenna(folder: Path) -> Path:
 def _of_gallery(name: str, **how: Any) -> Callable[[Path], Path]:
     def picture(folder: Path) -> Path:
         seconds = how.pop("seconds", 4.0)
-        motion = importlib.import_module(f"experiments.gallery.{name}").motion().require_ok()
+        motion = importlib.import_module(f"experiments.models.{name}").motion().require_ok()
         lines = drawing(motion, **how)
         return animated_svg(
             [("", lines)], folder / f"{name}.svg", seconds, float(motion.t[-1]), float(how.get("scale", 1.0))

@@ -1,7 +1,7 @@
 """Parts of section 6, the SAR antenna: Tables 6-8, Figs. 15-26.
 
 Counts, panels, material, lay-ups and the actuator are given; places of the joints and trusses are *chosen*, and two of them
-were picked after seeing the two integrals of Table 8 (experiments/sar_antenna_data.py).
+were picked after seeing the two integrals of Table 8 (experiments/models/sar_antenna_data.py).
 Checked in tests/experiments/test_paper.py.
 """
 
@@ -15,15 +15,15 @@ import numpy as np
 import torch
 
 import torchmbd as mbd
-from experiments import sar_antenna_optimum
+from experiments.models.sar_antenna import build, phi3, theta
+from experiments.models.sar_antenna_clearance import gaps, verdict
+from experiments.models.sar_antenna_data import ANGLES
+from experiments.models.sar_antenna_whole import unlocked
+from experiments.paper import antenna_optimum
+from experiments.paper.antenna_optimum import MODEL, START
+from experiments.paper.antenna_tables import ENERGY, LAYUPS, PAPER, REFERENCE_TIMES, reaches_zero, shares
 from experiments.paper.part import Part, Row
 from experiments.paper.rod import angles
-from experiments.sar_antenna import build, phi3, theta
-from experiments.sar_antenna_clearance import gaps, verdict
-from experiments.sar_antenna_data import ANGLES
-from experiments.sar_antenna_optimum import MODEL, START
-from experiments.sar_antenna_tables import ENERGY, LAYUPS, PAPER, REFERENCE_TIMES, reaches_zero, shares
-from experiments.sar_antenna_whole import unlocked
 from torchmbd.viz.figures import CYCLE, figure_of, over_time
 
 OPTIMUM = (1.06, -47.0)  # Table 8 [deg]
@@ -100,7 +100,7 @@ def draw_modes(system: mbd.System, path: Path) -> None:
 
 def optimum(folder: Path, steps: int, max_iterations: int = 40, **model: Any) -> list[Row]:
     """Tables 7, 8, Figs. 20-23: the optimization, and both designs over the time."""
-    problem = sar_antenna_optimum.problem(steps, **model)
+    problem = antenna_optimum.problem(steps, **model)
     found = mbd.optimize(problem, method="mmfd", max_iterations=max_iterations)
     first, x = found.history[0].objective, np.degrees(found.x)
     iterations = [it.objective for it in found.history]
@@ -184,12 +184,13 @@ def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
     return rows
 
 
-SOURCES = tuple(f"experiments.sar_antenna{x}" for x in ("", "_bodies", "_data", "_tables", "_clearance"))
+_MODELS = tuple(f"experiments.models.sar_antenna{x}" for x in ("", "_bodies", "_data", "_clearance"))
+SOURCES = (*_MODELS, "experiments.paper.antenna_tables")
 PARTS = (
     Part("table6", "Table 6, Figs. 15-18: two lay-ups of the antenna", layups,
-         (*SOURCES, "experiments.sar_antenna_whole", "experiments.paper.antenna"), 1.0, {"rate": 100, "modes": 14}),
+         (*SOURCES, "experiments.models.sar_antenna_whole", "experiments.paper.antenna"), 1.0, {"rate": 100, "modes": 14}),
     Part("table8", "Tables 7, 8, Figs. 20-23: the antenna optimized", optimum,
-         (*SOURCES, "experiments.sar_antenna_optimum", "experiments.paper.antenna"), 3.0, {"steps": 300}),
+         (*SOURCES, "experiments.paper.antenna_optimum", "experiments.paper.antenna"), 3.0, {"steps": 300}),
     Part("equation40", "Eq. (40) with other modes and meshes", vibration,
          (*SOURCES, "experiments.paper.antenna"), 3.0, {"rate": 200}),
     Part("figures19_26", "Figs. 19, 24-26: the first phase of both designs", deployment,

@@ -1,6 +1,7 @@
 """Parts of section 6 over both phases: Figs. 14, 19, 22-26 for 20 s, rigid and flexible panels, rigid and flexible trusses.
 
-The second phase is chosen altogether, but for its counts (experiments/sar_antenna_whole.py): the paper prints nothing of it.
+The second phase is chosen altogether, but for its counts (experiments/models/sar_antenna_whole.py): the paper prints nothing
+of it.
 Checked in tests/experiments/test_paper.py.
 """
 
@@ -14,11 +15,11 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
+from experiments.models.sar_antenna import theta
+from experiments.models.sar_antenna_clearance import gaps
+from experiments.models.sar_antenna_whole import DESIGNS, deployed, hinges
 from experiments.paper.antenna import SOURCES, curves
 from experiments.paper.part import Part, Row
-from experiments.sar_antenna import theta
-from experiments.sar_antenna_clearance import gaps
-from experiments.sar_antenna_whole import DESIGNS, deployed, hinges
 
 NODES = {"panel2": "B", "panel3": "D"}  # as the paper calls the corners of Figs. 24, 25
 LAST = 1.5  # [s]
@@ -98,7 +99,12 @@ def draw(motion: mbd.Trajectory, x: Tensor, ylabel: str, path: Path) -> None:
     curves(motion.t, dict(zip(DESIGNS, x, strict=True)), ylabel, path)
 
 
-_PHASES = (*SOURCES, "experiments.sar_antenna_whole", "experiments.paper.antenna", "experiments.paper.antenna_deployed")
+_PHASES = (
+    *SOURCES,
+    "experiments.models.sar_antenna_whole",
+    "experiments.paper.antenna",
+    "experiments.paper.antenna_deployed",
+)
 PARTS = (
     Part("figure14", "Fig. 14: both phases, rigid panels", rigid, _PHASES, 1.0, {"steps": 400}),
     Part("both_phases", "Figs. 22-26: both phases for 20 s, flexible panels", flexible, _PHASES, 2.0, {"steps": 4000}),

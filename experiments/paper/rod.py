@@ -1,7 +1,7 @@
 """Parts of section 5, the slider-crank: Tables 1-5, Figs. 4-11.
 
 Everything is *inferred* where the lengths of the crank and the rod and the end time enter: they were fitted to the numbers of
-Tables 2-4 (experiments/slider_crank.py). Checked in tests/experiments/test_paper.py.
+Tables 2-4 (torchmbd/examples/slider_crank.py). Checked in tests/experiments/test_paper.py.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 import torchmbd as mbd
-from experiments import figures4_7, figures8_11, table3, table4, table5
+from experiments.paper import figures4_7, figures8_11, table3, table4, table5
 from experiments.paper.part import Part, Row
 
 # c of eq. (37), Table 2: the largest 2U of the start design [J]
 LIMITS = {1: 1.1572, 2: 0.8113, 3: 0.9841}
-MODEL = "experiments.slider_crank"
+MODEL = "torchmbd.examples.slider_crank"
 NOTES = {
     "bound": "a local minimum of the formulation (18)-(20)",
     "direct": "the peak itself",
@@ -140,12 +140,12 @@ def criteria(folder: Path, **options: Any) -> list[Row]:
 
 _MESH = {"cells": (24, 4), "steps": 600}
 PARTS = (
-    Part("figures4_7", "Table 1, Figs. 4-7: sensitivities", sensitivities, (MODEL, "experiments.figures4_7"), 0.5,
+    Part("figures4_7", "Table 1, Figs. 4-7: sensitivities", sensitivities, (MODEL, "experiments.paper.figures4_7"), 0.5,
          {"cells": (12, 2), "steps": 300}),
-    Part("table2", "Table 2: laminates of the rod", laminates, (MODEL, "experiments.table3"), 0.2, _MESH),
-    Part("table3", "Table 3: least integral of energy", least_integral, (MODEL, "experiments.table3"), 2.0, _MESH),
-    Part("table4", "Table 4: least peak of energy", least_peak, (MODEL, "experiments.table4"), 6.0, _MESH),
-    Part("table5", "Table 5: energy and torsion", energy_and_torsion, (MODEL, "experiments.table5"), 2.0, _MESH),
+    Part("table2", "Table 2: laminates of the rod", laminates, (MODEL, "experiments.paper.table3"), 0.2, _MESH),
+    Part("table3", "Table 3: least integral of energy", least_integral, (MODEL, "experiments.paper.table3"), 2.0, _MESH),
+    Part("table4", "Table 4: least peak of energy", least_peak, (MODEL, "experiments.paper.table4"), 6.0, _MESH),
+    Part("table5", "Table 5: energy and torsion", energy_and_torsion, (MODEL, "experiments.paper.table5"), 2.0, _MESH),
     Part("figures8_11", "Figs. 8-11: criteria over angle, time and iterations", criteria,
-         (MODEL, "experiments.figures8_11", "experiments.table3", "experiments.table4", "experiments.table5"), 3.0, _MESH),
+         (MODEL, *(f"experiments.paper.{x}" for x in ("figures8_11", "table3", "table4", "table5"))), 3.0, _MESH),
 )  # fmt: skip

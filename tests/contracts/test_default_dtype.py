@@ -14,8 +14,8 @@ from torch.testing import assert_close
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torchmbd as mbd
-from experiments import two_link_arm
 from tests.mechanisms import GRAVITY, SOFT, laminate, pendulum, plate
+from torchmbd.examples import two_link_arm
 
 PACKAGE = str(Path(mbd.__file__).parent)
 

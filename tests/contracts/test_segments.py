@@ -13,8 +13,8 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from experiments import slider_crank
 from tests.mechanisms import pendulum
+from torchmbd.examples import slider_crank
 from torchmbd.integrate import METHODS
 from torchmbd.integrate.registry import INTEGRATORS
 
@@ -84,7 +84,7 @@ def test_the_duration_has_its_gradient_with_one_phase():
 @pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.0093), mbd.Phase(lasting=0.0111), mbd.Phase()]])
 def test_a_body_that_a_drive_moves_has_its_exact_motion_in_every_segment(phases):
     """It is none of the unknowns: steps of any size leave no error, on both sides of switches, which begin anew."""
-    from experiments.slider_crank import build
+    from torchmbd.examples.slider_crank import build
 
     system = build(6)
     motion = mbd.simulate(system, 0.04, steps=40, phases=phases, gradients="none")

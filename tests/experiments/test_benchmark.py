@@ -10,7 +10,6 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments import exudyn_peer, slider_crank
 from experiments.benchmark import __main__ as benchmark
 from experiments.benchmark import costs as benchmark_costs
 from experiments.benchmark import evaluate as benchmark_evaluate
@@ -21,6 +20,8 @@ from experiments.benchmark import segments as benchmark_segments
 from experiments.benchmark import study as benchmark_study
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
 from experiments.benchmark.report import Result, Settings
+from experiments.peers import exudyn_peer
+from torchmbd.examples import slider_crank
 
 
 @pytest.fixture(autouse=True)

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
-from experiments import recorded, validation
-from experiments.documentation import reference
+from experiments.documentation import recorded, reference, validation
 from experiments.documentation.animated_svg import animated_svg, drawing
 from experiments.paper.part import Finding, Part, Row
 
@@ -45,9 +44,7 @@ def test_commands_and_keys_are_those_of_the_program():
     ):
         assert word in keys
     assert "[" not in keys.replace("`[]`", "")  # mkdocs takes a unit in brackets for a link
-    files = [
-        path for path in (DOCS.parent / "configs").rglob("*.yaml") if path.parent.name not in ("configs", "cluster")
-    ]
+    files = [path for path in (DOCS.parent / "configs").rglob("*.yaml") if path.parent.name != "configs"]
     assert reference.experiments().count("\n| `configs/") == len(files)
     assert reference.first_file().startswith("```yaml\n# ")
 
@@ -63,12 +60,13 @@ def test_rows_of_the_paper_become_tables():
 def test_outputs_of_commands_become_blocks_of_a_page(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
-        "# A\n\n<!-- recorded: gradients -->\n<!-- end -->\n\n<!-- recorded: table3 --starts 2 -->\nold\n<!-- end -->\n"
+        "# A\n\n<!-- recorded: paper.gradients -->\n<!-- end -->\n\n"
+        "<!-- recorded: paper.table3 --starts 2 -->\nold\n<!-- end -->\n"
     )
-    recorded.record(page, "table3 --starts 2", lambda command: "a   \n\n b\n\n")
+    recorded.record(page, "paper.table3 --starts 2", lambda command: "a   \n\n b\n\n")
     text = page.read_text()
-    assert recorded.commands(page)["gradients"] == ""
-    assert "`python -m experiments.table3 --starts 2`, 20" in text
+    assert recorded.commands(page)["paper.gradients"] == ""
+    assert "`python -m experiments.paper.table3 --starts 2`, 20" in text
     assert "```text\na\n\n b\n```\n<!-- end -->\n" in text
     assert "old" not in text
 

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from experiments.discrete import Within, problem_of
-from experiments.enumeration import Enumeration, enumerate_all, grid
-from experiments.minima import STORED
+from experiments.paper.discrete import Within, problem_of
+from experiments.paper.enumeration import Enumeration, enumerate_all, grid
+from experiments.paper.minima import STORED
 
 TINY = {"cells": (4, 2), "modes": 3, "steps": 120, "kind": "triangle"}  # the limit of 3f is one for triangles
 

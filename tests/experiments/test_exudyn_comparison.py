@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 import torchmbd as mbd
-from experiments import exudyn_peer, panel, slider_crank
-from experiments.exudyn_comparison import Comparison, compare
+from experiments.models import panel
+from experiments.peers import exudyn_peer
+from experiments.peers.exudyn_comparison import Comparison, compare
+from torchmbd.examples import slider_crank
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments import figures4_7
+from experiments.paper import figures4_7
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments import figures8_11
+from experiments.paper import figures8_11
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import torchmbd as mbd
-from experiments import flexible_arm
-from experiments.robots import ARM, folder
+from experiments.peers import flexible_arm
+from experiments.peers.robots import ARM, folder
 
 pytestmark = [
     pytest.mark.skipif(folder(ARM) is None, reason=f"{ARM} names no folder"),

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments import iea_blade
+from experiments.peers import iea_blade
 
 ROOT = iea_blade.folder()
 pytestmark = pytest.mark.skipif(ROOT is None, reason=f"{iea_blade.VARIABLE} is not the repository IEA-15-240-RWT")

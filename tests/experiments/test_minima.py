@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from experiments.minima import beside_evolution, simulations_to
+from experiments.paper.minima import beside_evolution, simulations_to
 from tests.optimization.analytic import Analytic
 from tests.optimization.methods.test_evolution import rastrigin
 from torchmbd.optimization.multistart import multistart

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments import modal_slider_crank as crank
+from experiments.peers import modal_slider_crank as crank
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from experiments import mujoco_models
-from experiments.robots import folder
+from experiments.peers import mujoco_models
+from experiments.peers.robots import folder
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # what is left out
 

@@ -11,10 +11,10 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from experiments.models.sar_antenna_data import ANGLES
+from experiments.models.sar_antenna_whole import whole
 from experiments.paper import antenna, antenna_deployed, parts, report, rod
 from experiments.paper.part import Part, Row, find
-from experiments.sar_antenna_data import ANGLES
-from experiments.sar_antenna_whole import whole
 from torchmbd.viz.figures import figure_of
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -91,7 +91,7 @@ def test_laminates_of_the_rod(tmp_path):
 
 @pytest.mark.thorough
 def test_the_antenna_optimized(tmp_path, monkeypatch):
-    monkeypatch.setattr("experiments.sar_antenna_optimum.DURATION", 0.5)
+    monkeypatch.setattr("experiments.paper.antenna_optimum.DURATION", 0.5)
     rows = {row.what: row for row in antenna.optimum(tmp_path, 20, max_iterations=1, modes=2, reduction="vibration")}
     assert rows["Table 7: start (deg)"].ours == rows["Table 7: start (deg)"].paper
     assert rows["Table 8: reduction (%)"].ours > 0.0

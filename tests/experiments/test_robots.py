@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments import robots
+from experiments.peers import robots
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # limits about a turn apart, inertia that no mass has
 

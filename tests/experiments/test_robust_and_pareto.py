@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments import pareto, robust
+from experiments.paper import pareto, robust
 from tests.optimization.analytic import Analytic
 from tests.optimization.test_pareto import two_bowls
 from torchmbd.optimization import pareto_front

@@ -11,12 +11,23 @@ import torch
 from scipy.integrate import solve_ivp
 
 import torchmbd as mbd
-from experiments.sar_antenna import build, phi3, theta
-from experiments.sar_antenna_bodies import Truss
-from experiments.sar_antenna_clearance import gaps, verdict
-from experiments.sar_antenna_data import ANGLES, CRANK, DAMPING, HALF, IM6, INTEGRATOR, KNOTS, LENGTH, STOWED, WIDTH
-from experiments.sar_antenna_tables import OBJECTIVE, gradient, reaches_zero
-from experiments.sar_antenna_whole import unlocked
+from experiments.models.sar_antenna import build, phi3, theta
+from experiments.models.sar_antenna_bodies import Truss
+from experiments.models.sar_antenna_clearance import gaps, verdict
+from experiments.models.sar_antenna_data import (
+    ANGLES,
+    CRANK,
+    DAMPING,
+    HALF,
+    IM6,
+    INTEGRATOR,
+    KNOTS,
+    LENGTH,
+    STOWED,
+    WIDTH,
+)
+from experiments.models.sar_antenna_whole import unlocked
+from experiments.paper.antenna_tables import OBJECTIVE, gradient, reaches_zero
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -79,7 +90,7 @@ def test_time_at_which_the_antenna_is_in_line():
 
 
 def test_gradient_of_the_energy_integral(monkeypatch):
-    monkeypatch.setattr("experiments.sar_antenna_tables.DURATION", 0.3)
+    monkeypatch.setattr("experiments.paper.antenna_tables.DURATION", 0.3)
     assert gradient(30, modes=4, cells=COARSE) < 1e-4
 
 

@@ -7,17 +7,17 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments import sar_antenna_optimum
-from experiments.sar_antenna import build
-from experiments.sar_antenna_geometry import figures
-from experiments.sar_antenna_optimum import LAYERS, START, problem
+from experiments.models.sar_antenna import build
+from experiments.paper import antenna_optimum
+from experiments.paper.antenna_geometry import figures
+from experiments.paper.antenna_optimum import LAYERS, START, problem
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
-    monkeypatch.setattr(sar_antenna_optimum, "DURATION", 0.5)
+    monkeypatch.setattr(antenna_optimum, "DURATION", 0.5)
 
 
 def coarse(*angles):
@@ -59,7 +59,7 @@ def test_statics_of_the_joints_are_exact_with_craig_bampton():
 @pytest.mark.thorough
 def test_a_line_tells_the_optimization():
     result = mbd.optimize(coarse(START), method="mmfd", max_iterations=1)
-    text = sar_antenna_optimum.line(result)
+    text = antenna_optimum.line(result)
     assert text.startswith(f"{result.history[0].objective:.6f} -> ")
     assert "deg" in text
 

@@ -7,8 +7,8 @@ import math
 import pytest
 
 import torchmbd as mbd
-from experiments.sar_antenna import build, phi3, theta
-from experiments.sar_antenna_whole import LATCH, REST, deployed, hinges, phi2, unlocked, whole
+from experiments.models.sar_antenna import build, phi3, theta
+from experiments.models.sar_antenna_whole import LATCH, REST, deployed, hinges, phi2, unlocked, whole
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from experiments import soft_slider_crank as crank
+from experiments.peers import soft_slider_crank as crank
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -14,7 +14,7 @@ import yaml
 from rich.console import Console
 
 import torchmbd as mbd
-from experiments.spatial_arm import END, PAYLOADS, build, problem
+from experiments.models.spatial_arm import END, PAYLOADS, build, problem
 from torchmbd.study.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker

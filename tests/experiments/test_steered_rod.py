@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
-from experiments.steered_rod import RADIUS, steered, straight
+from experiments.models.steered_rod import RADIUS, steered, straight
 
 pytestmark = pytest.mark.usefixtures("compiled")
 CELLS, STRAIGHT = (12, 6), [0.0, math.pi / 2, 0.0]  # the best straight fibers of the recorded run

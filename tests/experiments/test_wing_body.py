@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments import wing_body
+from experiments.peers import wing_body
 
 pytestmark = pytest.mark.skipif(
     wing_body.deck() is None, reason=f"{wing_body.VARIABLE} names no folder models of SteveDoyle2/pyNastran"

@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from experiments import slider_crank
 from tests.mechanisms import box, finished, pendulum
 from tests.multibody.system.test_initial import four_bar
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.errors import InputError
+from torchmbd.examples import slider_crank
 
 STEPS = {"steps": 10, "iterations": (6, 4)}
 ANGLES = "rod.laminate.angles"

@@ -197,7 +197,7 @@ def test_strain_energy_is_that_of_the_finite_elements(motion, system):
 
 def test_steps_are_corrected_until_they_are_precise_and_lanes_that_fail_are_tried_again():
     """By further corrections in a step, each with a new matrix; where these do not lead there, with half the step."""
-    from experiments.slider_crank import build
+    from torchmbd.examples.slider_crank import build
 
     system = build(3, cells=(6, 2), modes=4)
     designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
@@ -232,7 +232,7 @@ def test_a_system_at_rest_stays_there():
 @pytest.mark.thorough
 def test_steps_that_do_not_resolve_the_vibrations_are_reported():
     """And the number of steps that is suggested does."""
-    from experiments.slider_crank import build
+    from torchmbd.examples.slider_crank import build
 
     system = build(1, [0.0], cells=(6, 2), modes=4)
     with pytest.warns(UserWarning, match="do not resolve the vibrations"):
@@ -251,7 +251,7 @@ def test_steps_that_do_not_resolve_the_vibrations_are_reported():
 @pytest.mark.usefixtures("compiled")
 def test_motions_that_are_not_resolved_are_no_evaluations_of_a_problem():
     """With 5 steps the estimated error is several hundred per cent: a criterion of it is none."""
-    from experiments.slider_crank import build
+    from torchmbd.examples.slider_crank import build
 
     system = build(1, [0.0], cells=(6, 2), modes=4)
     energy = mbd.Integral(mbd.StrainEnergy("rod"))
@@ -268,7 +268,7 @@ def test_motions_that_are_not_resolved_are_no_evaluations_of_a_problem():
 @pytest.mark.filterwarnings("ignore:the steps do not resolve")
 def test_after_its_failure_a_lane_has_no_numbers(phases):
     """Every signal, view and energy is nan from there on, that of a driven crank too, and finite before."""
-    from experiments.slider_crank import build
+    from torchmbd.examples.slider_crank import build
 
     system = build(3, cells=(6, 2), modes=4)
     designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}

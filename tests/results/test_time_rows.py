@@ -7,7 +7,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from experiments.slider_crank import DURATION, build
+from torchmbd.examples.slider_crank import DURATION, build
 from torchmbd.results.time_rows import IntegratedSignals, TensorSignals
 
 ANGLES = "rod.laminate.angles"

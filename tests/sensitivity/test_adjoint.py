@@ -9,10 +9,10 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from experiments.slider_crank import build
 from tests.mechanisms import GRAVITY, box, finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
+from torchmbd.examples.slider_crank import build
 from torchmbd.integrate import adjoint, pullback
 from torchmbd.integrate.native.backward import NativeAdjointSolver
 from torchmbd.multibody.system import System

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.slider_crank import build
+from torchmbd.examples.slider_crank import build
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.func import jacfwd, jacrev, jvp, vmap
 
-from experiments.eigen_families import FAMILIES, Family
+from experiments.models.eigen_families import FAMILIES, Family
 from torchmbd.fem.reduction import craig_bampton
 from torchmbd.math.sparse import Pattern, SparseMatrix
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.func import jacfwd, jacrev
 
-from experiments.eigen_families import Family, derivative_errors, gauge_free
+from experiments.models.eigen_families import Family, derivative_errors, gauge_free
 from torchmbd.fem.reduction import craig_bampton, eigenpairs, modal_basis
 
 GAPS = (0.0, 0.0, 1e-12, 1e-10, 1e-8, 1e-7, 1e-5, 1e-3)

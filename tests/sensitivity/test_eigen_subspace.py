@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.func import jacfwd, jacrev, jvp, vmap
 
-from experiments.eigen_families import FAMILIES, by_eigh, derivative_errors, gauge_free
+from experiments.models.eigen_families import FAMILIES, by_eigh, derivative_errors, gauge_free
 from torchmbd.fem.reduction import modal_basis
 
 CROSSING = next(f for f in FAMILIES if f.name == "not commuting" and f.with_mass)

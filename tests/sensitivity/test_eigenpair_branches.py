@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.func import jvp
 
-from experiments.eigen_families import FAMILIES, Family
+from experiments.models.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import eigenpair_branches
 from torchmbd.fem.reduction.branches import UNSPLIT

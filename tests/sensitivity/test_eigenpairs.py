@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.func import grad, jacfwd, jacrev, jvp, vjp, vmap
 
-from experiments.eigen_families import FAMILIES, Family
+from experiments.models.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import eigenpairs, modal_basis, spectral_function
 from torchmbd.math.sparse import Pattern, SparseMatrix

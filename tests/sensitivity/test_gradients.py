@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.slider_crank import build
 from tests.mechanisms import soft_slider_crank, sprung
+from torchmbd.examples.slider_crank import build
 from torchmbd.integrate import Trajectory
 
 ENERGY = mbd.StrainEnergy("rod")

@@ -6,7 +6,7 @@ import torch
 from torch.autograd import gradcheck
 from torch.func import jacfwd, jacrev, jvp, vmap
 
-from experiments.eigen_families import FAMILIES, Family
+from experiments.models.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import (
     ModalBasis,

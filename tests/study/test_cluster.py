@@ -28,7 +28,7 @@ from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
 from torchmbd.study.unfinished import StudyState, unsent
 
-SHIPPED = Path(__file__).parents[2] / "configs/cluster"
+SHIPPED = Path(__file__).parents[2] / "docs/how-to/cluster"
 SMALL = {"time": "00:10:00", "workers_per_job": 2, "memory_per_worker": "1 GB", "interface": "lo"}
 
 

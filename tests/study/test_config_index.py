@@ -11,10 +11,10 @@ def test_copies_that_runs_have_filed_are_not_listed(tmp_path):
         "more/crane.yml",
         "mlartifacts/f10/artifacts/config.yaml",
         ".torchmbd/x.yaml",
-        "cluster/s.yaml",
+        "cluster/arm.yaml",
     ):
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("# Which arm?\n" if "arm" in name else "model: x\n")
     found = {str(file.relative_to(tmp_path)): asked for file, asked in configs(tmp_path).items()}
-    assert found == {"arm.yaml": "Which arm?", "more/crane.yml": QUESTION_MISSING}
+    assert found == {"arm.yaml": "Which arm?", "cluster/arm.yaml": "Which arm?", "more/crane.yml": QUESTION_MISSING}

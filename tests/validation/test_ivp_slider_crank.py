@@ -1,4 +1,4 @@
-"""The elastic slider-crank of the test set for IVP solvers (experiments/ivp_slider_crank.py): published numbers."""
+"""The elastic slider-crank of the test set for IVP solvers (experiments/peers/ivp_slider_crank.py): published numbers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.ivp_slider_crank import PUBLISHED, build, ours, reference
+from experiments.peers.ivp_slider_crank import PUBLISHED, build, ours, reference
 
 #: by `reference(True)`, with quadratic stiffness
 NONLINEAR = {

@@ -6,7 +6,7 @@ times as fine where they slant, since corners of a clamped end have no simple so
 
 import pytest
 
-from experiments.shell_problems import cantilever
+from experiments.models.shell_problems import cantilever
 from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.math.angles import deg
 

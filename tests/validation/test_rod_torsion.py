@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
-from experiments.slider_crank import CARBON, DEPTH, ROD, THICKNESS, build
 from tests.fem.elements.plate_cases import freedoms, solved, stiffness
+from torchmbd.examples.slider_crank import CARBON, DEPTH, ROD, THICKNESS, build
 from torchmbd.fem.elements import PlateMatrices
 
 SERIES = sum(math.tanh(n * math.pi * DEPTH / (2 * THICKNESS)) / n**5 for n in range(1, 60, 2))

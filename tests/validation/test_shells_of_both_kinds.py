@@ -1,11 +1,11 @@
-"""The published problems of experiments/shell_problems.py with quadrilaterals: level at the usual mesh, then closer.
+"""The published problems of experiments/models/shell_problems.py with quadrilaterals: level at the usual mesh, then closer.
 
 The same with triangles, in more detail: test_macneal_harder_plates.py, test_curved_shells.py, test_cook_plate.py.
 """
 
 import pytest
 
-from experiments.shell_problems import PROBLEMS
+from experiments.models.shell_problems import PROBLEMS
 
 #: Allowed errors at the usual mesh and at one twice as fine.
 LEVELS = {

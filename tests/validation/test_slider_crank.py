@@ -12,7 +12,7 @@ from __future__ import annotations
 import pytest
 
 import torchmbd as mbd
-from experiments.slider_crank import DURATION, build
+from torchmbd.examples.slider_crank import DURATION, build
 from torchmbd.integrate import Trajectory
 
 pytestmark = pytest.mark.usefixtures("compiled")

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.slider_crank import CRANK, DEPTH, DURATION, ROD, SLIDER_MASS, SPEED, THICKNESS
+from torchmbd.examples.slider_crank import CRANK, DEPTH, DURATION, ROD, SLIDER_MASS, SPEED, THICKNESS
 
 
 def peak(count: int, stiffening: bool) -> float:

@@ -26,6 +26,11 @@ class Jet:
     def parts(self) -> tuple:
         return self.value, self.velocity, self.acceleration
 
+    def __add__(self, other) -> Jet:
+        if not isinstance(other, Jet):  # constant in time
+            return Jet(self.value + other, self.velocity, self.acceleration)
+        return Jet(*(a + b for a, b in zip(self.parts, other.parts, strict=True)))
+
     def __sub__(self, other) -> Jet:
         if not isinstance(other, Jet):  # constant in time
             return Jet(self.value - other, self.velocity, self.acceleration)

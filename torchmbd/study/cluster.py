@@ -1,4 +1,4 @@
-"""Jobs of a SLURM cluster as workers: `torchmbd run FILE --scheduler configs/cluster/slurm.yaml --workers 64`.
+"""Jobs of a SLURM cluster as workers: `torchmbd run FILE --scheduler docs/how-to/cluster/slurm.yaml --workers 64`.
 
     partition, account, time   of every job, as sbatch takes them; time: "04:00:00"
     workers_per_job            processes of one job, one core each

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.newton_euler import Tree
+from experiments.peers.newton_euler import Tree
 from tests.mechanisms import finished, laminate
 from torchmbd.errors import InputError
 from torchmbd.extensions.robots.tree import Pose

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.slider_crank import build
 from tests.mechanisms import linked, sprung
 from torchmbd.cli import main
 from torchmbd.errors import InputError, MbdError
+from torchmbd.examples.slider_crank import build
 from torchmbd.integrate.native import library
 from torchmbd.multibody.forces.laws import Scaled
 from torchmbd.multibody.system import Dynamics

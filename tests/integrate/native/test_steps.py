@@ -10,12 +10,12 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.slider_crank import build
 from tests.integrate.phases.test_phase import pushed
 from tests.mechanisms import box, rigid_pendulum, spoilt, sprung
 from tests.multibody.system.test_initial import four_bar
 from tests.sensitivity.adjoint_cases import strung
 from tests.sensitivity.test_law_variables import arm
+from torchmbd.examples.slider_crank import build
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])

@@ -7,7 +7,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from experiments.slider_crank import build
+from torchmbd.examples.slider_crank import build
 from torchmbd.integrate.prepared import initial
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.condensation import _Poses, condense

@@ -7,10 +7,10 @@ import math
 import pytest
 
 import torchmbd as mbd
-from experiments.slider_crank import build
 from tests.mechanisms import box
 from tests.multibody.system.test_initial import four_bar
 from torchmbd.errors import InputError
+from torchmbd.examples.slider_crank import build
 
 
 def test_a_four_bar_of_hinges():

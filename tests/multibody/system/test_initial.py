@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from experiments.slider_crank import build
 from tests.mechanisms import box, plate, tensor, turned
 from torchmbd.errors import InputError
+from torchmbd.examples.slider_crank import build
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.joints.joint import Equation, Joint

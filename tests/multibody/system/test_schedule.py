@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from experiments.slider_crank import build
+from torchmbd.examples.slider_crank import build
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Schedule

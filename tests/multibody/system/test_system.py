@@ -267,10 +267,10 @@ def test_designs_that_are_none():
 
 
 class _Nameless:
-    """A kind of equation or action that is in no tuple."""
+    """A kind of equation or action that is none."""
 
 
-def test_a_kind_that_is_in_no_tuple_is_refused_by_its_name():
+def test_a_kind_without_the_base_class_is_refused_by_its_name():
     """It would be left out: a joint without its equation, a force that does not act."""
     body = box("arm")
 
@@ -283,7 +283,7 @@ def test_a_kind_that_is_in_no_tuple_is_refused_by_its_name():
             yield Applied(_Nameless, (attachments.point(self.frames[0]),), None)
 
     ground = mbd.Ground().at()
-    with pytest.raises(mbd.InputError, match=r"'odd' has the kind '_Nameless'.*allowed: Coincide"):
+    with pytest.raises(mbd.InputError, match=r"'odd' has the kind '_Nameless'.*allowed: Coincide.*another Primitive"):
         mbd.System([body], [Odd(ground, body.at(), name="odd")])
-    with pytest.raises(mbd.InputError, match=r"'pull' has the kind '_Nameless'.*allowed: Length"):
+    with pytest.raises(mbd.InputError, match=r"'pull' has the kind '_Nameless'.*allowed: Length.*another Action"):
         mbd.System([body], forces=[Pull((body.at(),), name="pull")], free=["arm"])

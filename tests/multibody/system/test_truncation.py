@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from experiments.two_link_arm import build
 from tests.mechanisms import rigid_pendulum
+from torchmbd.examples.two_link_arm import build
 from torchmbd.multibody.system.truncation import StaticTruncation
 
 GROUND = mbd.Ground()
@@ -129,7 +129,7 @@ def test_a_wrong_limit_is_refused(truncation):
 
 
 def test_examples_are_silent():
-    from experiments.slider_crank import build as slider_crank
+    from torchmbd.examples.slider_crank import build as slider_crank
 
     for system in (mbd.examples.arm(), slider_crank(3, [30.0, -20.0, 50.0])):
         assert truncation(system).share < 0.05

@@ -4,7 +4,7 @@ Numbers are given along the span, linear between; positions s along a contour ru
 and the leading edge to the trailing edge, as parts of its length. Contours are linear in the relative thickness between the
 airfoils beside, and this is monotone cubic along the span.
 Over 300 lines: one reader of one file, and the checks of its entries.
-Source: windIO 1.x (IEA Wind Task 37). Checked in tests/extensions/test_windio.py, experiments/iea_blade.py.
+Source: windIO 1.x (IEA Wind Task 37). Checked in tests/extensions/test_windio.py, experiments/peers/iea_blade.py.
 """
 
 from __future__ import annotations

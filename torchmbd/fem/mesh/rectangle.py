@@ -1,6 +1,6 @@
 """Structured rectangle of quadrilaterals or triangles in the x-y plane, centred at the origin.
 
-Quadrilaterals are the default: triangles are stiffer in torsion. Twist of the rod of experiments/slider_crank.py at 0
+Quadrilaterals are the default: triangles are stiffer in torsion. Twist of the rod of torchmbd/examples/slider_crank.py at 0
 degrees with 12x2, 24x4, 48x8 cells, over Saint-Venant's: 0.919, 0.965, 0.987; triangles 0.894, 0.923, 0.963.
 Diagonals of triangles alternate from cell to cell, so that the mesh prefers no direction: with even numbers of cells it
 is its own mirror image about both axes and the center node meets eight triangles on every refinement. (A mesh whose

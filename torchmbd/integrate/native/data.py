@@ -10,9 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.native.symbolic import LENGTHS, SHAPES, Kind, form, groups, memory_order, numbers_of
+from torchmbd.integrate.native.symbolic import SHAPES, Kind, constants_name, form, groups, memory_order, numbers_of
 from torchmbd.math.pair import Pair, cat, linear, value
-from torchmbd.multibody.joints.primitive import Distance
 from torchmbd.multibody.system.dynamics import Dynamics
 
 
@@ -45,9 +44,9 @@ def _in_memory(dynamics: Dynamics) -> dict[str, Any]:
     for name in kind_of(dynamics).data:
         order = memory_order(SHAPES[name])
         found[name] = linear(lambda y, order=order: y.permute(*order, -2, -1), dynamics.data[name])
-    for p in dynamics.topology.primitives:
-        if isinstance(p, Distance):
-            found[LENGTHS] = p.lengths()
+    for i, p in enumerate(dynamics.topology.primitives):
+        if p.constants:
+            found[constants_name(i)] = p.numbers.movedim(1, 0)
     for i, (one, some) in enumerate(groups(dynamics.topology).items()):
         if numbers_of(one.law):
             rows = [form(law)[1] for _, _, law in some]  # [actions][numbers]
@@ -66,7 +65,9 @@ def _number(x: Any, dynamics: Dynamics) -> Any:
 def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
     """Cotangents of the data [component..., rows, lanes] out of those of what stands in memory [n, rows, lanes]."""
     found = {name: by.new_zeros(*x.shape[:-2], *by.shape[1:]) for name, x in dynamics.data.items()}
-    start, laws = 0, iter(groups(dynamics.topology).items())
+    T = dynamics.topology
+    start, laws = 0, iter(groups(T).items())
+    constants = {constants_name(i) for i in range(len(T.primitives))}  # no design varies them
     for name, x in _in_memory(dynamics).items():
         n = value(x).shape[:-2].numel()
         own = by[start : start + n]
@@ -75,7 +76,7 @@ def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
             order = memory_order(SHAPES[name])
             back = [order.index(d) for d in range(len(order))]
             found[name] = own.reshape(*value(x).shape[:-2], *by.shape[1:]).permute(*back, -2, -1).contiguous()
-        elif name != LENGTHS:
+        elif name not in constants:
             some = next(members for form_, members in laws if numbers_of(form_.law))
             numbers = [y for _, _, law in some for y in form(law)[1]]
             for k, y in enumerate(numbers):

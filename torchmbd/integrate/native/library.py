@@ -15,24 +15,24 @@ Checked in tests/integrate/native/test_library.py.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import repeat
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, MbdError, warn
 from torchmbd.integrate.native import data, functions, simd_layout
 from torchmbd.integrate.native.feedback import CalledLaws, Feedback
 from torchmbd.integrate.native.mechanism import Mechanism
+from torchmbd.integrate.native.symbolic import Kind
 from torchmbd.math.codegen import build_cache
 from torchmbd.math.codegen.compiler import (
     SUFFIX,
@@ -44,6 +44,7 @@ from torchmbd.math.codegen.compiler import (
     unavailable,
 )
 from torchmbd.math.codegen.scalars import Untraceable
+from torchmbd.math.digest import digest
 from torchmbd.multibody.forces.user_laws import native_law
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
@@ -219,21 +220,12 @@ def with_traced_laws(dynamics: Dynamics) -> Dynamics:
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
-    facts = repr([kind, simd_layout.LANES, _facts(data.kind_of(dynamics))])
-    return hashlib.sha256(facts.encode() + toolchain_digest(_SOURCES).encode()).hexdigest()[:32]
+    return _digest(kind, simd_layout.LANES, data.kind_of(dynamics), toolchain_digest(_SOURCES))
 
 
-def _facts(x: Any) -> Any:
-    """Everything that an object is made of, as numbers, names and lists."""
-    if isinstance(x, torch.Tensor):
-        return x.tolist()
-    if isinstance(x, type):
-        return x.__qualname__
-    if isinstance(x, dict):
-        return [(k, _facts(y)) for k, y in sorted(x.items())]
-    if isinstance(x, (list, tuple)):
-        return [_facts(y) for y in x]
-    return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
+@cache  # asked for at every batch
+def _digest(kind: str, lanes: int, mechanism: Kind, toolchain: str) -> str:
+    return digest(kind, lanes, mechanism, toolchain)
 
 
 def build(name: str, kind: str, text: str, system: str) -> Path:

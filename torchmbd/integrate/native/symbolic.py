@@ -12,31 +12,42 @@ Checked in tests/integrate/native/.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
-
-from torch import Tensor
 
 from torchmbd.math.codegen.array import Array, Table
 from torchmbd.math.codegen.program import Program
 from torchmbd.math.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.math.codegen.size import AnySize, Size
-from torchmbd.math.pair import Pair, value
+from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Turn
 from torchmbd.multibody.forces.feedback import Port
-from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
+from torchmbd.multibody.forces.laws import data_fields
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
-from torchmbd.multibody.joints.primitive import Distance, Primitive
+from torchmbd.multibody.joints.primitive import Primitive
 from torchmbd.multibody.system.beams import SHAPES as BEAMS
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import UnitForces
 
-LENGTHS = "~length"  # data: of the Distance primitives
+
+class LawForm(NamedTuple):
+    """A law without the numbers that are data of the code.
+
+    kind         class of the law
+    data_fields  names of the fields that hold these numbers
+    plain        names and values of other fields, which are compiled
+    inner        form of the law that it contains, or None
+    """
+
+    kind: type
+    data_fields: tuple[str, ...]
+    plain: tuple[tuple[str, Any], ...]
+    inner: Any
 
 
 class Form(NamedTuple):
-    """A kind of action with a form of law. law: nested tuples, in which None stands for a number."""
+    """A kind of action with a form of law: a LawForm, or a law that is compiled as it is."""
 
     kind: type
     law: Any
@@ -81,23 +92,17 @@ def form(law: Any) -> tuple[Any, list[Any]]:
     if isinstance(law, ParametricLaw):
         rows = dict(law.rows)
         shape, numbers = form(law.law)
-        names = _FIELDS[type(law.law)]
-        return shape, [
-            (law.key, rows[name]) if name in rows else x for name, x in zip(names, numbers, strict=False)
-        ] + numbers[len(names) :]
-    if isinstance(law, Spring):
-        return (Spring,), [law.stiffness, law.damping, law.rest]
-    if isinstance(law, Scaled):
-        shape, numbers = form(law.law)
-        return (Scaled, shape), [law.factor, *numbers]
-    if isinstance(law, OfTime) and not callable(law.law):
-        return (OfTime,), [law.law, law.factor]
+        names = data_fields(law.law)
+        variable = [(law.key, rows[name]) if name in rows else x for name, x in zip(names, numbers, strict=False)]
+        return shape, variable + numbers[len(names) :]
     if isinstance(law, Port):
-        return (Port,), []
-    return law, []
-
-
-_FIELDS: dict[type, tuple[str, ...]] = {Spring: ("stiffness", "damping", "rest"), Scaled: ("factor",)}
+        return Port, []
+    names = data_fields(law)
+    if not names:
+        return law, []
+    others = {f.name: getattr(law, f.name) for f in fields(law) if f.name not in names}
+    inner, numbers = form(others.pop("law")) if "law" in others else (None, [])
+    return LawForm(type(law), names, tuple(others.items()), inner), [*(getattr(law, name) for name in names), *numbers]
 
 
 def groups(T: Topology) -> dict[Form, list[tuple[int, int, Any]]]:
@@ -127,35 +132,18 @@ class _Numbered(ParametricLaw):
 
 def numbers_of(shape: Any) -> int:
     """Numbers of a form of law."""
-    if not isinstance(shape, tuple):
-        return 0
-    if shape[0] is Scaled:
-        return 1 + numbers_of(shape[1])
-    if shape[0] is Port:
-        return 0
-    return 3 if shape[0] is Spring else 2
+    return len(shape.data_fields) + numbers_of(shape.inner) if isinstance(shape, LawForm) else 0
 
 
 def _law(shape: Any, numbers: Any) -> Any:
-    if not isinstance(shape, tuple):
-        return shape
-    if shape[0] is Port:
+    if shape is Port:
         return Port(None)  # pyright: ignore[reportArgumentType]
-    if shape[0] is Scaled:
-        factor = next(numbers)
-        return Scaled(factor, _law(shape[1], numbers))
-    parameters: list[Any] = [next(numbers) for _ in range(numbers_of(shape))]
-    if shape[0] is Spring:
-        return Spring(*parameters)
-    plain: list[Any] = [value(x) for x in parameters]  # no design varies those of OfTime
-    return OfTime(*plain)
-
-
-class _Distance(Distance):
-    """Distances whose lengths are data."""
-
-    def lengths(self) -> Tensor:
-        return self.data[0]
+    if not isinstance(shape, LawForm):
+        return shape
+    values = dict(shape.plain) | {name: next(numbers) for name in shape.data_fields}
+    if shape.inner is not None:
+        values["law"] = _law(shape.inner, numbers)
+    return shape.kind(**values)
 
 
 B, F, M, V, W, C, U, E, G, J = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G", "J"])
@@ -187,6 +175,11 @@ def primitive_count(i: int) -> Size:
     return Size(f"P{i}")
 
 
+def constants_name(i: int) -> str:
+    """Of the datum that holds the constants of primitives of a kind."""
+    return f"~constants {i}"
+
+
 def action_count(i: int) -> Size:
     return Size(f"A{i}")
 
@@ -195,8 +188,8 @@ def shapes(kind: Kind) -> dict[str, tuple[AnySize, ...]]:
     """Of all data that code of a kind takes, those of the laws included, in order; see `moving_shapes`."""
     found = {name: SHAPES[name] for name in kind.data}
     for i, (primitive, _) in enumerate(kind.primitives):
-        if primitive is Distance:
-            found[LENGTHS] = (primitive_count(i),)
+        if primitive.constants:
+            found[constants_name(i)] = (primitive.constants, primitive_count(i))
     for i, one in enumerate(kind.forms):
         if numbers_of(one.law):
             found[f"~law {i}"] = (numbers_of(one.law), action_count(i))  # stored [actions, numbers]
@@ -238,10 +231,12 @@ class SymbolicTopology:
 
     @staticmethod
     def _primitive(program: Program, i: int, kind: type[Primitive]) -> Primitive:
-        if kind is not Distance:
-            return kind((), ())
-        n = primitive_count(i)
-        return _Distance((), (Array.input(program, f"d_{buffer_name(LENGTHS)}", (n, 1, 1)),))
+        primitive = kind((), ())
+        if kind.constants:
+            shape = (kind.constants, primitive_count(i))
+            # in place of the numbers of a mechanism, which this property computes
+            vars(primitive)["numbers"] = stored_data(program, f"d_{buffer_name(constants_name(i))}", shape)
+        return primitive
 
     @staticmethod
     def _action(i: int, one: Form) -> Any:
@@ -283,7 +278,7 @@ class SymbolicLinks:
         self.count = sum((action_count(i) for i, _ in self._forms()), 0)
 
     def _forms(self) -> list[tuple[int, Form]]:
-        return [(i, one) for i, one in enumerate(self.kind.forms) if one.law == (Port,)]
+        return [(i, one) for i, one in enumerate(self.kind.forms) if one.law is Port]
 
     def strengths(self, states: list[tuple], own: list[Any], t: Any, data: Any) -> list[Any]:
         """Of all forms [n, 1, 1]."""

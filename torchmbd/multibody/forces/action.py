@@ -40,7 +40,7 @@ from torch import Tensor
 from torchmbd.math.elementwise import apply_elementwise, partial_derivatives, reciprocal, sqrt
 from torchmbd.math.pair import Pair, cat, cross, dot, linear, value
 from torchmbd.multibody.forces.feedback import Port
-from torchmbd.multibody.forces.laws import Scaled, Spring
+from torchmbd.multibody.forces.laws import Scaled, data_fields
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
 
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -184,12 +184,12 @@ def _of(law: Law, data: Data) -> Law:
 
 def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
     """The force of a law at tensors or pairs s, rate; where the law states its slopes, without automatic differentiation."""
-    if isinstance(law, Spring):
-        return law(s, rate, t)  # takes pairs
     if isinstance(law, Port):
         return linear(torch.zeros_like, s)
     if isinstance(law, Scaled):
         return _force(law.law, s, rate, t) * law.factor
+    if data_fields(law):
+        return law(s, rate, t)  # takes pairs
     if not (hasattr(law, "slopes") and isinstance(s, Pair)):
         return apply_elementwise(law, s, rate, t)
     at = value(s), value(rate), value(t)
@@ -225,4 +225,5 @@ def _angle(s: Any, c: Any, center: float) -> Any:
     return Pair.of(angle(s.value, c.value), (c.value * s.tangent - s.value * c.tangent) / square)
 
 
+# The order in which actions stand; other kinds come behind, as they occur.
 KINDS: tuple[type[Action], ...] = (Length, Along, Turn, Push, Twist, Spin)

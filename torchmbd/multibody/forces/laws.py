@@ -9,6 +9,9 @@
 
 Numbers of Spring, and the factor of Scaled, may be design variables: `Spring(mbd.variable(2e3))` (parametric_law.py). Where a
 force is a function of time alone, the law g of Scaled is g(t).
+
+A law is a frozen dataclass. `data_fields` names its fields that are data of compiled code, and may be design variables; all
+else is compiled. Such a law states `slopes`, and consists of + - * / and functions of math/elementwise.py, which take pairs.
 Any elementwise torch function of (s, s', t) is a law as well. `center`: middle of the range of an angle, half a turn to both
 sides.
 Checked in tests/multibody/forces/test_laws.py.
@@ -20,7 +23,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -28,10 +31,16 @@ from torch import Tensor
 from torchmbd.errors import InputError, user_line
 from torchmbd.math.checked_numbers import reals, scalar
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
+from torchmbd.math.pair import linear
 from torchmbd.math.torch_law import require_differentiable
 from torchmbd.multibody.joints.laws import finite
 
 Slopes = tuple[Tensor, Tensor]
+
+
+def data_fields(law: Any) -> tuple[str, ...]:
+    """Names of the fields of a law that are data of compiled code."""
+    return getattr(law, "data_fields", ())
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,7 @@ class Spring:
     stiffness: float = 0.0
     damping: float = 0.0
     rest: float = 0.0
+    data_fields: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
 
     @property
     def center(self) -> float:
@@ -61,6 +71,7 @@ class Scaled:
 
     factor: float
     law: Callable[..., Tensor]
+    data_fields: ClassVar[tuple[str, ...]] = ("factor",)
 
     @property
     def center(self) -> float:
@@ -163,9 +174,13 @@ class OfTime:
     law: Callable[..., Tensor] | float
     factor: float = 1.0
 
+    @property
+    def data_fields(self) -> tuple[str, ...]:
+        return () if callable(self.law) else ("law", "factor")
+
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         f = self.law if not callable(self.law) else self.law(t) if t.dim() != 1 and t.numel() == 1 else self._at_each(t)
-        return self.factor * f + torch.zeros_like(s)
+        return self.factor * f + linear(torch.zeros_like, s)
 
     def _at_each(self, t: Tensor) -> Tensor:
         """The forces at times t [..., lanes], by one call of the function for each."""

@@ -10,17 +10,15 @@ Checked in tests/sensitivity/test_law_variables.py: against central differences,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from torch import Tensor, nn
 
 from torchmbd.math.variable import ParameterVector, is_variable, law_key
-from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
+from torchmbd.multibody.forces.laws import OfTime, Scaled, data_fields
 from torchmbd.multibody.joints.laws import finite
-
-_KINDS = (Spring, Scaled)
 
 
 @dataclass(frozen=True)
@@ -54,12 +52,11 @@ class LawVariables:
 
     def law(self, law: Any, **names: str) -> Any:
         """The law with its numbers checked; design variables get the names of their fields, or those of field -> name."""
-        if not isinstance(law, _KINDS):
-            return law
-        labels = {f.name: names.get(f.name, f.name) for f in fields(law) if f.name != "law"}
+        labels = {field: names.get(field, field) for field in data_fields(law)}
         numbers = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in labels.items()}
         rows = tuple((field, self._row(labels[field], x)) for field, x in numbers.items() if is_variable(x))
-        law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in numbers.items()})
+        if labels:
+            law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in numbers.items()})
         return ParametricLaw(law_key(self.name), rows, law) if rows else law
 
     def law_of_time(self, x: Any, label: str, size: float = 1.0) -> Any:

@@ -23,7 +23,7 @@ from torchmbd.math.codegen.scalar_derivatives import derivative
 from torchmbd.math.codegen.scalars import Tape, Untraceable
 from torchmbd.multibody.forces.action import law_slopes
 from torchmbd.multibody.forces.feedback import Control, Port
-from torchmbd.multibody.forces.laws import LAWS, Scaled
+from torchmbd.multibody.forces.laws import LAWS, Scaled, data_fields
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
 
 _INPUTS = ("s", "rate", "t")
@@ -77,7 +77,7 @@ def is_library_law(law: Any) -> bool:
     """Whether a law is of this library and contains no function of a user."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return is_library_law(law.law)
-    return type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None))
+    return bool(data_fields(law)) or (type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None)))
 
 
 def traceable_part(law: Any) -> Any:

@@ -19,10 +19,12 @@ The contract of a kind:
 
     drive(x)                     arguments of the equation out of a prescribed x, number or jet: (cos th, sin th), or (s,)
 
-The argument `drive` of phi and forces has these at the time of evaluation; None without a law.
+The argument `drive` of phi and forces has these at the time of evaluation; None without a law. `numbers` holds the constants
+of all primitives of the kind.
 
-No other code is needed for a constraint: Phi_q and the generalized constraint forces are `forces` transformed to the bodies,
-gamma is the acceleration part of the jet, the design tangents follow from pairs (math/pair.py).
+No other code is needed for a constraint, not even for compiled steps, which are traced from phi and forces: Phi_q and the
+generalized constraint forces are `forces` transformed to the bodies, gamma is the acceleration part of the jet, the design
+tangents follow from pairs (math/pair.py).
 Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 7; eqs. (4)-(6) of the paper.
 Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets against differences in time.
 """
@@ -31,6 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import torch
@@ -47,7 +50,8 @@ class Primitive:
     """All primitives of one kind in a system.
 
     members  for each argument the indices of its vectors, long [n]
-    data     for each primitive its length, its law, or None
+    data     for each primitive its constants, its law, or None
+    constants  numbers in its equation, such as a length: one, or a tuple of so many, for each primitive
     driven   number of arguments that the equation takes from a law; 0: no law
     """
 
@@ -55,6 +59,7 @@ class Primitive:
     data: tuple = ()
     rows: ClassVar[int]
     arguments: ClassVar[tuple[str, ...]]
+    constants: ClassVar[int] = 0
     driven: ClassVar[int] = 0
 
     def phi(self, vectors, drive=None):
@@ -69,6 +74,12 @@ class Primitive:
     def drive(cls, x) -> tuple:
         """Arguments of the equation out of a prescribed x, a number or a jet."""
         raise NotImplementedError
+
+    @cached_property
+    def numbers(self) -> Any:
+        """The constants [constants, n, 1, 1]; compiled code takes them as data."""
+        rows = torch.tensor(self.data, dtype=torch.float64).reshape(-1, self.constants)
+        return rows.T[..., None, None]
 
     @property
     def varies(self) -> bool:
@@ -135,20 +146,18 @@ class Distance(Primitive):
 
     rows = 1
     arguments = ("point", "point")
+    constants = 1  # L [m]
 
     def phi(self, vectors, drive=None):
         a, b = vectors
-        length = self.lengths()
+        (length,) = self.numbers
         return _row(dot(b - a, b - a) * (0.5 / length) - 0.5 * length)
 
     def forces(self, vectors, lam, drive=None):
         a, b = vectors
-        pull = lam * (b - a) * (1.0 / self.lengths())
+        (length,) = self.numbers
+        pull = lam * (b - a) * (1.0 / length)
         return [-pull, pull]
-
-    def lengths(self) -> Tensor:
-        """The lengths L [n, 1, 1] [m]."""
-        return torch.tensor(self.data, dtype=torch.float64).to(self.members[0].device)[:, None, None]
 
 
 class Angle(Primitive):
@@ -245,4 +254,5 @@ def slopes_at(law: Law, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return tuple(torch.stack(x) for x in zip(*(slopes(law, t) for t in times), strict=True))  # pyright: ignore
 
 
+# The order in which equations stand; other kinds come behind, as they occur.
 KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle, Travel)

@@ -6,7 +6,7 @@ Checked in tests/multibody/system/.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import torch
@@ -110,7 +110,7 @@ def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _check_kinds(joint, list(joint.equations(attachments)), KINDS)
+    return _check_kinds(joint, list(joint.equations(attachments)), Primitive, KINDS)
 
 
 def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
@@ -119,32 +119,37 @@ def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int
             raise InputError(
                 f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _check_kinds(force, list(force.actions(attachments)), ACTIONS)
+    return _check_kinds(force, list(force.actions(attachments)), Action, ACTIONS)
 
 
 Part = TypeVar("Part", Equation, Applied)
 
 
-def _check_kinds(owner: Joint | ForceElement, parts: list[Part], kinds: tuple[type, ...]) -> list[Part]:
-    """The equations of a joint, or actions of a force; InputError for a kind that is not in `kinds` and would be left out."""
+def _check_kinds(owner: Joint | ForceElement, parts: list[Part], base: type, kinds: tuple[type, ...]) -> list[Part]:
+    """The equations of a joint, or actions of a force; InputError for a kind that has not their base class."""
     for part in parts:
-        if part.kind not in kinds:
+        if not (isinstance(part.kind, type) and issubclass(part.kind, base)):
             names = ", ".join(kind.__name__ for kind in kinds)
             name = getattr(part.kind, "__name__", repr(part.kind))
-            raise InputError(f"{owner.name!r} has the kind {name!r}, which is in no tuple KINDS; allowed: {names}")
+            raise InputError(f"{owner.name!r} has the kind {name!r}; allowed: {names}, or another {base.__name__}")
     return parts
+
+
+def _in_order(parts: Iterable[Equation | Applied], kinds: tuple[type, ...]) -> list[Any]:
+    """The kinds that occur, those of `kinds` first."""
+    present = dict.fromkeys(part.kind for part in parts)
+    return [kind for kind in kinds if kind in present] + [kind for kind in present if kind not in kinds]
 
 
 def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Action, ...]:
     """The actions, one object for each kind; position: of attached vectors in the order of the topology."""
     result = []
-    for kind in ACTIONS:
+    for kind in _in_order(applied, ACTIONS):
         members = [action for action in applied if action.kind is kind]
-        if members:
-            vectors = tuple(
-                torch.tensor([position[action.vectors[k]] for action in members]) for k in range(len(kind.arguments))
-            )
-            result.append(kind(vectors, tuple(action.law for action in members)))
+        vectors = tuple(
+            torch.tensor([position[action.vectors[k]] for action in members]) for k in range(len(kind.arguments))
+        )
+        result.append(kind(vectors, tuple(action.law for action in members)))
     return tuple(result)
 
 
@@ -153,10 +158,8 @@ def _group(
 ) -> tuple[tuple[Primitive, ...], tuple[str, ...], tuple[str, ...]]:
     """The primitives, one object for each kind, and name and joint of each row; rows of a kind run component by component."""
     primitives, names, owners = [], [], []
-    for kind in KINDS:
+    for kind in _in_order((equation for _, equation in equations), KINDS):
         members = [(joint, equation) for joint, equation in equations if equation.kind is kind]
-        if not members:
-            continue
         vectors = tuple(
             torch.tensor([position[equation.vectors[k]] for _, equation in members]) for k in range(len(kind.arguments))
         )

@@ -1,0 +1,15 @@
+"""Mechanisms and structures: `build()` of a module returns a System; a class or a table holds the data of a family.
+
+sar_antenna            half of the antenna of the paper, first phase; its parts in sar_antenna_bodies, its data in
+                       sar_antenna_data, both phases in sar_antenna_whole, its gaps in sar_antenna_clearance
+spatial_arm            two laminated tubes under gravity: `torchmbd check configs/spatial_arm/least_vibration.yaml`
+steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
+panel                  a laminated panel on three joints
+chain, delta_robot, falling_arm, flapping_blade, four_bar, spacecraft
+                       mechanisms of docs/gallery.md: `python -m experiments.documentation.pictures four_bar` draws the motion
+                       that `motion()` returns
+shell_problems         published problems of plates and shells: `python -m experiments.benchmark.elements published`
+eigen_families         K(b), M(b) whose modes are known exactly: `python -m experiments.models.eigen_families`
+
+The slider-crank of the paper and the two-link arm, which tests use everywhere, are in torchmbd.examples.
+"""

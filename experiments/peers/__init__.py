@@ -1,0 +1,18 @@
+"""Other programs, and files and published numbers of others, beside ours.
+
+Exudyn (extra `bench`)
+    exudyn_peer            mechanisms of this repository in Exudyn; exudyn_beams: a rod that is an exact beam or an ANCF cable
+    exudyn_comparison      equal modes, equal steps: `python -m experiments.peers.exudyn_comparison`
+    closed_loops           twelve flexible links, built for both; `python -m experiments.benchmark --peer exudyn loops`
+    modal_slider_crank     a rod divided into modal parts: `python -m experiments.peers.modal_slider_crank`
+    soft_slider_crank      and of MuJoCo's soft rod: `python -m experiments.peers.soft_slider_crank`
+Files of others, read unedited; a variable of the environment names the folder of their repository
+    robots, flexible_arm   URDF, against the recursion of newton_euler; FLEXIBLE_ARM_MODELS
+    mujoco_models          MJCF, against MuJoCo; MUJOCO_MODELS
+    wing_body              a Nastran model, against Simcenter Nastran and MYSTRAN; nastran_decks: all others; PYNASTRAN_MODELS
+    iea_blade              windIO, against BeamDyn and ElastoDyn; IEA15_RWT
+Published numbers
+    ivp_slider_crank       of the test set for IVP solvers: `python -m experiments.peers.ivp_slider_crank`
+
+The files of others run alike, as `python -m experiments.peers.robots`; each says in its header what it needs.
+"""
