@@ -7,17 +7,51 @@ Checked in tests/study/test_json_schema.py.
 
 from __future__ import annotations
 
+import inspect
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import TypeAdapter
 
+from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.scenarios import Scenarios
+from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
-from torchmbd.optimization import OPTIMIZERS
-from torchmbd.study.key_meanings import KEYS
+from torchmbd.optimization import OPTIMIZERS, optimize, sobol
 from torchmbd.study.schema import LIMIT_KINDS, OBJECTIVE_KEYS, SAMPLERS, UNITS, Figures, StudyFile
+from torchmbd.study.study import Study
+
+#: Section of a file -> what is constructed of it, whose docstrings describe the keys; the first that names a key counts.
+CONSTRUCTORS: dict[str, Sequence[Any]] = {
+    "StudyFile": (Problem,),
+    "Simulation": (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), Problem, simulate),
+    "Constraint": (Constraint,),
+    "Combine": (Scenarios,),
+    "Optimizer": (optimize,),
+    "Starts": (sobol,),
+    "Tracking": (Study,),
+}
+
+
+_ENTRY = re.compile(r"(\w+(?:, \w+)*) {2,}(\S.*)")  # of a docstring: names, two spaces or more, meaning
+
+
+def meanings(documented: object) -> dict[str, str]:
+    """Argument -> its meaning in the docstring of a function or class; names that share a line share their meaning."""
+    result: dict[str, str] = {}
+    names: list[str] = []
+    for line in inspect.cleandoc(getattr(documented, "__doc__", None) or "").splitlines():
+        if entry := _ENTRY.fullmatch(line):
+            names = [] if entry[2].startswith("as in ") else entry[1].split(", ")  # explained there
+            result |= dict.fromkeys(names, entry[2])
+        elif line.startswith("  ") and names:
+            result |= {name: f"{result[name]} {line.strip()}" for name in names}
+        else:
+            names = []
+    return result
 
 
 def json_schema() -> dict[str, Any]:
@@ -37,10 +71,12 @@ def json_schema() -> dict[str, Any]:
     parts["History"] = _history()
     parts["Measure"] = _measure()
     limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
-    own: dict[str, Any] = {kind: {"anyOf": limit} for kind in LIMIT_KINDS} | {
+    types: dict[str, Any] = {kind: {"anyOf": limit} for kind in LIMIT_KINDS} | {
         "scale": {"type": "number", "exclusiveMinimum": 0},
         "unit": {"type": "string", "enum": list(UNITS)},
     }
+    said = {key: entry.get("description") for key, entry in parts["Constraint"]["properties"].items()}
+    own = {key: entry | ({"description": said[key]} if said[key] else {}) for key, entry in types.items()}
     parts["Constraint"] = {
         "type": "object",
         "description": "A response of `Measure` with one limit.",
@@ -49,12 +85,17 @@ def json_schema() -> dict[str, Any]:
     }
     asked = {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": asked, "maximize": asked}
-    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
+    text = study["properties"]["tradeoff"]["description"]
+    tradeoff = {"type": "object", "description": text, "minProperties": 2, "additionalProperties": asked}
+    study["properties"]["tradeoff"] = tradeoff
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
-    for name, meanings in KEYS.items():
-        section: Any = {**parts, "StudyFile": study, "Figures": figures}[name]["properties"]
-        for key, meaning in meanings.items():
-            section[key] = section[key] | {"description": meaning}
+    for name, constructors in CONSTRUCTORS.items():
+        properties = study["properties"] if name == "StudyFile" else parts[name]["properties"]
+        known = {key: text for constructor in reversed(constructors) for key, text in meanings(constructor).items()}
+        for key, entry in properties.items():
+            if key in known and "description" not in entry:
+                sentence = known[key][0].upper() + known[key][1:].removesuffix(".") + "."
+                properties[key] = entry | {"description": sentence}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",

@@ -1,26 +1,11 @@
-"""The experiment file as data: sections, types, ranges, and names that are known without the model.
+"""The experiment file as data: sections, types, ranges, units, and which keys exclude each other.
 
-    model      module:function or file.py:function that returns a System      options   its arguments
-    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
-    links      {entry: {entry: factor, constant: offset}}: entries of `design` that follow others, see design/space.py
-    minimize   {integral: {strain_energy: rod}}, see design/response_spec.py          subject_to  [{max: ..., at_most: initial}]
-    maximize   a response, instead of minimize
-    tradeoff   {energy: {integral: ...}, mass: {mass: rod}}, instead of minimize: a Pareto front of these criteria
-    robust     expected | worst: what is asked over the tolerances of `design`, see optimization/robust.py
-    optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
-    scenarios  [{name: heavy, set: {tool.mass: 0.4}, weight: 1}, ...]: one design in all of them, see design/scenarios.py
-    combine    {objective: worst | mean, constraints: each | worst | mean} over the scenarios
-    sweep      one design variable from .. to ..: evaluated together, instead of optimizer and starts
-    tracking   experiment, uri
-
-or, for pictures that are no optimization,
-
-    figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
-
+What a constructor of torchmbd checks is not checked here. A key that is an argument of a constructor, in the same form, has
+its description there (json_schema.py); other keys have theirs beside them.
 Numbers of `design`, `links`, `starts.points` and `sweep` are in the unit of their variable, those of a constraint in its
 `unit` (required for an angle); everything else is SI.
-Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of parameters and bodies of
-the model are checked in check.py. Checked in tests/study/test_load.py.
+Pydantic validates strictly (no text for a number, no true for 1) and collects every fault.
+Checked in tests/study/test_load.py.
 Over 300 lines: a short class for each section of the file.
 """
 
@@ -54,13 +39,13 @@ from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
 from torchmbd.study.scenario_keys import Combine, Scenario
-from torchmbd.study.section import UNITS, Numbers, Section, one_of
+from torchmbd.study.section import UNITS, Numbers, Section, Unit, one_of
 from torchmbd.tracking.store import uri_fault
 from torchmbd.tracking.uri import StoreURI
 
 LIMIT_KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
-_SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
+_WHERE = "path/to/file.py:function or package.module:function"
 NAME = re.compile(r"[^\x00-\x1f]{1,200}")  # of experiments and studies
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
@@ -94,12 +79,19 @@ class Variable(Section):
     (optimization/discrete/branch_and_bound.py).
     """
 
-    start: Numbers | None = None  # default: as the model is built
-    lower: Numbers | None = None  # required, unless every entry follows others
-    upper: Numbers | None = None
-    unit: Annotated[str, one_of(UNITS)]  # without a default: an angle of 45 in radians would be wrong
-    tolerance: Numbers | None = None  # default: no deviation
-    step: Numbers | None = None  # 0, and default: any value
+    start: Numbers | None = Field(
+        default=None, description="First value, one or a list; default: as the model is built."
+    )
+    lower: Numbers | None = Field(
+        default=None, description="Lower bound, one or a list."
+    )  # required, unless all entries follow
+    upper: Numbers | None = Field(default=None, description="Upper bound, one or a list.")
+    # The unit has no default: an angle of 45 in radians would be wrong.
+    unit: Unit = Field(description="Unit of all numbers of this variable; `none`: the SI unit.")
+    tolerance: Numbers | None = Field(
+        default=None, description="Largest deviation when it is made; the question is then asked over all deviations."
+    )
+    step: Numbers | None = Field(default=None, description="The study ends with multiples of it; 0: any value.")
 
     @field_validator("tolerance", "step")
     @classmethod
@@ -107,6 +99,21 @@ class Variable(Section):
         if given is not None and min(given if isinstance(given, list) else [given]) < 0.0:
             raise PydanticCustomError("value", "must not be negative")
         return given
+
+    @model_validator(mode="after")
+    def _bounds_in_degrees(self) -> Self:
+        for key in ("lower", "upper") if self.unit == "deg" else ():
+            x = getattr(self, key)
+            if x is not None and (text := turn_in_radians(x if isinstance(x, list) else [x])):
+                raise _fault((key,), f"= {x} with unit: deg: {text}; allowed: degrees, or unit: rad")
+        return self
+
+
+def _units_fit(design: dict[str, Variable]) -> dict[str, Variable]:
+    for name, variable in design.items():
+        if text := units.misfit(name, variable.unit):
+            raise _fault((name, "unit"), f"= {variable.unit!r}: {text}")
+    return design
 
 
 class Simulation(Section):
@@ -116,19 +123,17 @@ class Simulation(Section):
     duration: float = Field(gt=0)
     method: Annotated[str, one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
-    tolerance: float = Field(TOLERANCE, gt=0, lt=1)  # error by steps of responses, where `steps` is left out
-    phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
-    backend: Annotated[str, one_of(BACKENDS)] = "auto"  # of the steps
-    start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]  # of every motion
-    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
-
-    @model_validator(mode="after")
-    def _steps_that_numbers_hold(self) -> Self:
-        step = self.duration / (self.steps or 1)
-        if not _SHORTEST <= step <= _LONGEST:
-            text = f"has steps of {step:.3g} s; allowed: {_SHORTEST:g} to {_LONGEST:g} s"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
-        return self
+    tolerance: float = Field(default=TOLERANCE, gt=0, lt=1)
+    phases: str | None = Field(
+        default=None,
+        description="Function that returns the phases: path/to/file.py:function or package.module:function.",
+    )
+    backend: Annotated[str, one_of(BACKENDS)] = "auto"
+    start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = Field(
+        default=STARTS[0],
+        description="`assembled`: undeformed; `equilibrium`: at rest under its loads; or values by name.",
+    )
+    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"
 
     @property
     def options(self) -> dict[str, Any]:
@@ -142,11 +147,15 @@ class Constraint(Section):
     """
 
     measure: Measure
-    at_most: Limit | None = None
-    at_least: Limit | None = None
-    equal: Limit | None = None
-    scale: float | None = Field(default=None, gt=0)  # what a violation is divided by; default: the limit
-    unit: Annotated[str, one_of(UNITS)] | None = None  # of limit and scale; default: SI
+    at_most: Limit | None = Field(
+        default=None, description="Largest allowed value; `initial`: the value at the start design."
+    )
+    at_least: Limit | None = Field(
+        default=None, description="Smallest allowed value; `initial`: the value at the start design."
+    )
+    equal: Limit | None = Field(default=None, description="Required value; `initial`: the value at the start design.")
+    scale: float | None = Field(default=None, gt=0)
+    unit: Unit | None = Field(default=None, description="Unit of limit and scale; default: SI; an angle needs one.")
 
     @model_validator(mode="before")
     @classmethod
@@ -209,7 +218,9 @@ class Optimizer(Section):
     """Arguments of torchmbd.multistart; more keys are options of the method."""
 
     model_config = ConfigDict(extra="allow")
-    name: Annotated[str, one_of(OPTIMIZERS)] = "mmfd"
+    name: Annotated[str, one_of(OPTIMIZERS)] = Field(
+        default="mmfd", description="Its name; more keys of this section are its options."
+    )
     max_iterations: PositiveInt = 60
 
     @property
@@ -220,11 +231,16 @@ class Optimizer(Section):
 class Starts(Section):
     """Where the optimizer starts: the design of the file (start 0) and more points between the bounds."""
 
-    sampler: Annotated[str, one_of(SAMPLERS)] = "none"
-    count: Annotated[PositiveInt, Field(le=2**20)] | None = None  # of all starts, the initial design among them
+    sampler: Annotated[str, one_of(SAMPLERS)] = Field(
+        default="none",
+        description="`sobol` or `latin_hypercube` points between the bounds, `given` points, or `none`: one design alone.",
+    )
+    count: Annotated[PositiveInt, Field(le=2**20)] | None = None
     seed: NonNegativeInt = 0
     include_initial: bool = True
-    points: Annotated[list[list[float]], Len(min_length=1)] | None = None
+    points: Annotated[list[list[float]], Len(min_length=1)] | None = Field(
+        default=None, description="The points of `given`: a list of numbers for each, in the units of `design`."
+    )
 
     @model_validator(mode="after")
     def _fits_the_sampler(self) -> Self:
@@ -245,9 +261,9 @@ class Starts(Section):
 class Range(Section):
     """Values of a sweep, ends included, in the unit of the variable."""
 
-    first: float = Field(alias="from")
-    last: float = Field(alias="to")
-    count: int = Field(ge=2, le=100_000)
+    first: float = Field(alias="from", description="First value, in the unit of the variable.")
+    last: float = Field(alias="to", description="Last value.")
+    count: int = Field(ge=2, le=100_000, description="Number of values, ends included.")
 
 
 def _known_store(given: Any) -> StoreURI:
@@ -274,9 +290,11 @@ class Tracking(Section):
 class Figures(Section):
     """An experiment file that draws figures."""
 
-    figures: Annotated[str, Field(pattern=FUNCTION)]
-    options: dict[str, Any] = Field(default={})
-    tracking: Tracking = Tracking()
+    figures: str = Field(pattern=FUNCTION, description=f"The function that draws into a folder: {_WHERE}.")
+    options: dict[str, Any] = Field(
+        default={}, description="Arguments of this function; `folder` is given by the program."
+    )
+    tracking: Tracking = Field(default=Tracking(), description="Where MLflow keeps the runs.")
 
     def resolved(self) -> dict[str, Any]:
         """Return the file with every default filled in."""
@@ -286,22 +304,37 @@ class Figures(Section):
 class StudyFile(Section):
     """An experiment file that optimizes, or sweeps a variable."""
 
-    model: Annotated[str, Field(pattern=FUNCTION)]
-    options: dict[str, Any] = Field(default={})
-    design: Annotated[dict[str, Variable], Len(min_length=1)]
-    links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(default={})
-    simulate: Simulation
+    model: str = Field(pattern=FUNCTION, description=f"The function that returns the System: {_WHERE}.")
+    options: dict[str, Any] = Field(default={}, description="Arguments of the model's function.")
+    design: Annotated[dict[str, Variable], Len(min_length=1), AfterValidator(_units_fit)] = Field(
+        description="Design variables: parameters of the model with bounds and a unit."
+    )
+    links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(
+        default={}, description="Entries of `design` that follow others: entry -> {entry: factor, constant: offset}."
+    )
+    simulate: Simulation = Field(description="The motion: duration, steps, start, method.")
     minimize: Measure | None = None
     maximize: Measure | None = None
-    tradeoff: Annotated[dict[str, Measure], Len(min_length=2)] | None = None
-    robust: Annotated[str, one_of(KINDS_OF_ROBUST)] | None = None  # default: expected, where there are tolerances
-    subject_to: list[Constraint] = Field(default=[])
-    scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = None
-    combine: Combine | None = None
-    optimizer: Optimizer | None = None
-    starts: Starts | None = None
-    sweep: Annotated[dict[str, Range], Len(1, 1)] | None = None
-    tracking: Tracking = Tracking()
+    tradeoff: Annotated[dict[str, Measure], Len(min_length=2)] | None = Field(
+        default=None, description="Named responses whose Pareto front is sought; stands instead of `minimize`."
+    )
+    robust: Annotated[str, one_of(KINDS_OF_ROBUST)] | None = Field(
+        default=None, description="What is asked over the tolerances of `design`: `expected`, the mean, or `worst`."
+    )
+    subject_to: list[Constraint] = Field(default=[], description="Constraints, all of which hold.")
+    scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = Field(
+        default=None, description="Load cases or settings in which one design is simulated."
+    )
+    combine: Combine | None = Field(
+        default=None, description="What is asked of objective and constraints over the scenarios."
+    )
+    optimizer: Optimizer | None = Field(default=None, description="The method of optimization with its options.")
+    starts: Starts | None = Field(default=None, description="Designs from which the optimizer starts.")
+    sweep: Annotated[dict[str, Range], Len(1, 1)] | None = Field(
+        default=None,
+        description="One entry of `design` with a range: evaluated along it; stands instead of `optimizer` and `starts`.",
+    )
+    tracking: Tracking = Field(default=Tracking(), description="Where MLflow keeps the runs.")
 
     @model_validator(mode="after")
     def _one_question(self) -> Self:
@@ -314,13 +347,10 @@ class StudyFile(Section):
         tolerant = any(variable.tolerance is not None for variable in self.design.values())
         if self.robust is not None and not tolerant:
             raise _fault(("robust",), f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design")
-        if self.tradeoff is not None:
-            others = [key for key in ("scenarios", "sweep") if getattr(self, key) is not None]
-            others += [key for key in ("tolerance", "step") if any(getattr(v, key) for v in self.design.values())]
-            if others:
-                raise _fault(("tradeoff",), f"and {others[0]} are both given; allowed: one of them")
-            if any(constraint.kind == "equal" for constraint in self.subject_to):
-                raise _fault(("tradeoff",), "and a constraint with equal are both given; allowed: at_most, at_least")
+        others = {"scenarios": self.scenarios is not None, "tolerance": tolerant}
+        for key in others:
+            if self.tradeoff is not None and others[key]:
+                raise _fault(("tradeoff",), f"and {key} are both given; allowed: one of them")
         return self
 
     @model_validator(mode="after")
@@ -337,10 +367,6 @@ class StudyFile(Section):
         if len({*names}) < len(names):
             text = f"scenarios have the names {names}; allowed: each name once"
             raise PydanticCustomError("kind", "{text}", {"text": text})
-        for key in ("tolerance", "step"):
-            if self.sweep is not None and any(getattr(variable, key) is not None for variable in self.design.values()):
-                text = f"sweep and a {key} are both given; allowed: one of them"
-                raise PydanticCustomError("kind", "{text}", {"text": text})
         return self
 
     def resolved(self) -> dict[str, Any]:

@@ -28,6 +28,9 @@ def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValid
     return AfterValidator(check)
 
 
+Unit = Annotated[str, one_of(UNITS)]
+
+
 class Section(BaseModel):
     """Part of a file: nothing unknown, nothing converted, nothing changed later."""
 

@@ -119,8 +119,6 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
         return f"{details['msg']}; a limit is one of {', '.join(LIMIT_KINDS)}"
     if kind == "response":
         return details["msg"]
-    if kind == "name":
-        return f"= {shown(value)}: {details['msg']}"
     if kind in ("model_type", "dict_type"):
         return f"= {shown(value)}: must be a mapping (key: value)"
     if kind == "too_short" and path == ("design",):
@@ -128,7 +126,7 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     if kind in ("too_short", "too_long") and isinstance(value, dict):
         least = details.get("ctx", {}).get("min_length", 1)
         return f"has {len(value)} keys; must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
-    if kind == "value":
+    if kind in ("name", "value"):
         return f"= {shown(value)}: {details['msg']}"
     if kind in ("kind", "sampler"):
         return details["msg"] if details.get("ctx", {}).get("path") else f": {details['msg']}"
