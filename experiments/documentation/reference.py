@@ -21,14 +21,14 @@ ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks recover_blended_stacks progressive_failure deg",
-    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable WindIOBlade",
+    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
     "bodies": "Ground RigidBody FlexibleBody Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
     "Pressure AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
-    "systems": "System Dynamics examples",
+    "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",

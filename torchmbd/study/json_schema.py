@@ -21,18 +21,37 @@ from torchmbd.design.scenarios import Scenarios
 from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS, optimize, sobol
-from torchmbd.study.schema import LIMIT_KINDS, OBJECTIVE_KEYS, SAMPLERS, UNITS, Figures, StudyFile
+from torchmbd.study import schema
+from torchmbd.study.scenario_keys import Combine, Scenario, Setting
+from torchmbd.study.schema import (
+    LIMIT_KINDS,
+    OBJECTIVE_KEYS,
+    SAMPLERS,
+    UNITS,
+    Figures,
+    Optimizer,
+    Range,
+    Simulation,
+    StudyFile,
+    Tracking,
+    Variable,
+)
 from torchmbd.study.study import Study
 
-#: Section of a file -> what is constructed of it, whose docstrings describe the keys; the first that names a key counts.
-CONSTRUCTORS: dict[str, Sequence[Any]] = {
-    "StudyFile": (Problem,),
-    "Simulation": (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), Problem, simulate),
-    "Constraint": (Constraint,),
-    "Combine": (Scenarios,),
-    "Optimizer": (optimize,),
-    "Starts": (sobol,),
-    "Tracking": (Study,),
+#: Section of a file -> what is constructed of it. Its keys are described by its docstring, or by the first of these.
+CONSTRUCTORS: dict[type, Sequence[Any]] = {
+    StudyFile: (Problem,),
+    Figures: (),
+    Variable: (),
+    Simulation: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), Problem, simulate),
+    schema.Constraint: (Constraint,),
+    Scenario: (),
+    Setting: (),
+    Combine: (Scenarios,),
+    Optimizer: (optimize,),
+    schema.Starts: (sobol,),
+    Range: (),
+    Tracking: (Study,),
 }
 
 
@@ -75,27 +94,23 @@ def json_schema() -> dict[str, Any]:
         "scale": {"type": "number", "exclusiveMinimum": 0},
         "unit": {"type": "string", "enum": list(UNITS)},
     }
-    said = {key: entry.get("description") for key, entry in parts["Constraint"]["properties"].items()}
-    own = {key: entry | ({"description": said[key]} if said[key] else {}) for key, entry in types.items()}
     parts["Constraint"] = {
         "type": "object",
-        "description": "A response of `Measure` with one limit.",
-        "properties": _measure()["properties"] | own,
+        "properties": _measure()["properties"] | types,
         "oneOf": [{"required": [kind]} for kind in LIMIT_KINDS],
     }
     asked = {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": asked, "maximize": asked}
-    text = study["properties"]["tradeoff"]["description"]
-    tradeoff = {"type": "object", "description": text, "minProperties": 2, "additionalProperties": asked}
-    study["properties"]["tradeoff"] = tradeoff
+    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
-    for name, constructors in CONSTRUCTORS.items():
-        properties = study["properties"] if name == "StudyFile" else parts[name]["properties"]
-        known = {key: text for constructor in reversed(constructors) for key, text in meanings(constructor).items()}
-        for key, entry in properties.items():
-            if key in known and "description" not in entry:
-                sentence = known[key][0].upper() + known[key][1:].removesuffix(".") + "."
-                properties[key] = entry | {"description": sentence}
+    for section, constructors in CONSTRUCTORS.items():
+        part: Any = {"StudyFile": study, "Figures": figures, **parts}[section.__name__]
+        part["description"] = _first(section)
+        sources = [meanings(source) for source in (section, *constructors)]
+        for key, entry in part["properties"].items():
+            text = next((known[key] for known in sources if key in known), None)
+            if text is not None:
+                part["properties"][key] = entry | {"description": text[0].upper() + text[1:].removesuffix(".") + "."}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",

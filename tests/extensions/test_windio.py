@@ -12,7 +12,7 @@ import yaml
 
 import torchmbd as mbd
 from torchmbd.errors import InputError
-from torchmbd.io.windio.blade import _loaded
+from torchmbd.extensions.windio.blade import WindIOBlade, _loaded
 
 FLAT = [0.0, 1.0]
 
@@ -71,7 +71,7 @@ WEBS = [{"name": "web", "start_nd_arc": along(0.3, 0.3), "end_nd_arc": along(0.7
 def blade(tmp_path):
     """A blade of one airfoil, its chord, layers and webs."""
 
-    def made(airfoil: dict, layers: list, webs: list, chord: float = 2.0, **changed) -> mbd.WindIOBlade:
+    def made(airfoil: dict, layers: list, webs: list, chord: float = 2.0, **changed) -> WindIOBlade:
         shape = {
             "airfoil_position": {"grid": FLAT, "labels": ["root", "tip"]},
             "chord": along(chord, chord),
@@ -92,7 +92,7 @@ def blade(tmp_path):
         } | changed
         path = tmp_path / "blade.yaml"
         path.write_text(yaml.safe_dump(data))
-        return mbd.WindIOBlade(path)
+        return mbd.read_windio(path)
 
     return made
 
@@ -231,7 +231,7 @@ def test_hostile_files(tmp_path, text):
     path = tmp_path / "x.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=r"x\.yaml: its data have more than"):
-        mbd.WindIOBlade(path)
+        mbd.read_windio(path)
 
 
 def test_a_tip_without_chord(blade):
@@ -244,9 +244,9 @@ def test_files_that_are_no_blade(tmp_path, blade):
         path = tmp_path / "x.yaml"
         path.write_text(text)
         with pytest.raises(InputError, match=r"x\.yaml is no windIO blade"):
-            mbd.WindIOBlade(path)
+            mbd.read_windio(path)
     with pytest.raises(InputError, match="allowed: a windIO file"):
-        mbd.WindIOBlade(tmp_path / "none.yaml")
+        mbd.read_windio(tmp_path / "none.yaml")
     with pytest.raises(InputError, match="position = 2"):
         blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)
 
@@ -299,7 +299,7 @@ def test_an_anchor_may_be_defined_again(tmp_path, blade):
     path = tmp_path / "blade.yaml"
     text = path.read_text()
     path.write_text("a: &g [7, 9]\nb: &g [0.0, 1.0]\nc: *g\n" + text)
-    assert float(mbd.WindIOBlade(path).section(0.5).mass()[0, 0]) == pytest.approx(wanted, rel=1e-14)
+    assert float(mbd.read_windio(path).section(0.5).mass()[0, 0]) == pytest.approx(wanted, rel=1e-14)
     assert _loaded(path.read_text())["c"] == [0.0, 1.0]
 
 

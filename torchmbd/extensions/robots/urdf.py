@@ -3,7 +3,7 @@
 Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins; unknown elements are told. A
 <limit> without lower and upper does not limit, nor does one with lower above upper (Bullet's convention), which is told.
 Refused by file and element: missing or repeated elements, loops, texts that are no numbers, a document type (entities).
-Source: wiki.ros.org/urdf/XML. Checked in tests/io/test_urdf.py.
+Source: wiki.ros.org/urdf/XML. Checked in tests/extensions/robots/test_urdf.py.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.io.robot_file import Link, Pose, Robot, RobotJoint, by_unique_name, numbers, read_xml, robot_tree
+from torchmbd.extensions.robots.tree import Link, Pose, Robot, RobotJoint, by_unique_name, numbers, read_xml, robot_tree
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
@@ -29,7 +29,7 @@ _PARTS = {
 _ONCE = ("inertial", "mass", "inertia", "parent", "child", "axis", "limit", "dynamics", "mimic", "origin")
 
 
-def read_urdf(path: str | Path) -> Robot:
+def urdf_robot(path: str | Path) -> Robot:
     """Read a robot. InputError names file, element and value."""
     file, root = read_xml(path, "a URDF")
     if root.tag != "robot":

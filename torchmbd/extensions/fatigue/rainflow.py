@@ -5,7 +5,7 @@
 The pairs (i, j) are computed from the values and have no derivative; ranges and means are differentiable in y, exactly where a
 small change of y does not change the ranking of the ranges.
 Source: ASTM E1049-85 (2017), section 5.4.4.
-Checked in tests/design/test_fatigue.py: the example of the standard.
+Checked in tests/extensions/fatigue/test_fatigue.py: the example of the standard.
 """
 
 from __future__ import annotations

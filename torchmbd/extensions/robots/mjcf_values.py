@@ -1,6 +1,6 @@
 """Values in MJCF files: attributes with defaults of their classes, numbers, angles, orientations, limits; inertia of shapes.
 
-Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py.
+Source: mujoco.readthedocs.io, XML reference. Checked in tests/extensions/robots/test_mjcf.py.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.io.mjcf_words import KNOWN, SECTIONS
-from torchmbd.io.robot_file import Pose, numbers, rotation
+from torchmbd.extensions.robots.mjcf_words import KNOWN, SECTIONS
+from torchmbd.extensions.robots.tree import Pose, numbers, rotation
 
 ACTUATORS = ("motor", "position", "velocity", "general")
 COMPILER = {"balanceinertia": "false", "boundmass": "0", "boundinertia": "0", "coordinate": "local"}

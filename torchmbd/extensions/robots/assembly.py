@@ -1,14 +1,14 @@
-"""Bodies, joints and forces of a robot file (io/robot_file.py).
+"""Bodies, joints and forces of a robot file (tree.py).
 
     revolute, continuous -> Revolute      prismatic -> Prismatic      planar -> Planar      spherical -> Spherical
     floating -> a free body      closures -> Spherical, Fixed between links beside the tree
     fixed -> the child is a part of its parent (its inertia is added), or a Fixed joint beside a flexible body
-    limits -> RotationalStop, AxialStop      springs, damping, friction, actuators -> robot_forces.py
+    limits -> RotationalStop, AxialStop      springs, damping, friction, actuators -> forces.py
 
 A flexible body can replace a link; its mesh is then in the frame of the link. A joint acts on the node set with the name of the
 joint, else on the node nearest to the joint's position in the file, by a rigid arm.
 Over 300 lines: one builder, from the poses of links to bodies, and to the joints and forces between them.
-Checked in tests/multibody/system/test_robot.py, test_robot_mjcf.py.
+Checked in tests/extensions/robots/test_robot.py, test_robot_mjcf.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError, true_or_false, unknown, warn
-from torchmbd.io.robot_file import IDENTITY, Pose, Robot, RobotJoint, combined_mass
+from torchmbd.extensions.robots.forces import MOVING, actuator_forces, identifier, joint_forces
+from torchmbd.extensions.robots.tree import IDENTITY, Pose, Robot, RobotJoint, combined_mass
 from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import set_start
@@ -30,7 +31,6 @@ from torchmbd.multibody.forces.contact import MOST_TURN, AxialStop, RotationalSt
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints import Drive, Fixed, Planar, Prismatic, Revolute, Spherical
 from torchmbd.multibody.joints.joint import Joint
-from torchmbd.multibody.system.robot_forces import MOVING, actuator_forces, identifier, joint_forces
 
 FAR = 0.2  # longest arm to the nearest node of a flexible body, as a share of its size
 FLAT = 1e-12  # [m2] inertia over mass below which a negative principal value is rounding

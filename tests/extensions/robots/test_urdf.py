@@ -8,9 +8,9 @@ import warnings
 import pytest
 
 import torchmbd as mbd
-from tests.multibody.system.test_robot import ARM
+from tests.extensions.robots.test_robot import ARM
 from torchmbd.errors import InputError
-from torchmbd.io.urdf import read_urdf
+from torchmbd.extensions.robots.urdf import urdf_robot
 
 TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
 
@@ -45,7 +45,7 @@ def test_broken_files_are_named(old, new, words, tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(TEXT.replace(old, new, 2 if old == "robot" else 1) if old != "robot" else TEXT.replace(old, new))
     with pytest.raises(InputError) as error:
-        read_urdf(path)
+        urdf_robot(path)
     assert words in str(error.value), error.value
     assert "arm.urdf" in str(error.value)
 
@@ -54,7 +54,7 @@ def test_a_mass_without_inertia_is_said(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text('<robot name="a"><link name="b"><inertial><mass value="2"/></inertial></link></robot>')
     with pytest.warns(UserWarning, match=r"arm.urdf, link 'b': it has no <inertia>; taken as a point of 2 kg"):
-        assert not read_urdf(path).links["b"].inertia.any()
+        assert not urdf_robot(path).links["b"].inertia.any()
 
 
 def test_lower_above_upper_is_no_limit(tmp_path):
@@ -62,9 +62,9 @@ def test_lower_above_upper_is_no_limit(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(TEXT.replace('lower="-2" upper="2"', 'lower="2" upper="-2"'))
     with pytest.warns(UserWarning, match=r"arm.urdf, joint 'j\d': lower is 2, upper -2; taken as no limits"):
-        limits = [joint.limits for joint in read_urdf(path).joints]
+        limits = [joint.limits for joint in urdf_robot(path).joints]
     path.write_text(TEXT)
-    wanted = [None if joint.limits == (-2.0, 2.0) else joint.limits for joint in read_urdf(path).joints]
+    wanted = [None if joint.limits == (-2.0, 2.0) else joint.limits for joint in urdf_robot(path).joints]
     assert limits == wanted
 
 
@@ -72,7 +72,7 @@ def test_elements_that_are_not_known_are_told(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(TEXT.replace("<inertial>", "<inertail/><inertial>", 1))
     with pytest.warns(UserWarning, match=r"arm.urdf: left out, as they are not known: <inertail> in <link> \['"):
-        read_urdf(path)
+        urdf_robot(path)
 
 
 def test_joints_of_one_name(tmp_path):
@@ -80,7 +80,7 @@ def test_joints_of_one_name(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(TEXT.replace('name="j2"', 'name="j 3"').replace('name="j3"', 'name="j_3"'))
     with pytest.raises(InputError, match=r"joints 'j 3' and 'j_3' are both 'j_3'"):
-        mbd.System.from_urdf(path, stop_stiffness=None)
+        mbd.read_urdf(path, stop_stiffness=None)
 
 
 def test_spoilt_files(tmp_path):
@@ -108,7 +108,7 @@ def test_spoilt_files(tmp_path):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                mbd.System.from_urdf(path)
+                mbd.read_urdf(path)
             except InputError:
                 refused += 1
     assert 20 < refused < 200

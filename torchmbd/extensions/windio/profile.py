@@ -6,7 +6,7 @@ at the mean of the depths beside, so that stacks change within one narrow elemen
 profile there is wide inside, and as far thinner as its columns need to stay apart, round a nose or beside an edge (a warning
 says where). A web is straight from wall to wall, its faces at stations of both. Where the contour is open at
 the trailing edge, a short wall of the layers that reach it closes it.
-Checked in tests/io/test_windio.py.
+Checked in tests/extensions/test_windio.py.
 """
 
 from __future__ import annotations

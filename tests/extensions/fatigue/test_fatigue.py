@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.design import fatigue, history
-from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
-from torchmbd.design.rainflow import Cycles, rainflow
+from torchmbd.design import history
 from torchmbd.design.spline import Spline
-from torchmbd.fem.materials import SNCurve
+from torchmbd.extensions.fatigue import Damage, EquivalentLoad, FatigueDamage, SNCurve, damage
+from torchmbd.extensions.fatigue.rainflow import Cycles, rainflow
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -228,7 +227,7 @@ def bounds_and_damages(y: torch.Tensor, rule: FatigueDamage, strengths: torch.Te
     """Upper bounds [points] of histories [points, times] of component 22, and their damages by the cycles."""
     basis = torch.zeros(1, len(y), 5, y.shape[1], dtype=torch.float64)
     basis[0, :, 1] = y
-    bounds = fatigue._upper_bounds(basis, torch.eye(y.shape[1], dtype=torch.float64)[None], strengths, rule)
+    bounds = damage._upper_bounds(basis, torch.eye(y.shape[1], dtype=torch.float64)[None], strengths, rule)
     strength = None if strengths is None else strengths[0]
     return bounds[0], rule.of_cycles(rainflow(y), 1, strength)
 
@@ -259,13 +258,13 @@ def test_no_damage_is_above_the_bound_of_the_screening():
 
 def test_the_screening_finds_the_worst_point(monkeypatch):
     """Where one history at a time is counted: the one with the largest bound has not the largest damage."""
-    monkeypatch.setattr(fatigue, "_HISTORIES", 1)
+    monkeypatch.setattr(damage, "_HISTORIES", 1)
     make = torch.Generator().manual_seed(8)
     basis = 3e7 * torch.randn(2, 25, 5, 30, generator=make, dtype=torch.float64)
     strengths = 3e8 + 1e8 * torch.rand(2, 25, 8, generator=make, dtype=torch.float64)
     w, rule = torch.eye(30, dtype=torch.float64).expand(2, 30, 30), FatigueDamage("arm", 4.0)
-    component, point = fatigue._worst_points(basis, w, strengths, rule)
-    first = fatigue._upper_bounds(basis, w, strengths, rule).argmax(1).tolist()
+    component, point = damage._worst_points(basis, w, strengths, rule)
+    first = damage._upper_bounds(basis, w, strengths, rule).argmax(1).tolist()
     for lane in range(2):
         damages = [rule.of_cycles(rainflow(basis[lane, :, c]), c, strengths[lane]) for c in range(5)]
         worst = int(torch.cat(damages).argmax())

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
-from tests.multibody.system.test_robot_mjcf import MECHANISM
+from tests.extensions.robots.test_robot_mjcf import MECHANISM
 from torchmbd.errors import InputError
-from torchmbd.io.mjcf import read_mjcf
+from torchmbd.extensions.robots.mjcf import mjcf_robot
 
 HEAD, TAIL = "<mujoco><worldbody>", "</worldbody></mujoco>"
 
@@ -74,7 +74,7 @@ def test_broken_files_are_named(old, new, words, file):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(InputError) as error:
-            read_mjcf(path)
+            mjcf_robot(path)
     assert words in str(error.value), error.value
     assert "arm.xml" in str(error.value)
 
@@ -104,7 +104,7 @@ def test_spoilt_files(file):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                mbd.System.from_mjcf(path)
+                mbd.read_mjcf(path)
             except InputError:
                 refused += 1
     assert 20 < refused < 150
@@ -118,11 +118,11 @@ def test_files_are_included_once_and_from_their_folder(file):
     file('<mujoco><body name="b" pos="1 0 0"><joint/><geom size=".1"/></body></mujoco>', "b.xml")
     main = file(HEAD + '<include file="a.xml"/>' + TAIL)
     with pytest.warns(UserWarning, match="contact"):
-        robot = read_mjcf(main)
+        robot = mjcf_robot(main)
     assert [(joint.parent, joint.child) for joint in robot.joints] == [("world", "a"), ("a", "b")]
     file('<mujoco><include file="a.xml"/></mujoco>', "b.xml")
     with pytest.raises(InputError, match=r"include 'a\.xml'; allowed: a file of its folder, once"):
-        read_mjcf(main)
+        mjcf_robot(main)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_inertia_of_shapes(shape, mass, inertia, file):
     if "capsule" in shape:  # 9 (r2/4 + h2/3) + 2 (2 r2/5 + h2 + 3 h r/4), 9 r2/2 + 2 (2 r2/5), over 11
         inertia = ((9 * 0.0325 + 2 * (0.004 + 0.09 + 0.0225)) / 11.0,) * 2 + ((9 * 0.005 + 2 * 0.004) / 11.0,)
     with pytest.warns(UserWarning, match="contact"):
-        link = read_mjcf(file(HEAD + f'<body name="a"><joint/><geom {shape}/></body>' + TAIL)).links["a"]
+        link = mjcf_robot(file(HEAD + f'<body name="a"><joint/><geom {shape}/></body>' + TAIL)).links["a"]
     assert link.mass == pytest.approx(mass, rel=1e-12)
     np.testing.assert_allclose(link.inertia, mass * np.diag(inertia), rtol=1e-12, atol=1e-12)
 
@@ -157,7 +157,7 @@ def test_groups_and_total_mass(file):
         ('inertiafromgeom="true" inertiagrouprange="0 2"', 4.0 / 3.0 * np.pi),
     ):
         with pytest.warns(UserWarning, match="contact"):
-            found = read_mjcf(file(text.replace("COMPILER", compiler))).links["a"].mass
+            found = mjcf_robot(file(text.replace("COMPILER", compiler))).links["a"].mass
         assert found == pytest.approx(mass)
 
 
@@ -169,7 +169,7 @@ def test_one_warning_lists_what_is_left_out(file):
     <actuator><motor name="m" tendon="rope" delay=".1"/><muscle name="n" joint="h"/></actuator></mujoco>"""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        assert read_mjcf(file(text)).actuators == ()
+        assert mjcf_robot(file(text)).actuators == ()
     [only] = [str(warning.message) for warning in found]
     for word in (
         "gravcomp",

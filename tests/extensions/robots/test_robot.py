@@ -13,8 +13,8 @@ import torchmbd as mbd
 from experiments.peers.newton_euler import Tree
 from tests.mechanisms import finished, laminate
 from torchmbd.errors import InputError
-from torchmbd.io.robot_file import Pose
-from torchmbd.io.urdf import read_urdf
+from torchmbd.extensions.robots.tree import Pose
+from torchmbd.extensions.robots.urdf import urdf_robot
 
 INERTIAL = (
     '<inertial><origin xyz="{at}" rpy="{turn}"/><mass value="{m}"/>'
@@ -91,7 +91,7 @@ def test_an_arm_of_three_joints_follows_the_recursion(file):
     """Angular accelerations of all links at 1e-10, at the start and along a motion; links fixed to others are parts of them."""
     path = file(*ARM)
     with pytest.warns(UserWarning, match=r"limits of joints \['j1'\] are about a turn apart"):
-        system = mbd.System.from_urdf(path, positions=Q, velocities=RATE)
+        system = mbd.read_urdf(path, positions=Q, velocities=RATE)
     assert [body.name for body in system.bodies] == ["link1", "link2", "link3"]
     assert system.describe().freedoms == 3
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
@@ -106,9 +106,9 @@ def test_an_arm_of_three_joints_follows_the_recursion(file):
 def test_the_motion_converges_to_that_of_the_recursion(file):
     """Positions after 0.1 s against steps of Runge and Kutta on the recursion."""
     path = file(*ARM)
-    system = mbd.System.from_urdf(path, positions=Q, velocities=RATE, stop_stiffness=None)
+    system = mbd.read_urdf(path, positions=Q, velocities=RATE, stop_stiffness=None)
     motion = finished(mbd.simulate(system, 0.1, steps=400, gradients="none"))
-    robot, tree, h = read_urdf(path), Tree(path), 2e-3
+    robot, tree, h = urdf_robot(path), Tree(path), 2e-3
     y = np.array([[x[name] for name in MOVING] for x in (Q, RATE)])
 
     def f(y):
@@ -141,7 +141,7 @@ def hinge(extra: str = "", kind: str = "revolute", axis: str = "0 1 0") -> str:
 def test_limits_are_stops_and_friction_takes_energy(file):
     """A pendulum falls on its stop: as deep as its energy tells. Without gravity friction slows it down by F / J t."""
     stop = file(*PENDULUM, hinge('<limit lower="-1" upper="0.4"/><dynamics damping="0.1"/>'))
-    motion = finished(mbd.simulate(mbd.System.from_urdf(stop), 0.35, steps=350, gradients="none"))
+    motion = finished(mbd.simulate(mbd.read_urdf(stop), 0.35, steps=350, gradients="none"))
     x = motion.body("rod").A[0, :, :, 0]
     angle = torch.atan2(-x[:, 2], x[:, 0])
     depth = math.sqrt(2.0 * 9.81 * 0.5 * math.sin(0.4) / 1e4)
@@ -149,7 +149,7 @@ def test_limits_are_stops_and_friction_takes_energy(file):
     assert float(angle[-1]) < 0.4
     J = 0.1 + 0.25
     rough = file(*PENDULUM, hinge('<dynamics friction="0.7"/>', "continuous", "0 0 1"), name="rough.urdf")
-    system = mbd.System.from_urdf(rough, gravity=None, velocities={"hinge": 3.0})
+    system = mbd.read_urdf(rough, gravity=None, velocities={"hinge": 3.0})
     motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(3.0 - 0.7 / J * 0.5, rel=1e-6)
 
@@ -160,13 +160,13 @@ def test_stops_are_watched_and_may_lose_energy(file):
     """Steps that a stop is too short for are halved; with damping the speed after it is that of Hunt and Crossley's law."""
     stop = file(*PENDULUM, hinge('<limit lower="-0.1" upper="0.1"/>', axis="0 0 1"))
     given = {"gravity": None, "velocities": {"hinge": 0.5}, "stop_stiffness": 1e5}
-    system = mbd.System.from_urdf(stop, **given)
+    system = mbd.read_urdf(stop, **given)
     assert [type(force) for force in system.forces] == [mbd.RotationalStop]
     motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
     assert motion.stats["halved"] == [0]
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(-0.5, rel=1e-3)
     c, v = 0.6, 0.5
-    soft = mbd.System.from_urdf(stop, **given | {"stop_stiffness": 3e3, "stop_damping": c})
+    soft = mbd.read_urdf(stop, **given | {"stop_stiffness": 3e3, "stop_damping": c})
     w = -float(finished(mbd.simulate(soft, 0.3, steps=1000, gradients="none")).body("rod").omega[0, -1, 2])
     assert c * v - math.log1p(c * v) == pytest.approx(-c * w - math.log1p(-c * w), rel=1e-4)
 
@@ -174,11 +174,11 @@ def test_stops_are_watched_and_may_lose_energy(file):
 def test_starts_beyond_limits_are_refused(file):
     path = file(*PENDULUM, hinge('<limit lower="0.2" upper="0.4"/>'))
     with pytest.raises(InputError, match=r"'hinge' at 0, from 0.2 to 0.4; allowed: positions between them"):
-        mbd.System.from_urdf(path)
-    assert mbd.System.from_urdf(path, positions={"hinge": 0.3}).forces
-    assert not mbd.System.from_urdf(path, stop_stiffness=None).forces
+        mbd.read_urdf(path)
+    assert mbd.read_urdf(path, positions={"hinge": 0.3}).forces
+    assert not mbd.read_urdf(path, stop_stiffness=None).forces
     effort = file(*PENDULUM, hinge('<limit effort="3" velocity="1"/>'))
-    assert not mbd.System.from_urdf(effort).forces  # a <limit> without lower and upper
+    assert not mbd.read_urdf(effort).forces  # a <limit> without lower and upper
 
 
 def test_locked_joints_are_fixed_at_their_positions(file):
@@ -188,11 +188,11 @@ def test_locked_joints_are_fixed_at_their_positions(file):
     with pytest.raises(
         InputError, match=r"joints \['j3'\] mimic others; allowed: joints of their own, or locked=\['j3'\]"
     ):
-        mbd.System.from_urdf(file(*lines))
+        mbd.read_urdf(file(*lines))
     path, rate = file(*lines), {"j1": 1.5, "j2": -2.0}
-    system = mbd.System.from_urdf(path, positions=Q, velocities=rate, locked=["j3"])
+    system = mbd.read_urdf(path, positions=Q, velocities=rate, locked=["j3"])
     assert [body.name for body in system.bodies] == ["link1", "link2"]
-    once = mbd.System.from_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))
+    once = mbd.read_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))
     assert [body.name for body in once.bodies] == ["link1", "link2"]
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
     _, wanted = Tree(path, ["j3"]).accelerations(Q, rate)
@@ -200,14 +200,14 @@ def test_locked_joints_are_fixed_at_their_positions(file):
 
 
 def test_drives_move_joints_from_their_positions(file):
-    system = mbd.System.from_urdf(
+    system = mbd.read_urdf(
         file(*PENDULUM, hinge()), positions={"hinge": 0.3}, drives={"hinge": mbd.SmoothStep(0.5, 0.2)}, gravity=None
     )
     motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
     assert float(motion.body("rod").A[0, -1, 2, 0]) == pytest.approx(-math.sin(0.8), abs=1e-9)
     assert "hinge_drive" in [joint.name for joint in system.joints]
     slide = file(*PENDULUM, hinge(kind="prismatic"))
-    system = mbd.System.from_urdf(slide, drives={"hinge": mbd.SmoothStep(0.5, 0.2)})
+    system = mbd.read_urdf(slide, drives={"hinge": mbd.SmoothStep(0.5, 0.2)})
     motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
     assert float(motion.body("rod").r[0, -1, 1]) == pytest.approx(0.5, abs=1e-9)
 
@@ -215,25 +215,25 @@ def test_drives_move_joints_from_their_positions(file):
 def test_inertia_that_no_mass_has_is_taken_with_a_warning(file):
     path = file(PENDULUM[0], link("rod", 1.0, "0.5 0 0", 1e-3, 0.1, 0.3), hinge())
     with pytest.warns(UserWarning, match=r"links \['rod'\]: the largest principal inertia"):
-        system = mbd.System.from_urdf(path, velocities={"hinge": 1.0})
+        system = mbd.read_urdf(path, velocities={"hinge": 1.0})
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
     np.testing.assert_allclose(
         motion.body("rod").omega_rate[0, 0], Tree(path).accelerations({}, {"hinge": 1.0})[1]["rod"][1], rtol=1e-12
     )
     with pytest.raises(InputError, match="inertia of link 'rod' has the principal values"):
-        mbd.System.from_urdf(file(PENDULUM[0], link("rod", 1.0, "0 0 0", -1e-3, 0.1, 0.1), hinge()))
+        mbd.read_urdf(file(PENDULUM[0], link("rod", 1.0, "0 0 0", -1e-3, 0.1, 0.1), hinge()))
 
 
 @pytest.mark.thorough
 def test_slides_and_free_bases(file):
     """A prismatic joint along a direction, damped; a base that is not fixed falls."""
     path = file(*PENDULUM, hinge('<dynamics damping="2"/><limit lower="0" upper="0"/>', "prismatic", "0 0.6 0.8"))
-    system = mbd.System.from_urdf(path, gravity=None, velocities={"hinge": 1.0}, stop_stiffness=None)
+    system = mbd.read_urdf(path, gravity=None, velocities={"hinge": 1.0}, stop_stiffness=None)
     motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
     along = motion.body("rod").r[0, -1] @ torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)
     assert float(along) == pytest.approx((1.0 - math.exp(-1.0)) / 2.0, rel=1e-5)
     base = [link("world", 3.0, "0 0 0", 1.0, 1.0, 1.0), PENDULUM[1], hinge()]
-    system = mbd.System.from_urdf(file(*base), fixed_base=False)
+    system = mbd.read_urdf(file(*base), fixed_base=False)
     assert system.describe().freedoms == 7
     motion = finished(mbd.simulate(system, 0.1, steps=50, gradients="none"))
     assert float(motion.body("world").r[0, -1, 2]) == pytest.approx(-0.5 * 9.81 * 0.01, rel=1e-3)
@@ -246,17 +246,17 @@ def test_a_link_is_replaced_by_a_plate(file):
         mesh.nodes + torch.tensor([0.25, 0.0, 0.0], dtype=torch.float64), quads=mesh.quads, node_sets=mesh.node_sets
     )
     plate = mbd.FlexibleBody.plate("plate", mesh, laminate((30.0, -50.0)), modes=2, reference=0)
-    system = mbd.System.from_urdf(file(*ARM), flexible={"link2": plate}, stop_stiffness=None, positions=Q)
+    system = mbd.read_urdf(file(*ARM), flexible={"link2": plate}, stop_stiffness=None, positions=Q)
     assert [body.name for body in system.bodies] == ["link1", "plate", "link3"]
     assert system.describe().freedoms == 3 + plate.modes
     assert "plate.laminate.angles" in dict(system.named_parameters())
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
-    rigid = mbd.System.from_urdf(file(*ARM), stop_stiffness=None, positions=Q)
+    rigid = mbd.read_urdf(file(*ARM), stop_stiffness=None, positions=Q)
     same = mbd.simulate(rigid, 1e-3, steps=10, gradients="none")
     torch.testing.assert_close(motion.body("link3").r[0, 0], same.body("link3").r[0, 0], rtol=0.0, atol=2e-3)
     far = mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(0.2, 0.05, (2, 1)), laminate((30.0,)), modes=2)
     with pytest.raises(InputError, match=r"joint 'j\d' is 0\.\d+ m away"):
-        mbd.System.from_urdf(file(*ARM), flexible={"link2": far})
+        mbd.read_urdf(file(*ARM), flexible={"link2": far})
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_link_is_replaced_by_a_plate(file):
 def test_wrong_arguments_are_named(file, given, words):
     extra = joint("j4", "revolute", "link3", "hook", "1 0 0", extra='<dynamics friction="1"/>')
     with pytest.raises(InputError, match=words):
-        mbd.System.from_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
+        mbd.read_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
 
 
 def test_inertia_without_mass_counts(tmp_path):
@@ -293,5 +293,5 @@ def test_inertia_without_mass_counts(tmp_path):
         + joint("ankle", "fixed", "leg", "foot", "0.3 0 0", "0 0 0")
         + "</robot>"
     )
-    [leg] = mbd.System.from_urdf(file).bodies
+    [leg] = mbd.read_urdf(file).bodies
     assert leg.inertia.diagonal().tolist() == pytest.approx([2e-3, 4e-3, 6e-3])

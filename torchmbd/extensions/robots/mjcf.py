@@ -12,7 +12,7 @@ friction, equality or gravity. Not read: elements that are seen or measured (ass
 keyframes) and options of the solver. One warning lists elements that would change the motion and are left out, such as
 armature, tendons and contact, and unknown attributes, such as misspelt ones. All others are refused by file, element and
 value, such as deformable or repeated bodies.
-Source: mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py, tests/multibody/system/test_robot_mjcf.py.
+Source: mujoco.readthedocs.io, XML reference. Checked in tests/extensions/robots/test_mjcf.py, test_robot_mjcf.py.
 Over 300 lines: one reader of one tree of elements; numbers, classes and shapes are in mjcf_values.py.
 """
 
@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.io.mjcf_values import ACTUATORS, SHAPES, Attributes, Values, axes_along_z, shape_inertia
-from torchmbd.io.robot_file import (
+from torchmbd.extensions.robots.mjcf_values import ACTUATORS, SHAPES, Attributes, Values, axes_along_z, shape_inertia
+from torchmbd.extensions.robots.tree import (
     IDENTITY,
     LARGEST,
     Actuator,
@@ -51,7 +51,7 @@ BODY = ("body", "frame", "geom", "inertial", "joint", "freejoint", "site", "came
 KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "floating"}
 
 
-def read_mjcf(path: str | Path) -> Robot:
+def mjcf_robot(path: str | Path) -> Robot:
     """Read a file; the ground is the link "world". InputError names file, element and value."""
     file, root = read_xml(path, "an MJCF")
     if root.tag != "mujoco":

@@ -1,7 +1,7 @@
 """Words of MJCF files: elements below the root, and attributes that are read or do not change the motion of rigid bodies.
 
 The latter belong to the solver, to contact (which is left out as a whole), to pictures and to groups. Source:
-mujoco.readthedocs.io, XML reference. Checked in tests/io/test_mjcf.py.
+mujoco.readthedocs.io, XML reference. Checked in tests/extensions/robots/test_mjcf.py.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Robots as read from files: trees of links and joints; and functions that both readers use.
 
-    io/urdf.py    Unified Robot Description Format
-    io/mjcf.py    MuJoCo's format
+    urdf.py    Unified Robot Description Format
+    mjcf.py    MuJoCo's format
 
 Refused by file and element: files that are too large, document types (entities), texts that are no numbers, missing or repeated
-links, loops. Checked in tests/io/test_urdf.py, test_mjcf.py.
+links, loops. Checked in tests/extensions/robots/test_urdf.py, test_mjcf.py.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def file(tmp_path):
 def test_bodies_accelerate_as_in_mujoco(file):
     given = {"positions": Q, "velocities": RATE, "controls": CONTROLS}
     with pytest.warns(UserWarning, match="left out: contact between geoms$"):
-        system = mbd.System.from_mjcf(file(MECHANISM), stop_stiffness=None, **given)
+        system = mbd.read_mjcf(file(MECHANISM), stop_stiffness=None, **given)
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
     for name, (place, spin) in ACCELERATIONS.items():
         view = motion.body(name)
@@ -75,8 +75,8 @@ def test_bodies_accelerate_as_in_mujoco(file):
 
 def test_the_force_of_an_actuator_ends_at_its_limits():
     """The last one of the mechanism above: 3 u + 1 - 2 s - s' / 2 between -0.1 and 0.2; a control of time within its range."""
-    from torchmbd.io.robot_file import Actuator
-    from torchmbd.multibody.system.robot_forces import ActuatorLaw
+    from torchmbd.extensions.robots.forces import ActuatorLaw
+    from torchmbd.extensions.robots.tree import Actuator
 
     s, rate, t = (torch.tensor(x, dtype=torch.float64) for x in (0.4, 0.2, 0.5))
     own = Actuator("g", "j", 2.0, 3.0, (1.0, -2.0, -0.5), (-1.0, 1.0), None)
@@ -98,7 +98,7 @@ def pendulum(file, joint: str = "", other: str = "", equality: str = "", actuato
 @pytest.mark.filterwarnings("error")
 def test_a_bar_falls(file):
     """m g l / J about the hinge, J = m (l^2 / 3 + thickness^2 / 3)."""
-    system = mbd.System.from_mjcf(pendulum(file))
+    system = mbd.read_mjcf(pendulum(file))
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
     inertia = 3.0 / 3.0 * (0.5**2 + 0.01**2) + 3.0 * 0.5**2
     assert float(motion.body("bar").omega_rate[0, 0, 1]) == pytest.approx(3.0 * 9.81 * 0.5 / inertia, rel=1e-12)
@@ -107,14 +107,14 @@ def test_a_bar_falls(file):
 def test_springs_limits_and_references(file):
     """Degrees; a stop; the pose of the file is that of `ref`."""
     path = pendulum(file, 'stiffness="4" damping="1" springref="30" range="-45 90" ref="60" frictionloss="0.2"')
-    system = mbd.System.from_mjcf(path)
+    system = mbd.read_mjcf(path)
     assert [force.name for force in system.forces] == ["hinge_spring", "hinge_friction", "hinge_stop"]
     torch.testing.assert_close(system.body("bar").axes, torch.eye(3, dtype=torch.float64))
     spring = system.forces[0]
     assert (spring.law.stiffness, spring.law.damping) == (4.0, 1.0)
     assert spring.law.rest == pytest.approx(math.pi / 6.0)
     with pytest.raises(InputError, match=r"'hinge' at 2, from -0\.785398 to 1\.5708"):
-        mbd.System.from_mjcf(path, positions={"hinge": 2.0})
+        mbd.read_mjcf(path, positions={"hinge": 2.0})
 
 
 def test_connections_close_loops_where_the_file_has_its_bodies(file):
@@ -125,16 +125,14 @@ def test_connections_close_loops_where_the_file_has_its_bodies(file):
         ('<connect name="top" body1="bar" body2="strut" anchor="1 0 0"/>', mbd.Spherical),
         ('<weld name="top" body1="bar" body2="strut"/>', mbd.Fixed),
     ):
-        system = mbd.System.from_mjcf(pendulum(file, "", other, f"<equality>{equality}</equality>"))
+        system = mbd.read_mjcf(pendulum(file, "", other, f"<equality>{equality}</equality>"))
         joint = system.joints[-1]
         assert (type(joint), joint.name) == (kind, "top")
         motion = mbd.simulate(system, 0.1, steps=10, gradients="none", backend="eager").require_ok()
         assert float(motion.body("bar").omega.abs().max()) < 1e-9
     with pytest.raises(InputError, match="mimic others"):
-        mbd.System.from_mjcf(pendulum(file, equality='<equality><joint joint1="hinge"/></equality>'))
-    locked = mbd.System.from_mjcf(
-        pendulum(file, "", other, '<equality><joint joint1="hinge"/></equality>'), locked=["hinge"]
-    )
+        mbd.read_mjcf(pendulum(file, equality='<equality><joint joint1="hinge"/></equality>'))
+    locked = mbd.read_mjcf(pendulum(file, "", other, '<equality><joint joint1="hinge"/></equality>'), locked=["hinge"])
     assert [body.name for body in locked.bodies] == ["strut"]
 
 
@@ -143,20 +141,20 @@ def test_controls_and_drives(file):
     """A position actuator whose control is zero holds the bar near zero; its control may be a function of time."""
     text = '<actuator><position name="servo" joint="hinge" kp="500" kv="40" ctrlrange="0.1 1"/></actuator>'
     path = pendulum(file, actuator=text)
-    [servo] = mbd.System.from_mjcf(path).forces
+    [servo] = mbd.read_mjcf(path).forces
     zero = torch.zeros((), dtype=torch.float64)
     assert float(servo.law(zero, zero, zero)) == pytest.approx(500.0 * 0.1)  # zero is below its range
-    held = mbd.System.from_mjcf(path, controls={"servo": 0.5})
+    held = mbd.read_mjcf(path, controls={"servo": 0.5})
     assert float(held.forces[0].law(zero + 0.5, zero, zero)) == 0.0
-    moved = mbd.System.from_mjcf(path, controls={"servo": lambda t: 0.2 + t})
+    moved = mbd.read_mjcf(path, controls={"servo": lambda t: 0.2 + t})
     assert float(moved.forces[0].law(zero, zero, zero + 0.3)) == pytest.approx(250.0)
-    assert [joint.name for joint in mbd.System.from_mjcf(path, drives={"hinge": lambda t: 2.0 * t}).joints] == [
+    assert [joint.name for joint in mbd.read_mjcf(path, drives={"hinge": lambda t: 2.0 * t}).joints] == [
         "hinge",
         "hinge_drive",
     ]
     for given, words in (({"servo": 2.0}, "allowed: from 0.1 to 1"), ({"motor": 1.0}, "'motor' does not exist")):
         with pytest.raises(InputError, match=words):
-            mbd.System.from_mjcf(path, controls=given)
+            mbd.read_mjcf(path, controls=given)
 
 
 def test_bodies_may_be_flexible(file):
@@ -172,10 +170,10 @@ def test_bodies_may_be_flexible(file):
         reduction="craig-bampton",
         interface=["end"],
     )
-    system = mbd.System.from_mjcf(pendulum(file), flexible={"bar": beam})
+    system = mbd.read_mjcf(pendulum(file), flexible={"bar": beam})
     assert system.bodies[0] is beam
     bent = mbd.simulate(system, 0.1, steps=50, gradients="none").body("bar").at("end").position
-    rigid = mbd.System.from_mjcf(pendulum(file))
+    rigid = mbd.read_mjcf(pendulum(file))
     straight = mbd.simulate(rigid, 0.1, steps=50, gradients="none").body("bar").at((1.0, 0.0, 0.0)).position
     assert float(straight[0, -1, 2]) < 1.94
     torch.testing.assert_close(bent[0, -1], straight[0, -1], rtol=0.0, atol=2e-4)

@@ -4,7 +4,7 @@
     friction         -f tanh(s' / friction_speed)            "NAME_friction"
     actuator         gear clamp(gain u + b0 + b1 gear s + b2 gear s')   "NAME"
 
-Checked in tests/multibody/system/test_robot.py, test_robot_mjcf.py.
+Checked in tests/extensions/robots/test_robot.py, test_robot_mjcf.py.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.io.robot_file import Actuator, RobotJoint
+from torchmbd.extensions.robots.tree import Actuator, RobotJoint
 from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.forces.laws import Friction, Spring

@@ -8,8 +8,8 @@ Cycles are counted by rainflow (rainflow.py) between peaks that are located betw
 are exact where a small change of the design changes neither the ranking of the ranges nor the worst point.
 Assumed: damage does not depend on the order of the cycles, and components of the stress act independently; the worst point
 is the worst one by the stresses at the output times.
-Source: Palmgren (1924) and Miner (1945), linear damage; curves: fem/materials/sn_curve.py.
-Checked in tests/design/test_fatigue.py, tests/contracts/test_responses.py.
+Source: Palmgren (1924) and Miner (1945), linear damage; curves: sn_curve.py.
+Checked in tests/extensions/fatigue/test_fatigue.py, tests/contracts/test_responses.py.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from torch import Tensor
 
 from torchmbd.design.curve import curve_of
 from torchmbd.design.measures import OfHistory
-from torchmbd.design.rainflow import Cycles, rainflow
 from torchmbd.design.response import Measure
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError, unknown
-from torchmbd.fem.materials import PLY_COMPONENTS, SNCurve, power_law_damage
+from torchmbd.extensions.fatigue.rainflow import Cycles, rainflow
+from torchmbd.extensions.fatigue.sn_curve import SNCurve, power_law_damage
+from torchmbd.fem.materials import PLY_COMPONENTS
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
@@ -102,6 +103,7 @@ class Damage(OfHistory):
     curve: SNCurve | None = None
     repeats: float = 1.0
     error_note: ClassVar[str] = COUNT_NOTE
+    unit: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -134,6 +136,7 @@ class FatigueDamage(Measure):
     curves: Mapping[str, SNCurve] | None = None
     repeats: float = 1.0
     error_note: ClassVar[str] = COUNT_NOTE
+    unit: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         _positive("repeats", self.repeats)

@@ -12,16 +12,17 @@ import pytest
 import yaml
 
 import torchmbd as mbd
-from tests.io import test_mesh_file, test_mjcf, test_urdf, test_windio
-from tests.io.nastran import test_nsm
-from tests.io.spoilt import spoilt
+from tests.extensions import test_mesh_file, test_windio
+from tests.extensions.nastran import test_nsm
+from tests.extensions.robots import test_mjcf, test_urdf
+from tests.extensions.spoilt import spoilt
 from tests.multibody.bodies.bdf_models import model
 from torchmbd.errors import InputError
+from torchmbd.extensions.robots.mjcf import mjcf_robot
+from torchmbd.extensions.robots.urdf import urdf_robot
 from torchmbd.io.matrix_file import read_matrix
 from torchmbd.io.mesh_file import read_mesh
-from torchmbd.io.mjcf import read_mjcf
 from torchmbd.io.nastran.body import read_bdf
-from torchmbd.io.urdf import read_urdf
 
 OP4 = """\
        2       2       6       2KGG     1P,3E23.16
@@ -129,10 +130,10 @@ READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
     "abaqus_mesh": (read_mesh, "mesh.inp", test_mesh_file.ABAQUS),
     "gmsh": (read_mesh, "mesh.msh", GMSH),
     "vtk": (read_mesh, "mesh.vtk", VTK),
-    "urdf": (read_urdf, "arm.urdf", test_urdf.TEXT),
-    "mjcf": (read_mjcf, "arm.xml", test_mjcf.MECHANISM.replace("><", ">\n<")),
-    "windio": (lambda path: mbd.WindIOBlade(path).section(0.5, cells=12, order=1), "blade.yaml", _windio()),
-    "beamdyn": (mbd.SectionTable.beamdyn, "blade.inp", _beamdyn()),
+    "urdf": (urdf_robot, "arm.urdf", test_urdf.TEXT),
+    "mjcf": (mjcf_robot, "arm.xml", test_mjcf.MECHANISM.replace("><", ">\n<")),
+    "windio": (lambda path: mbd.read_windio(path).section(0.5, cells=12, order=1), "blade.yaml", _windio()),
+    "beamdyn": (mbd.read_beamdyn, "blade.inp", _beamdyn()),
 }
 
 

@@ -4,7 +4,7 @@ Numbers are given along the span, linear between; positions s along a contour ru
 and the leading edge to the trailing edge, as parts of its length. Contours are linear in the relative thickness between the
 airfoils beside, and this is monotone cubic along the span.
 Over 300 lines: one reader of one file, and the checks of its entries.
-Source: windIO 1.x (IEA Wind Task 37). Checked in tests/io/test_windio.py, experiments/peers/iea_blade.py.
+Source: windIO 1.x (IEA Wind Task 37). Checked in tests/extensions/test_windio.py, experiments/peers/iea_blade.py.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from torchmbd.errors import InputError, unknown, warn
+from torchmbd.extensions.windio.profile import Layer, Profile, Web, profile_section
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
 from torchmbd.fem.sections.section_checks import check_order
-from torchmbd.io.windio.profile import Layer, Profile, Web, profile_section
 from torchmbd.math.checked_numbers import is_whole
 
 LARGEST = 20_000_000  # bytes of a file
@@ -48,18 +48,25 @@ class _SpanValues:
         return float(np.interp(at, self.grid, self.values, left=outside, right=outside))
 
 
-class WindIOBlade:
-    """The blade of a windIO file (.yaml); `section(position)` makes a section, `station(position)` says where it lies.
+def read_windio(path: str | Path) -> WindIOBlade:
+    """The blade of a windIO file (.yaml): `section(position)` makes a section, `station(position)` says where it lies.
 
-    >>> blade = mbd.WindIOBlade("IEA-15-240-RWT.yaml")  # doctest: +SKIP
+    path   the file
+    Raises InputError that names file and entry.
+
+    >>> blade = mbd.read_windio("IEA-15-240-RWT.yaml")  # doctest: +SKIP
     >>> blade.section(0.5).stiffness()[0, 0]  # E A in the middle  # doctest: +SKIP
     """
+    return WindIOBlade(Path(path))
 
-    def __init__(self, file: str | Path) -> None:
-        path = Path(file)
+
+class WindIOBlade:
+    """A blade: sections, stations and contours at parts of the span."""
+
+    def __init__(self, path: Path) -> None:
         self._file = path.name
         if not path.is_file() or path.stat().st_size > LARGEST:
-            raise InputError(f"file is {str(file)!r}; allowed: a windIO file of at most {LARGEST} bytes")
+            raise InputError(f"path is {str(path)!r}; allowed: a windIO file of at most {LARGEST} bytes")
         try:
             data = _loaded(path.read_text(encoding="utf-8"))
             blade = data["components"]["blade"]

@@ -10,7 +10,7 @@ For C = T this is Goodman's line, for tension and compression alike. A mean with
 thousandth: the life is then shorter than any that is allowed, and has a derivative.
 Source: Goodman, Mechanics Applied to Engineering (1899); the diagram for laminates: Germanischer Lloyd, Guideline for the
 Certification of Wind Turbines (2010), section 5.5.3.
-Checked in tests/design/test_fatigue.py.
+Checked in tests/extensions/fatigue/test_fatigue.py.
 """
 
 from __future__ import annotations

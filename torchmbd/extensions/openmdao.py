@@ -7,7 +7,7 @@ OpenMDAO. The Jacobian is one gradient of all responses; OpenMDAO multiplies wit
 A function over 60 lines: the class of the component is made inside it, when OpenMDAO is imported.
 Source: J. S. Gray et al., OpenMDAO: an open-source framework for multidisciplinary design, analysis, and optimization,
 Struct. Multidisc. Optim. 59 (2019) 1075-1104, doi:10.1007/s00158-019-02211-z.
-Checked in tests/design/test_openmdao_component.py.
+Checked in tests/extensions/test_openmdao.py.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
+
+__all__ = ["openmdao_component"]
 
 _GRADIENTS = ("reverse", "forward")
 
