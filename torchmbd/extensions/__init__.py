@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.beamdyn import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
+    from torchmbd.extensions.matrices import *  # noqa: F403
+    from torchmbd.extensions.meshes import *  # noqa: F403
+    from torchmbd.extensions.nastran import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
@@ -21,6 +24,9 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
 NAMES = {
     "beamdyn": "read_beamdyn",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
+    "matrices": "read_matrix",
+    "meshes": "read_mesh",
+    "nastran": "read_bdf",
     "openmdao": "openmdao_component",
     "robots": "read_mjcf read_urdf",
     "windio": "read_windio",

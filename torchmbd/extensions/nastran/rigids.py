@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.elements import rbar_grids
 from torchmbd.fem.elements import Average, Combination, Follower, RigidLink
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.elements import rbar_grids
 
 RIGIDS = ("RBE2", "RBE3", "RBAR", "RBAR1")
 ALL = "123456"

@@ -4,7 +4,7 @@
 
 Shells: shells.py, sections of bars: sections.py. G1Z, G2Z of MAT8 that are blank mean infinite stiffness in Nastran; here they
 are taken as G12, with a warning.
-Checked in tests/multibody/bodies/test_from_bdf.py.
+Checked in tests/extensions/nastran/test_read_bdf.py.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 
 from torchmbd.errors import InputError, unknown, warn
+from torchmbd.extensions.nastran.card import Card
 from torchmbd.fem.materials import Ply, Strength
-from torchmbd.io.nastran.card import Card
 from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
 
 
@@ -80,7 +80,7 @@ def with_density(cards: dict[int, Card], density: float, units: Units, weight_to
 def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -> float:
     density = card.real(position, "RHO", 0.0)
     if density <= 0.0:
-        allowed = "a density > 0, a body needs mass (from_bdf takes one, `density`, for all that lack it)"
+        allowed = "a density > 0, a body needs mass (read_bdf takes one, `density`, for all that lack it)"
         raise InputError(f"{card}: RHO is {card.text(position)!r}; allowed: {allowed}")
     return density * units.density * weight_to_mass
 

@@ -12,8 +12,8 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.extensions.nastran.bdf_models import model
 from tests.fem.elements.plate_cases import GENERAL, freedoms
-from tests.multibody.bodies.bdf_models import model
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import PlateMatrices
 
@@ -25,7 +25,7 @@ def body(tmp_path):
     def read(text: str, modes: int = 4, **given) -> mbd.FlexibleBody:
         file = tmp_path / "model.bdf"
         file.write_text(text)
-        return mbd.FlexibleBody.from_bdf("plate", file, modes, **given)
+        return mbd.read_bdf(file, "plate", modes, **given)
 
     return read
 

@@ -20,7 +20,7 @@ def model(
     """A clamped carbon plate of 0.3 x 0.1 m, 20/-50/75 degrees; grid numbers are 100 i + j + 1."""
     L, stress, rho = (1e3, 1e6, 1e12) if millimeters else (1.0, 1.0, 1.0)
     nx, ny = cells
-    lines = ["$ made by tests/multibody/bodies/bdf_models.py", "BEGIN BULK"]
+    lines = ["$ made by tests/extensions/nastran/bdf_models.py", "BEGIN BULK"]
     numbers = {"E1": 128e9, "E2": 10.1e9, "G": 5.36e9, "Xt": 1.5e9, "Yt": 4e7, "Yc": 2.46e8, "S": 6.8e7}
     lines.append(MAT8.format(rho=1586.0 / rho, **{key: x / stress for key, x in numbers.items()}))
     lines.append(PCOMP.format(a=1e-3 * L, b=2e-3 * L, c=1.5e-3 * L))

@@ -9,7 +9,7 @@ are the named groups of cells, node sets the named groups of nodes:
 Elements of second order or in three dimensions are refused: leaving them out would change the structure; so are keywords of
 Abaqus that meshio skips and that may be structure (abaqus_file.py).
 Needs meshio, an optional dependency.
-Checked in tests/extensions/test_mesh_file.py.
+Checked in tests/extensions/meshes/test_mesh_file.py.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.extensions.meshes.abaqus_file import check_abaqus
 from torchmbd.fem.mesh.mesh import Mesh
-from torchmbd.io.abaqus_file import check_abaqus
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.units import meters
 
@@ -43,7 +43,7 @@ class MeshFile(NamedTuple):
 
 
 @constant_arguments
-def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
+def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     """Read a mesh; scale: meters per unit of the file, or its name, "mm". InputError tells what cannot be read."""
     try:
         import meshio  # pyright: ignore[reportMissingImports] (optional)
@@ -67,9 +67,7 @@ def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
         raise InputError(f"{Path(path).name}: meshio cannot read it: {type(error).__name__} {error}") from error
     try:
         if Path(path).suffix.lower() in _STRUCTURES and any(x.type in _POINTS_AND_CURVES for x in source.cells):
-            raise InputError(
-                "it has beams, rods or masses; allowed: triangle, quad (FlexibleBody.from_bdf reads others)"
-            )
+            raise InputError("it has beams, rods or masses; allowed: triangle, quad (mbd.read_bdf reads others)")
         return mesh_of(source, scale)
     except InputError as error:
         raise InputError(f"{Path(path).name}: {error}") from None

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.data import Bar, BulkData
 from torchmbd.fem.elements import Combination, Follower, RigidLink
-from torchmbd.io.nastran.data import Bar, BulkData
 
 
 @dataclass(eq=False)

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.io import mesh_file
-from torchmbd.io.mesh_file import read_mesh
+from torchmbd.extensions.meshes.mesh_file import mesh_file, mesh_of
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [0, 1, 0], [9, 9, 9]], dtype=float)
 QUADS, TRIANGLES = np.array([[0, 1, 4, 5]]), np.array([[1, 2, 3], [1, 3, 4]])
@@ -22,7 +21,7 @@ def written(tmp_path, name, **given):
 @pytest.mark.parametrize("name", ["plate.vtk", "plate.vtu", "plate.inp"])
 def test_geometry_in_every_format(tmp_path, name):
     """Point 6 belongs to no element and is left out; millimeters become meters."""
-    mesh, zones = read_mesh(written(tmp_path, name), scale=1e-3)
+    mesh, zones = mesh_file(written(tmp_path, name), scale=1e-3)
     assert len(mesh.nodes) == 6
     assert (len(mesh.triangles), len(mesh.quads)) == (2, 1)
     assert float(mesh.areas.sum()) == pytest.approx(2e-6)
@@ -55,7 +54,7 @@ def test_sets_of_abaqus(tmp_path):
     """Sets of elements are zones (a set of sets is not read); triangles are counted first."""
     file = tmp_path / "plate.inp"
     file.write_text(ABAQUS)
-    mesh, zones = read_mesh(file)
+    mesh, zones = mesh_file(file)
     assert mesh.node_set("tip") == (2, 3)
     assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2, "skin": 2}
     assert float(mesh.areas[zones["skin"]].sum()) == pytest.approx(1.5)
@@ -90,7 +89,7 @@ def test_what_meshio_loses_of_abaqus(old, new, words, tmp_path):
     file = tmp_path / "plate.inp"
     file.write_text(ABAQUS.replace(old, new, 1))
     with pytest.raises(InputError) as error:
-        read_mesh(file)
+        mesh_file(file)
     assert all(word in str(error.value) for word in words), str(error.value)
 
 
@@ -101,7 +100,7 @@ def test_what_abaqus_writes_besides_is_left_out(tmp_path):
     more = "*SHELL SECTION, ELSET=web, MATERIAL=AL\n.01\n*MATERIAL, NAME=AL\n*ELASTIC\n7e10, .3\n*DENSITY\n2700.\n"
     more += "*BOUNDARY\ntip, 1, 6\n"
     file.write_text(f"*HEADING\n*INCLUDE, INPUT=mesh.inp\n{more}*STEP\n*FREQUENCY\n5\n*MODEL CHANGE\n")
-    assert float(read_mesh(file).mesh.areas.sum()) == pytest.approx(2.0)
+    assert float(mesh_file(file).mesh.areas.sum()) == pytest.approx(2.0)
 
 
 def test_physical_groups_of_gmsh(tmp_path):
@@ -112,7 +111,7 @@ def test_physical_groups_of_gmsh(tmp_path):
     data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
     file = tmp_path / "plate.msh"
     meshio.write(file, meshio.Mesh(POINTS[:6], cells, cell_data=data, field_data=fields), file_format="gmsh22")
-    mesh, zones = read_mesh(file)
+    mesh, zones = mesh_file(file)
     assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2}
     assert mesh.node("bolt") == 3
     assert mesh.node_set("root") == (0, 5)
@@ -122,22 +121,22 @@ def test_physical_groups_of_gmsh(tmp_path):
 
 def test_what_cannot_be_read_is_refused(tmp_path):
     with pytest.raises(InputError, match="allowed: a mesh file that exists"):
-        read_mesh(tmp_path / "none.msh")
+        mesh_file(tmp_path / "none.msh")
     with pytest.raises(InputError, match=r"scale is 0.0"):
-        read_mesh(written(tmp_path, "plate.vtk"), scale=0.0)
+        mesh_file(written(tmp_path, "plate.vtk"), scale=0.0)
     solid = meshio.Mesh(POINTS, [("triangle6", np.arange(6)[None])])
     with pytest.raises(InputError, match=r"elements 'triangle6'; allowed: triangle, quad"):
-        mesh_file.mesh_of(solid)
+        mesh_of(solid)
     with pytest.raises(InputError, match="no triangles"):
-        mesh_file.mesh_of(meshio.Mesh(POINTS, [("line", np.array([[0, 1]]))]))
+        mesh_of(meshio.Mesh(POINTS, [("line", np.array([[0, 1]]))]))
     (tmp_path / "bad.vtu").write_text("<VTKFile")
     with pytest.raises(InputError, match=r"bad\.vtu: meshio cannot read it"):
-        read_mesh(tmp_path / "bad.vtu")
+        mesh_file(tmp_path / "bad.vtu")
     (tmp_path / "bad.xyz").write_text("nothing")
     with pytest.raises(InputError, match=r"bad\.xyz: meshio cannot read it"):
-        read_mesh(tmp_path / "bad.xyz")
+        mesh_file(tmp_path / "bad.xyz")
 
 
 def test_a_flat_mesh_of_two_coordinates():
-    mesh, _ = mesh_file.mesh_of(meshio.Mesh(POINTS[:6, :2], [("triangle", TRIANGLES)]))
+    mesh, _ = mesh_of(meshio.Mesh(POINTS[:6, :2], [("triangle", TRIANGLES)]))
     assert torch.equal(mesh.nodes[:, 2], torch.zeros(len(mesh.nodes), dtype=torch.float64))

@@ -18,12 +18,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.elements import LINKS, Link, Solid
+from torchmbd.extensions.nastran.materials import Units, density_of, moduli_of
 from torchmbd.fem.elements import GivenElements, Part, solid_matrices
 from torchmbd.fem.mesh import Mesh
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.elements import LINKS, Link, Solid
-from torchmbd.io.nastran.materials import Units, density_of, moduli_of
 
 _VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 

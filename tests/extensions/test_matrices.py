@@ -1,3 +1,4 @@
+# ruff: noqa: F811 (fixtures)
 """Matrix files of other programs: the same numbers in every format; one wrong field is named by file and line."""
 
 from __future__ import annotations
@@ -6,9 +7,12 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
+from torch.testing import assert_close
 
+import torchmbd as mbd
+from tests.multibody.bodies.test_from_matrices import NODES, SETS, built, given, numbers  # noqa: F401
 from torchmbd.errors import InputError
-from torchmbd.io.matrix_file import read_matrix
+from torchmbd.extensions.matrices import read_matrix
 
 A = np.array([[4.0, -1.5, 0.0, 2.0e-3], [-1.5, 5.0, 0.25, 0.0], [0.0, 0.25, 6.0, 0.0], [2.0e-3, 0.0, 0.0, 7.0]])
 ROWS = [(11, 1), (11, 5), (20, 1), (20, 3)]  # node and direction of each row of A
@@ -88,7 +92,7 @@ def dmig(path):
 )
 def test_the_same_matrix_in_every_format(write, name, with_rows, tmp_path):
     write(tmp_path / name)
-    found = read_matrix("K", tmp_path / name)
+    found = read_matrix(tmp_path / name)
     np.testing.assert_array_equal(found.matrix.toarray(), A)
     assert found.rows == (ROWS if with_rows else None)
 
@@ -98,11 +102,13 @@ def test_a_file_of_two_matrices(tmp_path):
     one = (tmp_path / "k.op4").read_text()
     other = one.replace("KGG", "MGG").replace("4.0000000000000000E+00", "9.0000000000000000E+00")
     (tmp_path / "both.op4").write_text(one + other)
-    assert read_matrix("K", tmp_path / "both.op4").matrix[0, 0] == 4.0
-    assert read_matrix("M", tmp_path / "both.op4").matrix[0, 0] == 9.0
-    assert read_matrix("M", f"{tmp_path / 'both.op4'}:KGG").matrix[0, 0] == 4.0
-    with pytest.raises(InputError, match=r"K: both.op4 has the matrices \['KGG', 'MGG'\]"):
-        read_matrix("K", f"{tmp_path / 'both.op4'}:XX")
+    assert read_matrix(tmp_path / "both.op4", "K").matrix[0, 0] == 4.0
+    assert read_matrix(tmp_path / "both.op4", "M").matrix[0, 0] == 9.0
+    assert read_matrix(tmp_path / "both.op4", "KGG").matrix[0, 0] == 4.0
+    with pytest.raises(
+        InputError, match=r"both.op4 has the matrices \['KGG', 'MGG'\], name is 'XX'; allowed: the name of one"
+    ):
+        read_matrix(tmp_path / "both.op4", "XX")
 
 
 @pytest.mark.parametrize(
@@ -143,7 +149,7 @@ def test_a_file_of_two_matrices(tmp_path):
 def test_wrong_files_are_named(name, text, words, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as error:
-        read_matrix("K", tmp_path / name)
+        read_matrix(tmp_path / name)
     assert words in str(error.value), error.value
 
 
@@ -154,14 +160,14 @@ def test_a_half_of_mixed_triangles_is_the_whole_matrix(tmp_path):
         lines.append(f"DMIG,KAAX,{ROWS[j][0]},{ROWS[j][1]},,{ROWS[i][0]},{ROWS[i][1]},{float(A[i, j])!r}")
     path = tmp_path / "k.pch"
     path.write_text("\n".join(lines))
-    found = read_matrix("K", path)
+    found = read_matrix(path)
     assert found.rows == ROWS
     np.testing.assert_array_equal(found.matrix.toarray(), A)
 
 
 def test_a_file_that_does_not_exist():
-    with pytest.raises(InputError, match=r"K is 'none.mtx'; allowed: a matrix file that exists"):
-        read_matrix("K", "none.mtx")
+    with pytest.raises(InputError, match=r"path is 'none.mtx'; allowed: a matrix file that exists"):
+        read_matrix("none.mtx")
 
 
 def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
@@ -174,12 +180,40 @@ def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
     for text in (real + other, other + real, other + real + other.replace("CPX", "CP2")):
         file = tmp_path / "two.op4"
         file.write_text(text)
-        for path in (file, f"{file}:KGG"):
-            assert read_matrix("K", path).matrix.toarray().tolist() == [[2.0, -1.0], [-1.0, 2.0]]
+        for name in ("K", "KGG"):
+            assert read_matrix(file, name).matrix.toarray().tolist() == [[2.0, -1.0], [-1.0, 2.0]]
         with pytest.raises(InputError, match=r"two.op4, line \d: CPX has type 4; allowed: 1 or 2, real"):
-            read_matrix("K", f"{file}:CPX")
+            read_matrix(file, "CPX")
     file = tmp_path / "two.dmig"
     file.write_text("DMIG,KX,0,6,1\nDMIG,KX,3,3,,3,3,100.\nDMIG,RX,0,2,1,,,,1\nDMIG,RX,1,,,3,3,1.\n")
-    assert read_matrix("K", file).matrix.toarray().tolist() == [[100.0]]
+    assert read_matrix(file, "K").matrix.toarray().tolist() == [[100.0]]
     with pytest.raises(InputError, match=r"DMIG RX \(two.dmig, line 3\): IFO, TIN"):
-        read_matrix("K", f"{file}:RX")
+        read_matrix(file, "RX")
+
+
+def test_matrices_that_were_saved_make_the_same_body(built, numbers, tmp_path):
+    paths = built.save_matrices(tmp_path / "arm")
+    assert [p.name for p in paths] == ["arm_M.mtx", "arm_K.mtx"]
+    want, found = given(numbers).structure(), given([mbd.read_matrix(path) for path in paths]).structure()
+    for key in ("mass", "S0", "P0", "S1", "C0", "C1", "Kr", "psi"):
+        assert_close(found[key], want[key], rtol=1e-9, atol=1e-9 * float(want[key].abs().max()))
+
+
+def test_labels_of_a_file_find_their_nodes(numbers, tmp_path):
+    """Abaqus' rows by node label and direction, in any order."""
+
+    def label(k):
+        return f"{100 + 10 * (k // 6)}, {k % 6 + 1}"
+
+    order = np.random.default_rng(1).permutation(42)
+    for key, A in zip("MK", numbers, strict=True):
+        coo = scipy.sparse.coo_array(A.toarray()[np.ix_(order, order)])
+        rows = zip(order[coo.row], order[coo.col], coo.data, strict=True)
+        text = "\n".join(f"{label(i)}, {label(j)}, {v:.17e}" for i, j, v in rows)
+        (tmp_path / f"{key}.mtx").write_text(text)
+    places = {100 + 10 * k: x for k, x in enumerate(NODES.tolist())}
+    own = {"modes": 4, "reference": 0, "node_sets": SETS}
+    found = mbd.FlexibleBody.from_matrices(
+        "arm", *(mbd.read_matrix(tmp_path / f"{key}.mtx") for key in "MK"), places, **own
+    )
+    assert_close(found.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-9, atol=1e-3)

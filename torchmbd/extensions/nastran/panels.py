@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.elements import Solid
+from torchmbd.extensions.nastran.materials import Units, moduli_of
 from torchmbd.fem.elements import GivenElements
 from torchmbd.fem.mesh import Mesh
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.elements import Solid
-from torchmbd.io.nastran.materials import Units, moduli_of
 
 _SMALL = 1.01  # F up to this is a share of the panel's area
 

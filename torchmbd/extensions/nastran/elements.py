@@ -11,7 +11,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.card import Card
+from torchmbd.extensions.nastran.card import Card
 
 SOLIDS = {"CTETRA": (4, 10), "CPENTA": (6, 15), "CHEXA": (8, 20)}  # corners, and these with nodes on all sides
 #: name -> (position of the first grid, of the second grid, property card or "")

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.card import Card
+from torchmbd.extensions.nastran.card import Card
 
 NESTED = 100  # systems that refer to one another in a chain
 KINDS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")

@@ -7,7 +7,7 @@ The line of a CBEAM is that of the centers of shear: N1, N2 of a PBEAM, or the s
 lies. Of a section that changes along the bar the mean is taken (linear between stations), with a warning.
 Mass without stiffness (NSM) is spread over the section.
 Source: MSC Nastran Quick Reference Guide, section 8.
-Checked in tests/extensions/nastran/test_sections.py, tests/multibody/bodies/test_from_bdf.py.
+Checked in tests/extensions/nastran/test_sections.py, tests/extensions/nastran/test_read_bdf.py.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.materials import Units, ply_of
+from torchmbd.extensions.nastran.shapes import RIGID_IN_SHEAR, SHAPES, SectionNumbers, of_shape
 from torchmbd.fem.elements import GivenSection
 from torchmbd.fem.elements.beam_section import line_transform
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import Units, ply_of
-from torchmbd.io.nastran.shapes import RIGID_IN_SHEAR, SHAPES, SectionNumbers, of_shape
 from torchmbd.math.variable import number
 
 STATIONS = ("YES", "YESA", "NO")

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from torchmbd.errors import InputError, warn
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.elements import (
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.elements import (
     LINKS,
     OF_SCALARS,
     OTHER_PROPERTIES,
@@ -35,9 +35,9 @@ from torchmbd.io.nastran.elements import (
     read_panel,
     read_solid,
 )
-from torchmbd.io.nastran.inert import QUIET, is_inert
-from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, read_constraint, read_rigid
-from torchmbd.io.nastran.systems import KINDS, Systems
+from torchmbd.extensions.nastran.inert import QUIET, is_inert
+from torchmbd.extensions.nastran.rigids import RIGIDS, Constraint, Rigid, read_constraint, read_rigid
+from torchmbd.extensions.nastran.systems import KINDS, Systems
 
 SHELLS = {"CTRIA3": 3, "CQUAD4": 4, "CTRIAR": 3, "CQUADR": 4}  # all have drilling freedoms here
 BARS = ("CBAR", "CBEAM")

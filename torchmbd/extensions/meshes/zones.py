@@ -1,6 +1,6 @@
 """Laminates for the named zones of a mesh: every cell gets exactly one.
 
-Checked in tests/multibody/bodies/test_from_mesh.py.
+Checked in tests/extensions/meshes/test_read_mesh.py.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.extensions.meshes.mesh_file import MeshFile
 from torchmbd.fem.elements import Part, Plates
 from torchmbd.fem.materials import Laminate
-from torchmbd.io.mesh_file import MeshFile
 
 
 def zone_parts(

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.control import Control
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.materials import Units
+from torchmbd.extensions.nastran.mesh import BulkMesh
 from torchmbd.fem.elements import PointMasses
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.control import Control
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import Units
-from torchmbd.io.nastran.mesh import BulkMesh
 
 _AREAS = ("PSHELL", "PCOMP", "PSHEAR")
 

@@ -8,7 +8,7 @@
 The middle lies at Z0 + h/2 above the plane of the grids, and ZOFFS of an element more; it stays there where thicknesses are
 design variables. Mass without stiffness (NSM) is spread over the thickness. A PSHELL without MID2 is a membrane in Nastran,
 whose plate freedoms are held: here it keeps MEMBRANE of the bending stiffness of a solid shell, with a warning.
-Checked in tests/extensions/nastran/test_shells.py, tests/multibody/bodies/test_from_bdf.py.
+Checked in tests/extensions/nastran/test_shells.py, tests/extensions/nastran/test_read_bdf.py.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.materials import Units, density_of, ply_of
 from torchmbd.fem.materials import DividedLaminate, Laminate, Ply
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import Units, density_of, ply_of
 from torchmbd.math.angles import deg
 
 MEMBRANE = 1e-6

@@ -6,72 +6,73 @@
     Nastran DMIG        bulk data, real, square or symmetric                     .dmig, .pch, .bdf, .dat
 
 Abaqus and DMIG name the node and direction of each row; the others count rows 1, 2, 3, ... Where a file has only one of each
-two entries ij and ji, in either triangle, the other is its mirror image. Of several matrices in a file "path:NAME" is read, or
-else the one whose name starts like the argument (M or K).
+two entries ij and ji, in either triangle, the other is its mirror image.
 Source: MSC Nastran Quick Reference Guide (DMIG) and DMAP manual (OUTPUT4); Abaqus Analysis Guide, Generating matrices.
-Checked in tests/extensions/test_matrix_file.py.
+Checked in tests/extensions/test_matrices.py.
 """
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.io
 import scipy.sparse
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.cards import read_cards
+from torchmbd.extensions.nastran.cards import read_cards
+from torchmbd.multibody.bodies.given_matrices import LabeledMatrix
+
+__all__ = ["read_matrix"]
 
 LARGEST = 3_000_000  # rows; a header with more is refused before memory is allocated
-Rows = list[tuple[int, int]]
 
 
-class FileMatrix(NamedTuple):
-    """A square matrix; `rows`: (label of the node, direction 1 to 6) of each row, None: in the order of the nodes."""
+def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
+    """A mass or stiffness matrix of a file, for `FlexibleBody.from_matrices`.
 
-    matrix: scipy.sparse.csr_array
-    rows: Rows | None = None
+    path   the file: .mtx, .mm, .op4, .dmig, .pch, .bdf, .dat
+    name   of one of several matrices of the file, or how one name alone begins, such as "K"; None: the file has one
+    Raises InputError that names file, line and value.
 
-
-def read_matrix(name: str, path: str | Path) -> FileMatrix:
-    """Read one matrix. InputError names the argument `name`, file, line and value."""
-    text = os.fspath(path)
-    file, wanted = Path(text), ""
-    if not file.is_file() and ":" in text:
-        base, _, wanted = text.rpartition(":")
-        file = Path(base)
-    if not file.is_file():
-        raise InputError(f"{name} is {text!r}; allowed: a matrix file that exists, or 'file:NAME'")
+    >>> with open("K.mtx", "w") as file:
+    ...     _ = file.write("%%MatrixMarket matrix coordinate real symmetric\\n2 2 3\\n1 1 4.0\\n2 1 -1.0\\n2 2 5.0\\n")
+    >>> mbd.read_matrix("K.mtx").matrix.toarray().tolist()
+    [[4.0, -1.0], [-1.0, 5.0]]
+    """
+    if not isinstance(path, (str, Path)) or not Path(path).is_file():
+        raise InputError(f"path is {str(path)!r}; allowed: a matrix file that exists")
+    if name is not None and not isinstance(name, str):
+        raise InputError(f"name is {name!r}; allowed: the name of a matrix of the file, or None")
+    file = Path(path)
     try:
         found = _read(file)
     except (ValueError, OSError, IndexError, OverflowError) as error:
-        raise error if isinstance(error, InputError) else InputError(f"{name}: {file.name}: {error}") from None
-    kind = [key for key in found if key.upper().startswith(name[:1].upper())] if not wanted else [wanted]
-    if len(found) == 1 and not wanted:
-        kind = list(found)
-    if len(kind) != 1 or kind[0] not in found:
+        raise error if isinstance(error, InputError) else InputError(f"{file.name}: {error}") from None
+    names = [key for key in found if name is None or key.upper().startswith(name.upper())]
+    if name in found:
+        names = [name]
+    if len(names) != 1:
         raise InputError(
-            f"{name}: {file.name} has the matrices {list(found)}; allowed: one of them, '{file.name}:NAME'"
+            f"{file.name} has the matrices {list(found)}, name is {name!r}; allowed: the name of one of them"
         )
-    chosen = found[kind[0]]
+    chosen = found[names[0]]
     if isinstance(chosen, InputError):
         raise chosen
     return chosen
 
 
-def _read(file: Path) -> dict[str, FileMatrix | InputError]:
+def _read(file: Path) -> dict[str, LabeledMatrix | InputError]:
     """The matrices of a file by name; of one that is not real and square the reason, which counts where it is asked for."""
     suffix = file.suffix.lower()
     if suffix in (".mtx", ".mm"):
         with file.open(encoding="utf-8", errors="replace") as lines:
             if not lines.readline().startswith("%%MatrixMarket"):
                 return {file.stem: _abaqus(file)}
-        return {file.stem: FileMatrix(_matrix_market(file))}
+        return {file.stem: LabeledMatrix(_matrix_market(file))}
     if suffix == ".op4":
         return dict(_op4(file))
     if suffix in (".dmig", ".pch", ".bdf", ".dat"):
@@ -121,7 +122,7 @@ def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array(matrix + matrix.T - scipy.sparse.diags_array(matrix.diagonal()))
 
 
-def _assembled(name: str, entries: list[tuple[tuple[int, int], tuple[int, int], float]]) -> FileMatrix:
+def _assembled(name: str, entries: list[tuple[tuple[int, int], tuple[int, int], float]]) -> LabeledMatrix:
     """Return the matrix of entries between (label, direction) pairs, rows in the order of labels."""
     rows = sorted({pair for i, j, _ in entries for pair in (i, j)})
     for label, direction in rows:
@@ -130,10 +131,10 @@ def _assembled(name: str, entries: list[tuple[tuple[int, int], tuple[int, int], 
     index = {pair: k for k, pair in enumerate(rows)}
     i, j = ([index[pair] for pair in pairs] for pairs in zip(*((a, b) for a, b, _ in entries), strict=True))
     matrix = scipy.sparse.coo_array(([entry[2] for entry in entries], (i, j)), shape=(len(rows), len(rows)))
-    return FileMatrix(_mirrored(scipy.sparse.csr_array(matrix)), rows)
+    return LabeledMatrix(_mirrored(scipy.sparse.csr_array(matrix)), rows)
 
 
-def _abaqus(file: Path) -> FileMatrix:
+def _abaqus(file: Path) -> LabeledMatrix:
     labelled, plain = [], []
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, start=1):
@@ -160,13 +161,13 @@ def _abaqus(file: Path) -> FileMatrix:
     size = max(max(i, j) for i, j, _ in plain)
     _square(file.name, size, size)
     i, j, values = (np.array(column) for column in zip(*plain, strict=True))
-    return FileMatrix(_mirrored(scipy.sparse.csr_array((values, (i - 1, j - 1)), shape=(size, size))))
+    return LabeledMatrix(_mirrored(scipy.sparse.csr_array((values, (i - 1, j - 1)), shape=(size, size))))
 
 
 _FORMAT = re.compile(r"(\d*)[ED](\d+)\.(\d+)", re.IGNORECASE)
 
 
-def _op4(file: Path) -> Iterator[tuple[str, FileMatrix | InputError]]:
+def _op4(file: Path) -> Iterator[tuple[str, LabeledMatrix | InputError]]:
     with file.open(encoding="ascii", errors="replace") as handle:
         lines = enumerate(handle, start=1)
         for number, head in lines:
@@ -187,7 +188,7 @@ def _op4(file: Path) -> Iterator[tuple[str, FileMatrix | InputError]]:
                 yield name, error
                 continue
             width = max(int(style.group(2)), 1) if style else 16
-            yield name, FileMatrix(_op4_columns(file.name, lines, columns, width))
+            yield name, LabeledMatrix(_op4_columns(file.name, lines, columns, width))
 
 
 def _skip_columns(lines: Iterator[tuple[int, str]], columns: int) -> None:
@@ -238,7 +239,7 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
     return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))
 
 
-def _dmig(file: Path) -> dict[str, FileMatrix | InputError]:
+def _dmig(file: Path) -> dict[str, LabeledMatrix | InputError]:
     refused: dict[str, InputError] = {}
     entries: dict[str, list[tuple[tuple[int, int], tuple[int, int], float]]] = {}
     for card in read_cards(file):

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.control import Control, Lines
-from torchmbd.io.nastran.replication import count_of, repeated, repeats
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.control import Control, Lines
+from torchmbd.extensions.nastran.replication import count_of, repeated, repeats
 
 EQUATION = "DEQATN"  # a card of text, which has no fields
 LINES = 5_000_000  # of a file with all that it includes: about 6 GB of memory

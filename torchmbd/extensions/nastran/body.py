@@ -5,7 +5,7 @@ Each PCOMP and PSHELL is a part of its own, "pcomp_7", and where elements have s
 springs, bushings and solids: springs.py. RBE2, RBAR, RBE3 and MPC become links (rigids.py), and the grid of each rigid element
 a named node, "rbe2_30", where a frame may sit; CONM2 are point masses, and NSM (nsm.py). Grids whose six freedoms are held
 (SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a mechanism.
-Checked in tests/multibody/bodies/test_from_bdf.py.
+Checked in tests/extensions/nastran/test_read_bdf.py.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.cards import read_deck
+from torchmbd.extensions.nastran.control import MATRICES, TEMPERATURE, Control
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.materials import UNITS, Units, units_of, with_density
+from torchmbd.extensions.nastran.mesh import BulkMesh, bulk_mesh
+from torchmbd.extensions.nastran.nsm import extra_masses
+from torchmbd.extensions.nastran.panels import shear_panels
+from torchmbd.extensions.nastran.rigids import followers
+from torchmbd.extensions.nastran.sections import section_of
+from torchmbd.extensions.nastran.shells import laminate_of
+from torchmbd.extensions.nastran.springs import constant_parts
 from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, PointMasses
 from torchmbd.fem.mesh import Mesh
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.cards import read_deck
-from torchmbd.io.nastran.control import MATRICES, TEMPERATURE, Control
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import UNITS, Units, units_of, with_density
-from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
-from torchmbd.io.nastran.nsm import extra_masses
-from torchmbd.io.nastran.panels import shear_panels
-from torchmbd.io.nastran.rigids import followers
-from torchmbd.io.nastran.sections import section_of
-from torchmbd.io.nastran.shells import laminate_of
-from torchmbd.io.nastran.springs import constant_parts
 
-__all__ = ["UNITS", "BulkBody", "read_bdf"]
+__all__ = ["UNITS", "BulkBody", "bulk_body"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class _Line:
     middles: Tensor | None = None
 
 
-def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: float | None = None) -> BulkBody:
+def bulk_body(path: str | Path, units: str = "m", mass: str = "lumped", density: float | None = None) -> BulkBody:
     """Read a model; `density`: of materials without RHO [kg/m3].
 
     Raises InputError that names file, card and line; warns of cards that are left out.
@@ -114,7 +114,7 @@ def _check_control(data: BulkData, control: Control | None) -> None:
             )
             raise InputError(
                 f"{card}: {how} it to mass or stiffness; allowed: DMIG that none of {', '.join(MATRICES)} chooses "
-                "(FlexibleBody.from_matrices reads a body of DMIG alone)"
+                "(mbd.read_matrix reads DMIG)"
             )
         data.ignored["DMIG that the case control does not add to mass or stiffness"] += 1
     if data.thermal and (control is None or TEMPERATURE in commands):

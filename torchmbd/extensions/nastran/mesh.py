@@ -21,9 +21,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.bars import BarLines, bar_lines
+from torchmbd.extensions.nastran.data import READ, BulkData, Shell
 from torchmbd.fem.mesh.mesh import Mesh
-from torchmbd.io.nastran.bars import BarLines, bar_lines
-from torchmbd.io.nastran.data import READ, BulkData, Shell
 
 
 class BulkMesh(NamedTuple):

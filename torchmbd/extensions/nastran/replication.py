@@ -20,7 +20,7 @@ import re
 from collections.abc import Sequence
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.card import Card
+from torchmbd.extensions.nastran.card import Card
 
 MOST = 1_000_000  # repetitions by one line
 _STEP = re.compile(r"\*\(?\s*([^()]+?)\s*\)?")
