@@ -30,8 +30,6 @@ CASES = [
         for x in NUMBERS
     ),
     *((lambda x=x: mbd.AtTime(mbd.StrainEnergy("rod"), x), "time is .*; allowed: zero or positive") for x in NUMBERS),
-    *((lambda x=x: mbd.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25") for x in NUMBERS),
-    *((lambda x=x: mbd.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90") for x in NUMBERS[1:]),
     *(
         (lambda x=x: mbd.Laminate(PLY, mbd.deg([0.0]), 1e-3, shear_correction=x), "shear_correction = .*; allowed: 0 <")
         for x in NUMBERS

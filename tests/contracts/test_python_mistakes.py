@@ -219,7 +219,6 @@ MISTAKES = {
     "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
     # switches
     "symmetric": (lambda: any_.Laminate(PLY, [0.0], 1e-3, symmetric="no"), "symmetric is 'no'", "True or False"),
-    "rules": (lambda: any_.LaminationRules(balanced="no"), "balanced of LaminationRules is 'no'", "True or False"),
     "rigid": (lambda: any_.Interface([0], rigid=1), "rigid of an Interface is 1", "True or False"),
     "scaling": (lambda: any_.optimize(BOX, scaling=None), "scaling is None", "True or False"),
     "eager": (lambda: any_.multistart(BOX, eager_gradients="no"), "eager_gradients is 'no'", "True or False"),

@@ -12,7 +12,8 @@ import pytest
 import yaml
 
 import torchmbd as mbd
-from tests.extensions import test_mesh_file, test_windio
+from tests.extensions import test_windio
+from tests.extensions.meshes import test_mesh_file
 from tests.extensions.nastran import test_nsm
 from tests.extensions.nastran.bdf_models import model
 from tests.extensions.robots import test_mjcf, test_urdf

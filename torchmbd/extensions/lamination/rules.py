@@ -9,7 +9,7 @@ Angles are in degrees; 90 and -90 are the same direction. The rules are for roun
 angles (`admits`), not constraints of a continuous optimization. There a symmetric laminate is Laminate(symmetric=True), and a
 balanced one has linked angles (space.py).
 Source: Bailie, Ley, Pasricha, A summary and review of composite laminate design guidelines, NASA contract NAS1-19347
-(1997). Checked in tests/design/test_lamination.py.
+(1997). Checked in tests/extensions/lamination/test_rules.py.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ as in stack_recovery.py. Between these searches two plies exchange their ends if
 random starts, not exhaustive.
 Source: D. B. Adams, L. T. Watson, Z. Gurdal and C. M. Anderson-Cook, Genetic algorithm optimization and blending of composite
 laminates by locally reducing laminate thickness, Advances in Engineering Software 35 (2004) 35-43 (the guide).
-Checked in tests/design/test_blended_stacks.py.
+Checked in tests/extensions/lamination/test_blended_stacks.py.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.design.lamination import LaminationRules
-from torchmbd.design.stack_recovery import (
+from torchmbd.errors import InputError
+from torchmbd.extensions.lamination.parameters import LaminationParameters
+from torchmbd.extensions.lamination.rules import LaminationRules
+from torchmbd.extensions.lamination.stack_recovery import (
     RecoveredStack,
     Score,
     StackSearch,
@@ -36,8 +38,6 @@ from torchmbd.design.stack_recovery import (
     recovered_stack,
     target_parameters,
 )
-from torchmbd.errors import InputError
-from torchmbd.fem.elements import LaminationParameters
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.variable import without_variables
 

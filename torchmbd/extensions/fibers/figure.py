@@ -1,7 +1,7 @@
 """The paths of steered fibers: one picture for each given layer of a flat plate, seen along its normal.
 
 Angles of the cells are averaged at the nodes, and lines follow the direction between them; colors are the curvature of the
-paths. Checked in tests/viz/test_fiber_paths.py.
+paths. Checked in tests/extensions/fibers/test_figure.py.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import SteeredLaminate
+from torchmbd.extensions.fibers.steered_laminate import SteeredLaminate
 from torchmbd.viz.figures import figure_of
 
 if TYPE_CHECKING:
@@ -28,7 +28,11 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     body     a FlexibleBody
     density  of the lines [-]
 
-    >>> figure = mbd.viz.fiber_paths(mbd.examples.arm(controls=(3, 2)).body("arm"))
+    >>> strip = mbd.examples.arm().body("arm").mesh
+    >>> laminate = mbd.SteeredLaminate(
+    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.FiberField(strip, (3, 2), degree=1)
+    ... )
+    >>> figure = mbd.viz.fiber_paths(mbd.examples.arm(laminate=laminate).body("arm"))
     >>> [axes.get_title() for axes in figure.axes]
     ['layer 1', 'layer 2', '']
     """

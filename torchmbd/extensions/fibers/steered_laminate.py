@@ -1,6 +1,6 @@
 """A laminate of steered fibers: its angles, and optionally its thicknesses, vary over the cells of a mesh.
 
-    theta_c = sum_k W_ck theta_k        t_c = sum_k W_ck t_k        (fiber_field.py), constant within a cell c
+    theta_c = sum_k W_ck theta_k        t_c = sum_k W_ck t_k        (field.py), constant within a cell c
 
 Stiffness, mass and stresses are those of the cell's own stack. Elements take the constants of their shape functions from the
 mean of the controls (isotropic_mean.py), as they do from the first values of thicknesses that vary.
@@ -14,7 +14,7 @@ e1, e2: axes of the laminate in the cell. Assumed: their own turning over the su
 plates and where the surface unrolls with the axes straight.
 Source: Gürdal and Olmedo, In-plane response of laminates with spatially varying fiber orientations, AIAA J. 31 (1993) 751-758;
 Fernandez et al., Optimal design of fiber reinforced composite structures and their direct ink write fabrication, Comput.
-Methods Appl. Mech. Engrg. 353 (2019) 277-307. Checked in tests/fem/elements/test_fiber_field.py.
+Methods Appl. Mech. Engrg. 353 (2019) 277-307. Checked in tests/extensions/fibers/test_field.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.fiber_field import FiberField
+from torchmbd.extensions.fibers.field import FiberField
 from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.plausible_units import check_angles

@@ -15,7 +15,7 @@ conditions are convex and necessary. Those of a alone and of d alone are also su
 `recover_stacks` shows the distance from feasible parameters to the nearest stack.
 Source: Hammer et al., Int. J. Solids Struct. 34 (1997) 415-434; the conditions on d_f given a_f are those of Diaconu, Sato and
 Sekine, Feasible region in general design space of lamination parameters, AIAA J. 40 (2002) 559-565, for every such f.
-Checked in tests/fem/materials/test_lamination_region.py.
+Checked in tests/extensions/lamination/test_conditions.py.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON
-from torchmbd.design.lamination import LaminationRules, angle_between
 from torchmbd.errors import InputError
+from torchmbd.extensions.lamination.rules import LaminationRules, angle_between
 
 PLY: dict = CARBON
 ALL = LaminationRules(symmetric=True, balanced=True, max_step=45.0, min_share=0.1)

@@ -7,7 +7,7 @@ xi: target parameters;  a, b, d: parameters of the stack;  w: weights
 A local search from random stacks: the best change of one ply, else of two plies, is made until no change is an improvement.
 It is not exhaustive: `distance` is the remaining difference. With rules, fewer broken rules count before a smaller distance.
 Source: the search by changes of one and two plies as in Narita, Layerwise optimization for the maximum fundamental frequency of
-laminated composite plates, J. Sound Vib. 263 (2003) 1005-1016. Checked in tests/design/test_stack_recovery.py.
+laminated composite plates, J. Sound Vib. 263 (2003) 1005-1016. Checked in tests/extensions/lamination/test_stack_recovery.py.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torchmbd.design.lamination import LaminationRules
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import LaminationParameters
+from torchmbd.extensions.lamination.conditions import directions
+from torchmbd.extensions.lamination.parameters import LaminationParameters
+from torchmbd.extensions.lamination.rules import LaminationRules
 from torchmbd.fem.materials import Laminate
-from torchmbd.fem.materials.lamination_region import directions
 from torchmbd.math.checked_numbers import is_real, is_whole, reals
 
 STARTS = 100

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchmbd.fem.materials.lamination_region import CONDITIONS, conditions, directions, infeasibility_reasons
+from torchmbd.extensions.lamination.conditions import CONDITIONS, conditions, directions, infeasibility_reasons
 
 
 def parameters(angles: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:

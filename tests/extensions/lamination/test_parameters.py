@@ -10,7 +10,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.fem.materials.lamination_region import directions
+from torchmbd.extensions.lamination.conditions import directions
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 

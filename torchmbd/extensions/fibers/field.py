@@ -10,7 +10,7 @@ radial    W = phi(|x_c - x_k| / r) / sum of these over k,  phi(s) = (1 - s)^4 (4
 W adds up to one in each cell, and is never negative, so values stay between the least and the largest control.
 Source: de Boor, A Practical Guide to Splines (1978), chapter IX; Wendland, Piecewise polynomial, positive definite and
 compactly supported radial functions of minimal degree, Adv. Comput. Math. 4 (1995) 389-396; Shepard (1968).
-Checked in tests/fem/elements/test_fiber_field.py.
+Checked in tests/extensions/fibers/test_field.py.
 """
 
 from __future__ import annotations

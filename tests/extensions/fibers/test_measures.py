@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.extensions.fibers.steered_arm import steered_arm
 
 
 @pytest.fixture(scope="module")
@@ -13,7 +14,7 @@ def motion():
     """Two designs of a steered arm: one random, one straight."""
     angles = torch.randn(2, 6, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     angles[1] = 0.4
-    return mbd.simulate(mbd.examples.arm(controls=(3, 2)), 0.01, steps=4, designs={"arm.laminate.angles": angles})
+    return mbd.simulate(steered_arm(), 0.01, steps=4, designs={"arm.laminate.angles": angles})
 
 
 @pytest.mark.parametrize("kind", [mbd.FiberCurvature, mbd.FiberDivergence])
@@ -29,7 +30,7 @@ def test_norms_bound_the_largest(motion, kind):
 
 def test_straight_fibers_have_gradients(motion):
     """Finite ones, where nothing turns."""
-    straight = mbd.simulate(mbd.examples.arm(controls=(3, 2)), 0.01, steps=4)
+    straight = mbd.simulate(steered_arm(), 0.01, steps=4)
     for power in (None, 20.0):
         assert mbd.FiberCurvature("arm", power).value_and_gradient(straight)[1].isfinite().all()
 

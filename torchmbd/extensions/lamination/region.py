@@ -2,25 +2,25 @@
 
     mbd.LaminationRegion("panel") <= 1
 
-Each condition r <= 1 of fem/materials/lamination_region.py is evaluated at all n controls of the body's laminates; the measure
+Each condition r <= 1 of conditions.py is evaluated at all n controls of the body's laminates; the measure
 is its largest value. With a power p it is the p-norm over the controls, which is smooth, and too large by at most the factor
 n^(1/p). Fields interpolate between controls with weights >= 0 of sum one: cells keep the conditions that all controls keep.
-Checked in tests/design/test_lamination_region.py.
+Checked in tests/extensions/lamination/test_region.py.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from torchmbd.design.fibers import p_norm
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import LaminationParameters
-from torchmbd.fem.materials.lamination_region import CONDITIONS, conditions
+from torchmbd.extensions.fibers.measures import p_norm
+from torchmbd.extensions.lamination.conditions import CONDITIONS, conditions
+from torchmbd.extensions.lamination.parameters import LaminationParameters
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.module_call import call_module
@@ -45,6 +45,7 @@ class LaminationRegion(Measure):
 
     body: str
     power: float | None = None
+    unit: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         if self.power is not None and scalar("power", self.power, "a number of at least 2, or None") < 2.0:

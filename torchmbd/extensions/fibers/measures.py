@@ -8,20 +8,20 @@ where another cell becomes the largest. With a power p it is the p-norm, smooth 
 
     (sum_i |x_i|^p)^(1/p)
 
-Checked in tests/design/test_fibers.py and tests/sensitivity/test_fiber_variables.py.
+Checked in tests/extensions/fibers/test_measures.py and tests/extensions/fibers/test_variables.py.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import FiberPaths, SteeredLaminate
+from torchmbd.extensions.fibers.steered_laminate import FiberPaths, SteeredLaminate
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.module_call import call_module
@@ -34,6 +34,7 @@ class _PathMeasure(Measure):
 
     body: str
     power: float | None = None
+    unit: ClassVar[str] = "1/m"
 
     def __post_init__(self) -> None:
         if self.power is not None and scalar("power", self.power, "a number of at least 2, or None") < 2.0:
@@ -62,7 +63,11 @@ class FiberCurvature(_PathMeasure):
     body   its name
     power  None: exact; a number p of at least 2: smooth, the p-norm over cells and layers
 
-    >>> motion = mbd.simulate(mbd.examples.arm(controls=(3, 2)), 0.01, steps=4)
+    >>> strip = mbd.examples.arm().body("arm").mesh
+    >>> laminate = mbd.SteeredLaminate(
+    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.FiberField(strip, (3, 2), degree=1)
+    ... )
+    >>> motion = mbd.simulate(mbd.examples.arm(laminate=laminate), 0.01, steps=4)
     >>> value, gradient = mbd.FiberCurvature("arm").value_and_gradient(motion)
     >>> value.item(), gradient.shape  # straight at the start; 6 controls of 2 layers
     (0.0, torch.Size([1, 12]))
@@ -79,7 +84,11 @@ class FiberDivergence(_PathMeasure):
     body   its name
     power  None: exact; a number p of at least 2: smooth, the p-norm over cells and layers
 
-    >>> motion = mbd.simulate(mbd.examples.arm(controls=(3, 2)), 0.01, steps=4)
+    >>> strip = mbd.examples.arm().body("arm").mesh
+    >>> laminate = mbd.SteeredLaminate(
+    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.FiberField(strip, (3, 2), degree=1)
+    ... )
+    >>> motion = mbd.simulate(mbd.examples.arm(laminate=laminate), 0.01, steps=4)
     >>> round(mbd.FiberDivergence("arm")(motion).item(), 3)
     0.0
     """

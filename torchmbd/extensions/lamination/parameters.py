@@ -14,7 +14,7 @@ U1 ... U5 are the invariants of the ply's stiffness (Tsai and Pagano). A, B, D a
 linear in the parameters, so a stiffness that is best over them bounds that of every stack. As uses a shear correction k: the
 energy of the shear stresses depends on the stack, which is not known here.
 Source: Tsai and Hahn, Introduction to Composite Materials (1980); Hammer et al., Parametrization in laminate design for optimal
-compliance, Int. J. Solids Struct. 34 (1997) 415-434. Checked in tests/fem/elements/test_lamination_parameters.py.
+compliance, Int. J. Solids Struct. 34 (1997) 415-434. Checked in tests/extensions/lamination/test_parameters.py.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, true_or_false
-from torchmbd.fem.elements.fiber_field import FiberField
+from torchmbd.extensions.fibers.field import FiberField
+from torchmbd.extensions.lamination.conditions import infeasibility_reasons
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
-from torchmbd.fem.materials.lamination_region import infeasibility_reasons
 from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, warn_unusual
 from torchmbd.math.variable import varies

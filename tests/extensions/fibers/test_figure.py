@@ -9,11 +9,12 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.extensions.fibers.steered_arm import steered_arm
 
 
 def test_lines_follow_the_fibers():
     """Straight fibers at 30 degrees are straight lines at 30 degrees."""
-    body = mbd.examples.arm(controls=(3, 2)).body("arm")
+    body = steered_arm().body("arm")
     with torch.no_grad():
         body.laminate.angles[:] = torch.tensor([math.radians(30.0), math.radians(-60.0)], dtype=torch.float64)
     figure = mbd.viz.fiber_paths(body)
