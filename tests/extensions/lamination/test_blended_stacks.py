@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 import torch
-from tests.design.test_stack_recovery import asked
 
 import torchmbd as mbd
+from tests.extensions.lamination.test_stack_recovery import asked
 
 QUARTERS = mbd.deg([0, 45, 90, -45])
 

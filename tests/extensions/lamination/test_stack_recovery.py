@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.fem.elements.test_lamination_parameters import CARBON, parameters_of
 
 import torchmbd as mbd
+from tests.extensions.lamination.test_parameters import CARBON, parameters_of
 
 ANGLES = mbd.deg([-75, -60, -45, -30, -15, 0, 15, 30, 45, 60, 75, 90])
 

@@ -3,7 +3,7 @@
     mbd.FiberCurvature("rod") <= 1 / 0.4            steering radius of at least 0.4 m
     mbd.FiberDivergence("rod") <= 0.5               neighboring paths drift apart by at most 5 % in 0.1 m
 
-The measure is the largest absolute value over the n cells and layers (fem/elements/steered_laminate.py), which is not smooth
+The measure is the largest absolute value over the n cells and layers (steered_laminate.py), which is not smooth
 where another cell becomes the largest. With a power p it is the p-norm, smooth and too large by at most the factor n^(1/p):
 
     (sum_i |x_i|^p)^(1/p)
