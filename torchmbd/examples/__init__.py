@@ -49,7 +49,8 @@ def arm(modes: int = 2, laminate: Laminate | None = None) -> System:
     >>> [body.name for body in system.bodies], [joint.name for joint in system.joints]
     (['arm', 'tool'], ['hinge', 'grip'])
     """
-    plate = mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
+    field = None if laminate is None else laminate.field  # where angles vary over a mesh, it is the mesh of the body
+    plate = mesh.rectangle(length=0.5, width=0.05, cells=(4, 2)) if field is None else field.mesh
     if laminate is None:
         laminate = Laminate(carbon(), deg([45.0, -45.0]), thickness=1e-3)
     upright = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # columns: the axes of the mesh in ground axes
