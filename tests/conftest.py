@@ -1,14 +1,37 @@
-"""What all tests share: one thread, no compilation, and a small slider-crank."""
+# ruff: noqa: E402
+"""What all tests share: one thread, no compilation, and a small slider-crank.
+
+`--core` takes extensions away before anything of torchmbd is imported.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
+from importlib.abc import MetaPathFinder
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from hypothesis import settings
+
+
+class NoExtensions(MetaPathFinder):
+    """Python without torchmbd/extensions."""
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
+        if fullname.startswith("torchmbd.extensions"):
+            raise ModuleNotFoundError(f"No module named {fullname!r}: --core", name=fullname)
+
+
+if "--core" in sys.argv:
+    os.environ["TORCHMBD_TESTS_OF_THE_CORE"] = "1"  # for workers of pytest-xdist
+CORE = "TORCHMBD_TESTS_OF_THE_CORE" in os.environ
+if CORE:
+    sys.meta_path.insert(0, NoExtensions())
+collect_ignore = ["extensions"] if CORE else []
 
 import torchmbd as mbd
 from torchmbd.examples.slider_crank import build
@@ -25,8 +48,11 @@ torch.set_num_threads(1)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--native`: the same tests by native code wherever production uses it."""
+    """`--native`: the same tests by native code wherever production uses it. `--core`: those of the core alone."""
     parser.addoption("--native", action="store_true", help="native code wherever production uses it")
+    parser.addoption(
+        "--core", action="store_true", help="without torchmbd/extensions: imports fail, their tests are left out"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -39,6 +65,8 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """`@pytest.mark.thorough("a", "b")` marks the cases "a", "a-...", "...-b" of a test; without names all of them."""
+    if CORE:
+        items[:] = [item for item in items if item.get_closest_marker("extensions") is None]
     for item in items:
         own = item.own_markers
         for mark in [m for m in own if m.name == "thorough" and m.args]:

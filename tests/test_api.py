@@ -8,14 +8,13 @@ import sys
 import pytest
 
 import torchmbd as mbd
-from torchmbd import api
 
 
 def test_every_public_name_is_there():
-    assert set(api.__all__) <= set(dir(mbd))
+    assert set(mbd.__all__) <= set(dir(mbd))
     everything: dict[str, object] = {}
     exec("from torchmbd import *", everything)
-    assert set(api.__all__) <= set(everything)
+    assert set(mbd.__all__) <= set(everything)
 
 
 def test_nothing_else_is():

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
     {"errors"},
-    {"process", "progress", "summary"},
+    {"process", "progress", "summary", "registry"},
     {"math", "viz.figures"},
     {"fem.mesh", "fem.materials"},
     {"fem.elements", "fem.sections"},
@@ -26,6 +26,7 @@ LAYERS = (
     {"optimization"},
     {"design"},
     {"viz", "tracking", "examples"},
+    {"extensions.beamdyn", "extensions.fatigue", "extensions.openmdao", "extensions.robots", "extensions.windio"},
     {"study"},
     {"api", "cli"},
     {"__main__"},
@@ -36,7 +37,7 @@ ONLY = {
     "fem.reduction": {"errors", "math"},
     "optimization": {"errors", "process", "progress", "summary", "viz.figures"},
 }
-EMPTY = {"torchmbd.fem", "torchmbd.multibody"}  # packages of packages: they import nothing
+EMPTY = {"torchmbd.fem", "torchmbd.multibody", "torchmbd.extensions"}  # packages of packages: they import nothing
 FILES = sorted(file for file in PACKAGE.rglob("*.py") if file != PACKAGE / "__init__.py")
 
 
@@ -126,6 +127,27 @@ def test_no_modules_import_each_other_in_a_circle():
         named = {x if x in MODULES else x.rpartition(".")[0] for x in imports(file.read_text(), name, typing=True)}
         graph[name] = named & set(MODULES)
     assert circles(graph) == []
+
+
+def extension_names(text: str) -> list[str]:
+    """Imports of extensions, at the top, in functions or for type checkers, and texts that name them, in a text of the core."""
+    words = [node.value for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Constant)]
+    named = [word for word in words if isinstance(word, str) and re.fullmatch(r"torchmbd\.extensions[\w.:]*", word)]
+    return [*(x for x in imports(text, "torchmbd.x", typing=True) if x.split(".")[1:2] == ["extensions"]), *named]
+
+
+def test_the_core_imports_no_extension():
+    """torchmbd/__init__.py has the names for type checkers, registry.py finds them."""
+    core = [PACKAGE / "__init__.py", *(file for file in FILES if PACKAGE / "extensions" not in file.parents)]
+    found = {module(file): names for file in core if (names := extension_names(file.read_text()))}
+    assert found == {"torchmbd": ["torchmbd.extensions.*"], "torchmbd.registry": ["torchmbd.extensions"]}
+
+
+def test_an_import_of_an_extension_is_seen():
+    text = (
+        "import torchmbd.extensions.a\ndef f():\n    from torchmbd.extensions import a\n    g('torchmbd.extensions.a')"
+    )
+    assert len(extension_names(text)) == 3
 
 
 def test_an_upward_import_and_a_circle_are_seen():

@@ -1,4 +1,4 @@
-"""All public names of `mbd.`; `import torchmbd` alone imports none of them, see torchmbd/__init__.py.
+"""The public names of `mbd.` that are of the core; `import torchmbd` alone imports none of them, see torchmbd/__init__.py.
 
 Over 300 lines: a line for each name.
 Checked in tests/test_api.py.
@@ -49,14 +49,11 @@ from torchmbd.design import (
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.blended_stacks import recover_blended_stacks
 from torchmbd.design.differences import Differences
-from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.lamination_region import LaminationRegion
-from torchmbd.design.openmdao_component import openmdao_component
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
-from torchmbd.design.rainflow import rainflow
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.stack_recovery import recover_stacks
@@ -65,11 +62,10 @@ from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailu
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, LaminationParameters, SteeredLaminate
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
-from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength, progressive_failure
+from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
-from torchmbd.io.windio import WindIOBlade
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -194,7 +190,6 @@ __all__ = [
     "ControlHistory",
     "Controller",
     "Cylindrical",
-    "Damage",
     "DesignSpace",
     "Differences",
     "Displacement",
@@ -202,10 +197,8 @@ __all__ = [
     "Drive",
     "Dynamics",
     "Equilibrium",
-    "EquivalentLoad",
     "Event",
     "ExactBeam",
-    "FatigueDamage",
     "FiberCurvature",
     "FiberDivergence",
     "FiberField",
@@ -255,7 +248,6 @@ __all__ = [
     "RobustProblem",
     "RotationalSpringDamper",
     "RotationalStop",
-    "SNCurve",
     "Scenarios",
     "SectionHistory",
     "SectionTable",
@@ -276,7 +268,6 @@ __all__ = [
     "Universal",
     "Velocity",
     "WeightedSum",
-    "WindIOBlade",
     "buckling",
     "craig_bampton",
     "deg",
@@ -292,13 +283,11 @@ __all__ = [
     "mesh",
     "modal_basis",
     "multistart",
-    "openmdao_component",
     "optimize",
     "optimize_discrete",
     "pareto_front",
     "problem_of",
     "progressive_failure",
-    "rainflow",
     "recover_blended_stacks",
     "recover_stacks",
     "sections",

@@ -4,5 +4,6 @@ hooks, reference, blocks, docstrings   parts of pages that mkdocs and the tests 
 validation, recorded                   pages of docs/validation: `python -m experiments.documentation.validation --list`
 pictures, animated_svg                 docs/images: `python -m experiments.documentation.pictures falling_arm`
 notebooks                              tutorials as notebooks: `python -m experiments.documentation.notebooks`
+code                                   counts and drawing of docs/read_the_code.md: `python -m experiments.documentation.code`
 links                                  follows all links of the built site: `python -m experiments.documentation.links site`
 """

@@ -8,28 +8,27 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import torchmbd as mbd
 from torchmbd.study.json_schema import json_schema
-from torchmbd.study.key_meanings import KEYS
 from torchmbd.study.scaffold import write_experiment
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks recover_blended_stacks progressive_failure deg",
-    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable WindIOBlade",
+    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
     "bodies": "Ground RigidBody FlexibleBody Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
     "Pressure AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
-    "systems": "System Dynamics examples",
+    "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
@@ -93,7 +92,7 @@ def first_file() -> str:
         return f"```yaml\n{file.read_text(encoding='utf-8')}```\n"
 
 
-_TOP = {"(top of the file)": "StudyFile", "(top of a file of pictures)": "Figures"}
+_TOP = ("(top of the file)", "(top of a file of pictures)")
 _SECTIONS = ("Variable", "Simulation", "Constraint", "Scenario", "Setting", "Combine", "Optimizer", "Starts", "Range")
 
 
@@ -103,7 +102,8 @@ def file_keys() -> str:
     sections = dict(zip(_TOP, (schema["else"], schema["then"]), strict=True))
     sections |= {name: schema["$defs"][name] for name in _SECTIONS}
     sections["Tracking"] = schema["$defs"]["Tracking"]
-    tables = [_keys(name, section) for name, section in sections.items()]
+    responses = schema["$defs"]["Measure"]["properties"]  # which a constraint has as well, and which have a table below
+    tables = [_keys(name, section, () if name != "Constraint" else responses) for name, section in sections.items()]
     words = {"Measure": "of a whole motion or of the design", "History": "of every time"}
     for name, what in words.items():
         properties = schema["$defs"][name]["properties"]
@@ -112,13 +112,13 @@ def file_keys() -> str:
     return "\n".join(tables)
 
 
-def _keys(name: str, section: Mapping[str, Any]) -> str:
+def _keys(name: str, section: Mapping[str, Any], others: Collection[str]) -> str:
+    """A table of the keys of a section but those of `others`."""
     required = section.get("required", ())
     rows = []
-    for key, meaning in KEYS[_TOP.get(name, name)].items():
-        entry = section["properties"][key]
+    for key, entry in ((key, entry) for key, entry in section["properties"].items() if key not in others):
         default = "required" if key in required else _default(entry)
-        rows.append(f"| `{key}` | {_cell(meaning)} | {_kind(entry)} | {default} |")
+        rows.append(f"| `{key}` | {_cell(entry.get('description', ''))} | {_kind(entry)} | {default} |")
     said = _cell((section.get("description") or "").partition("\n")[0])
     head = ["| key | meaning | takes | default |", "|---|---|---|---|"]
     return "\n".join([f"### {name}\n", f"{said}\n", *head, *rows, ""])

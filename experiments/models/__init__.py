@@ -2,7 +2,7 @@
 
 sar_antenna            half of the antenna of the paper, first phase; its parts in sar_antenna_bodies, its data in
                        sar_antenna_data, both phases in sar_antenna_whole, its gaps in sar_antenna_clearance
-spatial_arm            two laminated tubes under gravity: `torchmbd check configs/spatial_arm/least_vibration.yaml`
+spatial_arm            two laminated tubes under gravity, asked about in configs/spatial_arm
 steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
 panel                  a laminated panel on three joints
 chain, delta_robot, falling_arm, flapping_blade, four_bar, spacecraft

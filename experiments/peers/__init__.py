@@ -7,7 +7,7 @@ Exudyn (extra `bench`)
     modal_slider_crank     a rod divided into modal parts: `python -m experiments.peers.modal_slider_crank`
     soft_slider_crank      and of MuJoCo's soft rod: `python -m experiments.peers.soft_slider_crank`
 Files of others, read unedited; a variable of the environment names the folder of their repository
-    robots, flexible_arm   URDF, against the recursion of newton_euler; FLEXIBLE_ARM_MODELS
+    robots, flexible_arm   URDF, against the recursion of newton_euler; FLEXIBLE_ARM_MODELS, EXAMPLE_ROBOT_DATA
     mujoco_models          MJCF, against MuJoCo; MUJOCO_MODELS
     wing_body              a Nastran model, against Simcenter Nastran and MYSTRAN; nastran_decks: all others; PYNASTRAN_MODELS
     iea_blade              windIO, against BeamDyn and ElastoDyn; IEA15_RWT

@@ -20,8 +20,8 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments.peers.robots import ARM, folder
-from torchmbd.io.urdf import read_urdf
-from torchmbd.multibody.system.robot import robot
+from torchmbd.extensions.robots.assembly import robot
+from torchmbd.extensions.robots.urdf import urdf_robot
 
 SEGMENTS = {5: "five", 10: "ten"}
 POSITIONS = {"active_joint2": 0.4, "active_joint3": -0.8}
@@ -47,7 +47,7 @@ def drives() -> dict:
 def segments(models: Path, count: int) -> mbd.System:
     """The arm as its authors cut it; springs and dampers are not in the URDF file."""
     at = models / "three_dof" / f"{SEGMENTS[count]}_segments"
-    parts = robot(read_urdf(at / f"flexible_arm_3dof_{count}s.urdf"), {}, positions=POSITIONS, drives=drives())
+    parts = robot(urdf_robot(at / f"flexible_arm_3dof_{count}s.urdf"), {}, positions=POSITIONS, drives=drives())
     numbers = yaml.safe_load((at / "flexibility_params.yml").read_text())
     passive = [joint for joint in parts["joints"] if joint.name.startswith("passive")]
     for link in "23":
@@ -78,7 +78,7 @@ def beams(models: Path, angles: list[float] | None = None, stiffening: bool = Tr
             stiffening=stiffening,
         )
     path = models / "three_dof" / "zero_segments" / "flexible_arm_3dof_0s.urdf"
-    return mbd.System.from_urdf(path, flexible=flexible, positions=POSITIONS, drives=drives())
+    return mbd.read_urdf(path, flexible=flexible, positions=POSITIONS, drives=drives())
 
 
 def tip(motion: mbd.Trajectory) -> Tensor:

@@ -7,7 +7,7 @@
 Positions within the limits, velocities and controls are drawn; compared are the accelerations of all bodies, of their origins
 and of their angular velocities.
 
-MuJoCo runs without what System.from_mjcf leaves out and says so: armature, contact, tendons, actuators that are not on
+MuJoCo runs without what mbd.read_mjcf leaves out and says so: armature, contact, tendons, actuators that are not on
 joints, limits of their sum, forces of a fluid; and without limits, dry friction and equality, which are constraints of its
 own kind there. Shapes that are meshes are taken away: their files may lack, and bodies have their inertia without them.
 Needs the package `mujoco`. Checked in tests/experiments/test_mujoco_models.py.
@@ -27,9 +27,9 @@ import torch
 
 import torchmbd as mbd
 from experiments.peers.robots import STEP, Compared, folder, row
-from torchmbd.io.mjcf import read_mjcf
-from torchmbd.io.robot_file import Robot
-from torchmbd.multibody.system.robot_forces import MOVING, identifier
+from torchmbd.extensions.robots.forces import MOVING, identifier
+from torchmbd.extensions.robots.mjcf import mjcf_robot
+from torchmbd.extensions.robots.tree import Robot
 
 FOLDERS = ("MUJOCO_MODELS", "DM_CONTROL_SUITE", "UNITREE_ROBOTS")
 SHOWN = (
@@ -72,7 +72,7 @@ def model(path: Path, kept: Robot) -> Any:
 def compared(path: Path, seed: int = 1) -> Compared:
     """The system of a file next to MuJoCo; joints that follow others are locked. InputError where it is refused."""
     program: Any = importlib.import_module("mujoco")
-    robot = read_mjcf(path)
+    robot = mjcf_robot(path)
     theirs = model(path, robot)
     data, generator = program.MjData(theirs), np.random.default_rng(seed)
     order = list(robot.links)  # as in the file, and as MuJoCo counts
@@ -93,7 +93,7 @@ def compared(path: Path, seed: int = 1) -> Compared:
         data.ctrl[k] = controls.get(theirs.actuator(k).name, 0.0)
     locked = [joint.name for joint in joints if joint.mimics]
     given: Any = {"positions": places, "velocities": rates, "controls": controls, "locked": locked}
-    system = mbd.System.from_mjcf(path, stop_stiffness=None, **given)
+    system = mbd.read_mjcf(path, stop_stiffness=None, **given)
     closures = {identifier(closure.name) for closure in robot.closures}
     free = [identifier(joint.child) for joint in robot.joints if joint.kind == "floating"]
     system = mbd.System(

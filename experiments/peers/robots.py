@@ -21,7 +21,7 @@ import torch
 
 import torchmbd as mbd
 from experiments.peers.newton_euler import Tree
-from torchmbd.io.urdf import read_urdf
+from torchmbd.extensions.robots.urdf import urdf_robot
 
 ARM, ALL = "FLEXIBLE_ARM_MODELS", "EXAMPLE_ROBOT_DATA"
 ARM_FILES = tuple(
@@ -63,10 +63,10 @@ def draw(tree: Tree, seed: int) -> tuple[dict[str, float], dict[str, float]]:
 
 def compared(path: Path, seed: int = 1) -> Compared:
     """The system of a file next to the recursion; joints that mimic others are locked. InputError where it is refused."""
-    locked = [joint.name for joint in read_urdf(path).joints if joint.mimics]
+    locked = [joint.name for joint in urdf_robot(path).joints if joint.mimics]
     tree = Tree(path, locked)
     q, rate = draw(tree, seed)
-    system = mbd.System.from_urdf(path, positions=q, velocities=rate, locked=locked)
+    system = mbd.read_urdf(path, positions=q, velocities=rate, locked=locked)
     motion = mbd.simulate(system, STEP, steps=1, gradients="none", backend="eager")
     wanted, links = tree.accelerations(q, rate)
     by_name = {"".join(c if c.isalnum() else "_" for c in name): x for name, x in links.items()}

@@ -10,10 +10,10 @@ from types import ModuleType
 
 import pytest
 
-from torchmbd import api
+import torchmbd as mbd
 from torchmbd.design import History, Measure
 
-NAMES = [name for name in api.__all__ if not isinstance(getattr(api, name), ModuleType)]
+NAMES = [name for name in mbd.__all__ if not isinstance(getattr(mbd, name), ModuleType)]
 
 
 def text_of(thing: object) -> str:
@@ -31,7 +31,7 @@ def text_of(thing: object) -> str:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_argument_is_described(name):
-    thing = getattr(api, name)
+    thing = getattr(mbd, name)
     assert text_of(thing).strip()
     if inspect.isclass(thing) and issubclass(thing, Exception):
         return
@@ -41,7 +41,7 @@ def test_every_argument_is_described(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_methods_are_described(name):
-    thing = getattr(api, name)
+    thing = getattr(mbd, name)
     if not inspect.isclass(thing):
         return
     for key, method in vars(thing).items():
@@ -52,7 +52,7 @@ def test_methods_are_described(name):
 
 def test_no_docstring_sends_the_reader_elsewhere():
     """A method that does what its base class says has no docstring of its own: `help` shows that of the base."""
-    package = Path(api.__file__).parent
+    package = Path(mbd.__file__ or "").parent
     trees = [(file, ast.parse(file.read_text())) for file in sorted(package.rglob("*.py"))]
     kinds = (ast.FunctionDef, ast.ClassDef)
     parts = [(file, part) for file, tree in trees for part in ast.walk(tree) if isinstance(part, kinds)]
@@ -65,11 +65,11 @@ def is_reference(part: ast.FunctionDef | ast.ClassDef) -> bool:
     return re.match(r"As (of|in|for) ", ast.get_docstring(part) or "") is not None
 
 
-RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(api, name)) and issubclass(x, (History, Measure))]
+RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(mbd, name)) and issubclass(x, (History, Measure))]
 
 
 @pytest.mark.parametrize("name", RESPONSES)
 def test_responses_tell_their_shape_and_unit(name):
-    doc = getattr(api, name).__doc__
+    doc = getattr(mbd, name).__doc__
     assert re.search(r"\[lanes(, \w+)?\]", doc)
     assert re.search(r"\[(m|1/m|s|m/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)

@@ -411,7 +411,7 @@ def test_crossed_bounds_are_named():
 
 
 def test_start_outside_the_bounds_is_named():
-    with pytest.raises(InputError, match=r"start of x3 = 11: must lie in its bounds \[-10, 10\]"):
+    with pytest.raises(InputError, match=r"start of x3 = 11: must lie between -10 and 10"):
         optimize(quadratic(), start=[0, 0, 11])
     with pytest.raises(InputError, match="start of x1 = nan"):
         optimize(quadratic(), start=[np.nan, 0, 0])

@@ -227,11 +227,11 @@ def test_links_with_offsets_and_symmetric_laminates():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"links": {f"{ANGLES}[2]": {}}}, ["linked entry 'rod.laminate.angles[2]'", "did you mean"]),
-        ({"links": {f"{ANGLES}[1]": {f"{ANGLES}[1]": 1.0}}}, ["follows an entry that is not free", "allowed"]),
+        ({"links": {f"{ANGLES}[2]": {}}}, ["rod.laminate.angles[2] is no entry of a design variable", "did you mean"]),
+        ({"links": {f"{ANGLES}[1]": {f"{ANGLES}[1]": 1.0}}}, ["is no entry that follows none itself", "allowed"]),
         ({"links": {f"{ANGLES}[1]": 3.0}}, ["link of 'rod.laminate.angles[1]' is 3.0", "mapping"]),
-        ({"links": {f"{ANGLES}[{i}]": {"constant": 0.0} for i in (0, 1)}}, ["every entry is linked"]),
-        ({"bounds": {"rod.laminate.angle": (0, 1)}}, ["bounds of parameter 'rod.laminate.angle'", "did you mean"]),
+        ({"links": {f"{ANGLES}[{i}]": {"constant": 0.0} for i in (0, 1)}}, ["links leave no entry free", "allowed"]),
+        ({"bounds": {"rod.laminate.angle": (0, 1)}}, ["lower bound of parameter 'rod.laminate.angle'", "did you mean"]),
         ({"bounds": {ANGLES: (0, 1, 2)}}, [f"bounds of {ANGLES}", "two entries"]),
         ({"minimize": AtPeaks(ENERGY), "bound": (2.0, 1.0)}, ["bound is (2.0, 1.0)", "start <= upper"]),
         ({"minimize": mbd.Max(ENERGY, window=(0.0, 0.04))}, ["looks at t = 0.04 s", "duration=0.03"]),

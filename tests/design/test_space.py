@@ -58,14 +58,24 @@ def test_bounds_and_start_one_for_each(system):
         ),
         ({"bounds": (0.0, 1.0, 2.0)}, ["bounds is (0.0, 1.0, 2.0)", "two entries, (lower, upper)"]),
         ({"bounds": 1.0}, ["bounds is 1.0", "(lower, upper)"]),
-        ({"bounds": ([0.0] * 4, 1.0)}, ["lower has shape (4,)", "5 numbers"]),
-        ({"bounds": (1.0, -1.0)}, ["bounds of one.laminate.angles[0]", "1.0", "-1.0", "lower below upper"]),
+        ({"bounds": ([0.0] * 4, 1.0)}, ["lower bound has 4 values", "allowed: 5, or one number for all"]),
+        (
+            {"bounds": (1.0, -1.0)},
+            ["lower bound of one.laminate.angles[0]", "= 1 rad (57.2958 deg)", "must be below upper = -1 rad"],
+        ),
         ({"bounds": (np.nan, 1.0)}, ["lower", "nan", "numbers"]),
-        ({"bounds": (0.5, 2.0)}, ["start of one.laminate.angles[0]", "0.349", "0.5", "2.0"]),
-        ({"start": [0.0, 1.0]}, ["start has shape (2,)", "5 numbers"]),
+        (
+            {"bounds": (0.5, 2.0)},
+            [
+                "start of one.laminate.angles[0]",
+                "(20 deg)",
+                "must lie between 0.5 rad (28.6479 deg) and 2 rad (114.592 deg)",
+            ],
+        ),
+        ({"start": [0.0, 1.0]}, ["start has 2 values", "allowed: 5, or one number for all"]),
         ({"start": [np.nan] * 5}, ["start", "nan", "numbers"]),
-        ({"bounds": ("low", 1.0)}, ["lower is 'low'", "numbers"]),
-        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower is", "'b'", "numbers"]),
+        ({"bounds": ("low", 1.0)}, ["lower bound is 'low'", "numbers"]),
+        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower bound is", "'b'", "numbers"]),
         ({"variables": ["two.laminate.angles"] * 2}, ["variables is", "each parameter once"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
@@ -73,8 +83,9 @@ def test_bounds_and_start_one_for_each(system):
 def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words, system):
     with pytest.raises(InputError) as error:
         DesignSpace(system, **given)
-    for word in [*words, "allowed"]:
+    for word in words:
         assert word in str(error.value)
+    assert "allowed" in str(error.value) or "must" in str(error.value)
 
 
 def test_a_system_without_parameters_has_no_designs():

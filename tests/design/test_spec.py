@@ -96,7 +96,7 @@ def test_the_name_is_told_from_its_options():
 
 
 def test_responses_have_units():
-    assert set(UNITS) == {*RESPONSES, *OF_DESIGN}
+    assert {name for name, kind in {**RESPONSES, **OF_DESIGN}.items() if not hasattr(kind, "unit")} == set(UNITS)
     assert heading({"integral": {"strain_energy": "rod"}}) == "integral of strain energy of rod [J s]"
     assert unit({"rms": {"squared": {"displacement": {"body": "rod", "node": "right", "axis": "y"}}}}) == "m²"
     assert unit({"integral": {"squared": {"velocity": {"body": "rod", "node": "right", "axis": "y"}}}}) == "(m/s)² s"

@@ -31,14 +31,17 @@ def tip_deviation(motion, factor=1.0):
         (1e3 * mbd.Mass(), "1000 · mass"),
         (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
         (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of z reaction of hinge [N m]"),
-        (
-            mbd.Damage(mbd.Reaction("hinge", "z"), curve=mbd.SNCurve([(1e3, 4e8), (1e6, 2e8)])),
-            "damage of z reaction of hinge",
-        ),
     ],
 )
 def test_titles(response, said):
     assert heading(response) == said
+
+
+@pytest.mark.extensions
+def test_a_measure_without_a_name_in_files_has_that_of_its_class():
+    damage = mbd.Damage(mbd.Reaction("hinge", "z"), curve=mbd.SNCurve([(1e3, 4e8), (1e6, 2e8)]))
+    assert heading(damage) == "damage of z reaction of hinge"
+    assert unit(damage) == ""
 
 
 def test_without_bodies():

@@ -141,7 +141,9 @@ def test_what_it_refuses():
             RobustProblem(bowl(), tolerance)
     with pytest.raises(InputError, match="8192 corners"):
         RobustProblem(Analytic("many", [0.0] * 13, lambda x: 1 + (x**2).sum()), 0.1, "worst")
-    with pytest.raises(InputError, match=r"start of x2 is -2; allowed: -1.9 to 1.9, inside the bounds by tolerance"):
+    with pytest.raises(
+        InputError, match=r"start \(inside the bounds by tolerance\) of x2 = -2: must lie between -1.9 and 1.9"
+    ):
         RobustProblem(bowl(), 1.1)
     equal = bowl()
     equal.equalities = [0]

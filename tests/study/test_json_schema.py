@@ -8,8 +8,9 @@ import jsonschema
 import pytest
 import yaml
 
+import torchmbd as mbd
 from torchmbd.study.config_index import configs
-from torchmbd.study.json_schema import json_schema
+from torchmbd.study.json_schema import json_schema, meanings
 from torchmbd.study.yaml_file import read_yaml
 
 FILES = [Path(__file__).with_name("study.yaml"), *configs(Path(__file__).parents[2] / "configs")]
@@ -50,3 +51,20 @@ def test_every_key_has_a_meaning():
     for section in (schema["then"], schema["else"], *schema["$defs"].values()):
         for key, entry in section["properties"].items():
             assert entry.get("description"), key
+
+
+def test_arguments_have_their_meaning():
+    def documented():
+        """What it does.
+
+        first, second   how long [m];
+                        "initial": as at the start
+        third   as in `other`
+        fourth  a word
+
+        Not an entry  of the table; see above.
+        """
+
+    length = 'how long [m]; "initial": as at the start'
+    assert meanings(documented) == {"first": length, "second": length, "fourth": "a word"}
+    assert meanings(mbd.Problem)["tolerance"].startswith("error by steps of every response, as a share")

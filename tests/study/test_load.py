@@ -211,8 +211,8 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         ),
         (
             {"minimize": {"max": {"strain_energy": "rod"}, "window": [0.1, 9]}},
-            "minimize",
-            "looks at t = 9 s; allowed: up to simulate.duration",
+            "minimize.window",
+            "looks at t = 9 s; allowed: up to duration=0.01 s",
         ),
         ({"starts": {"sampler": "sobol"}}, "starts", "sampler 'sobol' needs 'count'"),
         ({"starts": {"sampler": "none", "count": 3}}, "starts", "sampler 'none' takes no 'count'"),
@@ -234,7 +234,7 @@ def test_each_fault_has_its_path_and_what_is_allowed(write, sections, path, mess
     [
         ({"start": [1, 2, 3]}, "start", "has 3 values; allowed: 2, or one number for all"),
         ({"start": [1, 95]}, "start", "must lie between"),
-        ({"lower": 90}, "lower", "must be below upper"),
+        ({"lower": 91}, "lower", "must be below upper"),
         ({"upper": [90, float("nan")]}, "upper.1", "= '.nan': must be a valid number"),
     ],
 )
@@ -255,7 +255,7 @@ def test_degrees_that_are_said_to_be_radians_are_named(write, unit):
 
 
 def test_millimeters_that_are_said_to_be_meters_are_doubted(write):
-    with pytest.warns(UserWarning, match=r"units of upper rod.laminate.thickness\? It is 3 m"):
+    with pytest.warns(UserWarning, match=r"units of upper bound of rod.laminate.thickness\? It is 3 m"):
         load(write(design={"rod.laminate.thickness": {"lower": 1e-3, "upper": 3, "unit": "m"}}))
 
 

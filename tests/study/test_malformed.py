@@ -34,7 +34,7 @@ CASES = [
     ("start: [45, -45]", "start: [45, 95]", "start", "must lie between"),
     ("start: [45, -45]", "start: [45, .inf]", "start.1", "valid number"),
     ("start: [45, -45]", "start: []", "start", "at least 1"),
-    ("lower: -90", "lower: 90", "lower", "must be below upper"),
+    ("lower: -90", "lower: 91", "lower", "must be below upper"),
     ("lower: -90, ", "", "lower", "is missing"),
     ("lower: -90, upper: 90", "lower: -1.57, upper: 1.57", "design.rod.laminate.angles.lower", "pi / 2 in radians"),
     (

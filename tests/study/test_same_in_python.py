@@ -214,7 +214,7 @@ LINK = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
         ({"maximize": {"mass": "rod"}}, r"line \d+: maximize and minimize are both given; allowed: one of"),
         (
             {"minimize": None, "maximize": {"at_times": {"strain_energy": "rod"}, "times": [0.001, 0.002]}},
-            r"line \d+: maximize has 2 rows; allowed: a response of one number",
+            r"line \d+: maximize.*, of 2 rows; allowed: a measure of one number",
         ),
         ({"robust": "worst"}, r"line \d+: robust = 'worst': no variable has a tolerance; allowed: with one in design"),
         (
@@ -234,6 +234,17 @@ LINK = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
         (
             {"links": {f"{ANGLES}[{k}]": {"constant": 1.0} for k in (0, 1)}, "design": {ANGLES: {"unit": "deg"}}},
             r"links leave no entry free",
+        ),
+        (
+            {"links": LINK, "design": {ANGLES: {"unit": "deg"}}},
+            rf"line \d+: design.{ANGLES}: {ANGLES} has no lower or no upper; allowed: two numbers",
+        ),
+        (
+            {
+                "links": {f"{ANGLES}[{k}]": {"rod.laminate.thickness[0]": 1.0} for k in (0, 1)},
+                "design": {ANGLES: {"unit": "deg", "start": 3.0}, "rod.laminate.thickness": PLIES},
+            },
+            rf"design.{ANGLES}.start = 3.0: is given, but every entry follows others; allowed: none",
         ),
     ],
 )

@@ -244,7 +244,7 @@ def test_scenarios_are_a_study_like_any_other(own):
         ({"method": "mmdf"}, "did you mean 'mmfd'"),
         ({"name": ""}, "name is ''; allowed: words in one line"),
         ({"starts": [[0.0]]}, "start has 1 entries, allowed: 2"),
-        ({"starts": [[0.0, 9.0]]}, "must lie in its bounds"),
+        ({"starts": [[0.0, 9.0]]}, "must lie between"),
         ({"increments": {"rod.laminate.angle": 0.1}}, "increments of parameter 'rod.laminate.angle' does not exist"),
         ({"units": {"rod.laminate.angles": "grad"}}, "unit 'grad' does not exist"),
         ({"sweep": {"rod.laminate.angles": (0.0, 1.0, 3)}}, "swept variable"),

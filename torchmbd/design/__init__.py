@@ -4,7 +4,6 @@ from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
-from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
@@ -31,7 +30,6 @@ from torchmbd.design.measures import (
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.problem import Problem
-from torchmbd.design.rainflow import rainflow
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.space import DesignSpace
@@ -40,8 +38,8 @@ from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "BucklingFactor",
-    "BucklingIndex", "Constraint", "Damage", "DesignSpace", "Displacement", "EquivalentLoad", "FatigueDamage", "Final",
+    "BucklingIndex", "Constraint", "DesignSpace", "Displacement", "Final",
     "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress",
     "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity",
-    "WeightedSum", "history", "measure", "rainflow",
+    "WeightedSum", "history", "measure",
 ]  # fmt: skip

@@ -34,6 +34,7 @@ from torchmbd.design.problem_parts import (
     evaluation_of,
     limits_of,
     reference_of,
+    require_duration,
     stated_objective,
 )
 from torchmbd.design.problem_steps import (
@@ -75,7 +76,8 @@ class Problem(Summary):
     bounds      (lower, upper) of the design variables: numbers for all, one for each, or a mapping from parameter
                 names to such pairs [rad for angles]
     variables   names of parameters; default: every parameter that requires a gradient
-    start       initial design [n]; default: the values of the system. A string such as "equilibrium" is `motion_start`
+    start       initial design [n], or parameter name -> values of its entries; default: the values of the system. A string
+                such as "equilibrium" is `motion_start`
     motion_start   where every motion starts: `start` of `simulate`, such as "equilibrium"
     links       entries that depend on others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows; 1 at the initial design
@@ -134,10 +136,7 @@ class Problem(Summary):
         segments_of(system, (Phase(),) if phases is None else phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
-            if measure.until > duration * (1.0 + 1e-9):
-                raise InputError(
-                    f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
-                )
+            require_duration(measure, duration)
         is_pair = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(is_real, bound))
         if not is_pair or not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")

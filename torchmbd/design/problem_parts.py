@@ -53,6 +53,12 @@ def stated_objective(minimize: Any, maximize: Any) -> tuple[Measure, float]:
     return measure, 1.0 if maximize is None else -1.0
 
 
+def require_duration(measure: Measure, duration: float) -> None:
+    """InputError for a measure that looks at times beyond the simulated one [s]."""
+    if measure.until > duration * (1.0 + 1e-9):  # of rounding
+        raise InputError(f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s")
+
+
 def limits_of(constraint: Constraint, initial: np.ndarray) -> np.ndarray:
     """The limit of every row of a constraint [..., rows], of their values at the initial design [..., rows].
 

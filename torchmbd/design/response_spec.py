@@ -85,7 +85,7 @@ def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
         return _function(spec[name], options, path, find, History)
     if options:
         key = next(iter(options))
-        outer = path[-1] if path else ""
+        outer = str(path[-1]) if path else ""
         if key not in _arguments(RESPONSES[name]) and outer in COMBINATORS and key in _arguments(COMBINATORS[outer]):
             hint = f"an argument of {outer!r} stands beside it; allowed: {outer}: {{...}}, {key}: {options[key]!r}"
         else:

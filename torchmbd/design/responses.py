@@ -4,7 +4,8 @@ RESPONSES     histories of a motion
 COMBINATORS   measures of a history
 OF_DESIGN     measures that take no history
 
-A new response is one small class (response.py) and one line here; the contract test runs over these.
+A new response is one small class (response.py) and one line here, or in the table of extensions (registry.py); the contract
+test runs over these.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
-from torchmbd.design.fatigue import EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.histories import (
     Acceleration,
@@ -41,40 +41,48 @@ from torchmbd.design.measures import (
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.response import History, Measure
+from torchmbd.registry import Registry
 
-RESPONSES: dict[str, type[History]] = {
-    "strain_energy": StrainEnergy,
-    "position": Position,
-    "displacement": Displacement,
-    "velocity": Velocity,
-    "acceleration": Acceleration,
-    "relative_displacement": RelativeDisplacement,
-    "reaction": Reaction,
-    "angle": Angle,
-    "buckling_index": BucklingIndex,
-    "ply_failure": PlyFailure,
-    "ply_stress": PlyStress,
-}
-COMBINATORS: dict[str, type[Measure]] = {
-    "integral": Integral,
-    "mean": Mean,
-    "rms": RMS,
-    "max": Max,
-    "min": Min,
-    "smooth_max": SmoothMax,
-    "at_time": AtTime,
-    "final": Final,
-    "at_times": AtTimes,
-    "at_peaks": AtPeaks,
-    "equivalent_load": EquivalentLoad,
-}
-OF_DESIGN: dict[str, type[Measure]] = {
-    "buckling_factor": BucklingFactor,
-    "frequency": Frequency,
-    "frequencies": Frequencies,
-    "mass": Mass,
-    "fatigue_damage": FatigueDamage,
-    "fiber_curvature": FiberCurvature,
-    "fiber_divergence": FiberDivergence,
-    "lamination_region": LaminationRegion,
-}
+RESPONSES: Registry[type[History]] = Registry(
+    "responses",
+    {
+        "strain_energy": StrainEnergy,
+        "position": Position,
+        "displacement": Displacement,
+        "velocity": Velocity,
+        "acceleration": Acceleration,
+        "relative_displacement": RelativeDisplacement,
+        "reaction": Reaction,
+        "angle": Angle,
+        "buckling_index": BucklingIndex,
+        "ply_failure": PlyFailure,
+        "ply_stress": PlyStress,
+    },
+)
+COMBINATORS: Registry[type[Measure]] = Registry(
+    "combinators",
+    {
+        "integral": Integral,
+        "mean": Mean,
+        "rms": RMS,
+        "max": Max,
+        "min": Min,
+        "smooth_max": SmoothMax,
+        "at_time": AtTime,
+        "final": Final,
+        "at_times": AtTimes,
+        "at_peaks": AtPeaks,
+    },
+)
+OF_DESIGN: Registry[type[Measure]] = Registry(
+    "of_design",
+    {
+        "buckling_factor": BucklingFactor,
+        "frequency": Frequency,
+        "frequencies": Frequencies,
+        "mass": Mass,
+        "fiber_curvature": FiberCurvature,
+        "fiber_divergence": FiberDivergence,
+        "lamination_region": LaminationRegion,
+    },
+)

@@ -5,15 +5,20 @@ Checked in tests/design/test_scenarios.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, nearest
+from torchmbd.integrate.arguments import is_positive
 from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.plausible_units import check_parameter
+from torchmbd.multibody.system import System
+
+SYSTEM = "system"  # key of a scenario
 
 
 def scenarios_by_name(scenarios: Any) -> Any:
@@ -37,23 +42,45 @@ def normalized_weights(weights: Any, count: int) -> np.ndarray:
             f"weights is {weights!r}; allowed: {count} numbers that are not negative, one for each scenario"
         )
     if not sum(weights) > 0.0:
-        raise InputError(f"weights is {weights!r}; allowed: one that is positive at least")
+        raise InputError("weights of scenarios are all 0; allowed: one at least that is positive")
     return np.asarray(weights, dtype=float) / float(sum(weights))
 
 
-def parameter_value(scenario: str, name: str, setting: Any, default: Tensor) -> Tensor:
-    """The value of a parameter in a scenario; `default`, the value of the system, where the scenario does not set it."""
-    if setting is None:
-        return default
+def settings_of(
+    system: System, variables: Sequence[str], scenario: str, settings: Mapping[str, Any]
+) -> dict[str, Tensor]:
+    """The values of the parameters of a system that a scenario sets; InputError for one that it cannot set, or cannot have.
+
+    variables  names of the design variables, which no scenario sets
+    """
+    parameters, values = dict(system.named_parameters()), {}
+    for name, setting in settings.items():
+        if name == SYSTEM:
+            continue
+        if name not in parameters:
+            hint = "a plain number of a constructor becomes a parameter by mbd.variable(...)"
+            raise InputError(f"parameter of a scenario {name!r} does not exist{nearest(name, parameters)}; {hint}")
+        if name in variables:
+            raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
+        value = _value(f"{name} in scenario {scenario!r}", setting, parameters[name].detach())
+        if is_positive(system, name) and not (value > 0.0).all():
+            raise InputError(f"{name} in scenario {scenario!r} is {setting!r}; allowed: positive numbers")
+        check_parameter(f"scenario {scenario!r} sets", name, value)
+        values[name] = value
+    return values
+
+
+def _value(what: str, setting: Any, default: Tensor) -> Tensor:
+    """The value of a parameter, in the shape of its `default`."""
     try:
         value = torch.as_tensor(setting, dtype=default.dtype)
     except (TypeError, ValueError, RuntimeError):
         value = torch.full_like(default, torch.nan)
+    if value.dim() == 1 and value.shape != default.shape:
+        raise InputError(f"{what} has {len(value)} values; allowed: {default.numel()}, or one number for all")
     if value.shape not in (default.shape, torch.Size([])) or not torch.isfinite(value).all():
-        raise InputError(
-            f"{name} in scenario {scenario!r} is {setting!r}; allowed: finite numbers of shape {list(default.shape)}, "
-            "or one for all"
-        )
+        allowed = f"finite numbers of shape {list(default.shape)}, or one for all"
+        raise InputError(f"{what} is {setting!r}; allowed: {allowed}")
     return value.detach().expand(default.shape)
 
 

@@ -30,8 +30,8 @@ from torchmbd.design.differentiate import differentiate
 from torchmbd.design.problem import Problem
 from torchmbd.design.problem_parts import Reference, limits_of, reference_of
 from torchmbd.design.response import Constraint, Measure
-from torchmbd.design.scenario_settings import combined, normalized_weights, parameter_value, scenarios_by_name
-from torchmbd.errors import InputError, SimulationFailure, nearest, unknown
+from torchmbd.design.scenario_settings import SYSTEM, combined, normalized_weights, scenarios_by_name, settings_of
+from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.arguments import start_of
@@ -39,7 +39,6 @@ from torchmbd.integrate.segment import segments_of
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 
-SYSTEM = "system"  # key of a scenario
 OBJECTIVES, CONSTRAINTS = ("worst", "mean"), ("each", "worst", "mean")
 
 
@@ -160,20 +159,11 @@ class Scenarios(Problem):
     def _group(self, system: System, scenarios: Mapping[str, Mapping[str, Any]]) -> Group:
         """The scenarios of one system, all with values of the same parameters."""
         of_system = {key: x for key, x in scenarios.items() if x.get(SYSTEM, self.system) is system}
+        values = {str(k): settings_of(system, self.space.variables, str(k), x) for k, x in of_system.items()}
         parameters = dict(system.named_parameters())
-        names = list(dict.fromkeys(name for settings in of_system.values() for name in settings if name != SYSTEM))
-        for name in names:
-            if name not in parameters:
-                hint = "a plain number of a constructor becomes a parameter by mbd.variable(...)"
-                raise InputError(f"parameter of a scenario {name!r} does not exist{nearest(name, parameters)}; {hint}")
-            if name in self.space.variables:
-                raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
-        values = {
-            str(key): {
-                name: parameter_value(key, name, settings.get(name), parameters[name].detach()) for name in names
-            }
-            for key, settings in of_system.items()
-        }
+        names = list(dict.fromkeys(name for settings in values.values() for name in settings))
+        default = {name: parameters[name].detach() for name in names}
+        values = {key: default | settings for key, settings in values.items()}
         return Group(system, [k for k, key in enumerate(scenarios) if key in of_system], values)
 
     def settings(self) -> list[Any]:

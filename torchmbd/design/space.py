@@ -21,9 +21,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.integrate.simulate import entry_labels
 from torchmbd.math.plausible_units import check_parameter
+from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
+from torchmbd.optimization.optimizer import require_inside
 
 CONSTANT = "constant"  # key of a link's offset
 
@@ -33,8 +36,9 @@ class DesignSpace:
 
     system     the model
     variables  names of parameters; default: every parameter that requires a gradient
-    bounds     (lower, upper): numbers for all entries, or one for each; or a mapping: parameter name -> such a pair
-    start      initial design [n]; default: the system's own values
+    bounds     (lower, upper): a number for all entries, or one for each, or parameter name -> such numbers of its entries;
+               or a mapping: parameter name -> such a pair
+    start      initial design [n], or parameter name -> values of its entries; elsewhere the system's own values
     links      entry -> {entry: factor, ..., "constant": offset}: entries that depend on others
 
     >>> mirrored = {"arm.laminate.angles[1]": {"arm.laminate.angles[0]": -1.0}}
@@ -67,32 +71,28 @@ class DesignSpace:
                 "the system has no parameter that requires a gradient; allowed: at least one design variable"
             )
         self.shapes = {name: parameters[name].shape for name in self.variables}
-        self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]
+        self.entries = list(entry_labels(system, self.variables))
         self.map, self.offset = _linked(self.entries, links or {})
         free = [i for i, entry in enumerate(self.entries) if entry not in (links or {})]
         self.names = [self.entries[i] for i in free]
         values = torch.cat([parameters[name].detach().flatten() for name in self.variables]).numpy()[free]
-        self.start = self._vector("start", values if start is None else start)
         self.lower, self.upper = self._bounds(bounds)
-        for what, x in (("start", self.start), ("lower bound", self.lower), ("upper bound", self.upper)):
-            self._check_units(what, x)
-        for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
+        for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
                 raise InputError(
-                    f"bounds of {name} are {float(low)} and {float(high)}; allowed: lower below upper, or the same"
+                    f"lower bound of {name} = {shown(name, low)}: must be below upper = {shown(name, high)}, or the same"
                 )
-            if not low <= x <= high:
-                raise InputError(
-                    f"start of {name} is {float(x)}; allowed: within its bounds, {float(low)} to {float(high)}"
-                )
-
-    def _check_units(self, what: str, x: np.ndarray) -> None:
-        for name in self.variables:
-            check_parameter(f"{what} of", name, torch.from_numpy(x[self._indices(name)]))
+        self.start = self.point("start", start, values)
 
     def _indices(self, parameter: str) -> list[int]:
         """Indices in b of the entries of a parameter."""
         return [i for i, label in enumerate(self.names) if _parameter(label) == parameter]
+
+    def _free(self, indices: Sequence[int]) -> str:
+        """Which entries of a parameter are free, "" if all are."""
+        name = _parameter(self.names[indices[0]])
+        free = ", ".join(self.names[i].removeprefix(name) for i in indices)
+        return f" (of {free}; the others follow)" * (len(indices) < self.shapes[name].numel())
 
     @property
     def period(self) -> np.ndarray:
@@ -101,20 +101,39 @@ class DesignSpace:
 
     def _bounds(self, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
         if not isinstance(bounds, Mapping):
-            low, high = _pair("bounds", bounds)
-            return self._vector("lower", low), self._vector("upper", high)
-        for name in bounds:
-            if name not in self.shapes:
-                raise unknown("bounds of parameter", name, self.shapes)
-        lower, upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
-        for name, pair in bounds.items():
-            indices = self._indices(name)
-            for x, values in zip((lower, upper), _pair(f"bounds of {name}", pair), strict=True):
-                x[indices] = _numbers(f"bounds of {name}", values, len(indices))
-        return lower, upper
+            lower, upper = _pair("bounds", bounds)
+        else:
+            pairs = {name: _pair(f"bounds of {name}", pair) for name, pair in bounds.items()}
+            lower, upper = ({name: pair[k] for name, pair in pairs.items()} for k in (0, 1))
+        without = np.full(len(self.names), np.inf)
+        return self.vector("lower bound", lower, -without), self.vector("upper bound", upper, without)
 
-    def _vector(self, what: str, x: Any) -> np.ndarray:
-        return _numbers(what, x, len(self.names))
+    def vector(self, what: str, x: Any, default: np.ndarray) -> np.ndarray:
+        """Numbers [n], one for each design variable, in the units of their parameters; InputError for what cannot be.
+
+        what     the noun of messages
+        x        a number for all, or one for each; or parameter name -> such numbers of its entries; None: `default`
+        default  numbers of parameters that a mapping does not name [n]
+        """
+        if x is not None and not isinstance(x, Mapping):
+            numbers = _numbers(what, x, len(self.names))
+            x = {name: numbers[i] for name in self.variables if (i := self._indices(name))}
+        result = np.array(default, dtype=float)
+        for name, numbers in (x or {}).items():
+            if name not in self.shapes:
+                raise unknown(f"{what} of parameter", name, self.shapes)
+            indices = self._indices(name)
+            if not indices:
+                raise InputError(f"{what} of {name} is given, but every entry follows others; allowed: none")
+            result[indices] = _numbers(f"{what} of {name}", numbers, len(indices), self._free(indices))
+            check_parameter(f"{what} of", name, torch.from_numpy(result[indices]))
+        return result
+
+    def point(self, what: str, x: Any, default: np.ndarray) -> np.ndarray:
+        """A design [n] within the bounds; arguments as of `vector`."""
+        result = self.vector(what, x, default)
+        require_inside(what, self.names, self.lower, result, self.upper, shown)
+        return result
 
     def designs(self, X: np.ndarray | Tensor) -> dict[str, Tensor]:
         """Parameters by name [lanes, ...] of design vectors [lanes, n]."""
@@ -137,14 +156,15 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
     free = [entry for entry in entries if entry not in links]
     for linked, terms in links.items():
         if linked not in entries:
-            raise unknown("linked entry", linked, entries)
+            raise InputError(f"links: {linked} is no entry of a design variable{nearest(linked, entries)}")
         if not isinstance(terms, Mapping):
             raise InputError(f"link of {linked!r} is {terms!r}; allowed: a mapping {{entry: factor}}")
         for source in terms:
             if source not in (*free, CONSTANT):
-                raise unknown(f"{linked!r} follows an entry that is not free:", source, [*free, CONSTANT])
+                leaders = nearest(source, [*free, CONSTANT])
+                raise InputError(f"link of {linked}: {source} is no entry that follows none itself{leaders}")
     if not free:
-        raise InputError("every entry is linked; allowed: at least one free design variable")
+        raise InputError("links leave no entry free; allowed: one at least")
     matrix, offset = np.zeros((len(entries), len(free))), np.zeros(len(entries))
     for row, entry in enumerate(entries):
         if entry in links:
@@ -170,7 +190,7 @@ def _pair(what: str, x: Any) -> Any:
     return x
 
 
-def _numbers(what: str, x: Any, size: int) -> np.ndarray:
+def _numbers(what: str, x: Any, size: int, which: str = "") -> np.ndarray:
     """Numbers [size] from one for all entries, or one for each; InputError for other values."""
     try:
         numbers = [float(y) for y in x] if isinstance(x, (tuple, list)) else x
@@ -178,7 +198,8 @@ def _numbers(what: str, x: Any, size: int) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise InputError(f"{what} is {x!r}; allowed: numbers") from error
     if values.ndim > 1 or (values.ndim == 1 and len(values) != size):
-        raise InputError(f"{what} has shape {values.shape}; allowed: a number or {size} numbers")
+        count = len(values) if values.ndim == 1 else f"the shape {values.shape} of"
+        raise InputError(f"{what} has {count} values; allowed: {size}{which}, or one number for all")
     if np.isnan(values).any():
         raise InputError(f"{what} is {x!r}; allowed: numbers")
     return np.broadcast_to(values, (size,)).copy()

@@ -63,6 +63,9 @@ class Tradeoff:
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
             raise InputError(f"minimize has {self.criteria}; allowed: two criteria at least; for one, use Problem")
+        for name, measure in minimize.items():
+            if getattr(measure, "rows", 1) > 1:
+                raise InputError(f"criterion {name!r} has {measure.rows} rows; allowed: responses of one number")
         require_scalar_measures(minimize.values(), "tradeoff")
         first, *others = minimize.values()
         # All criteria but the first are constraints of the problem, with limit 0 and scale 1: their rows are the criteria.

@@ -7,6 +7,7 @@ Checked in tests/design/test_words.py.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -14,7 +15,6 @@ from typing import Any
 import torch
 
 from torchmbd.design.aggregate import Aggregate
-from torchmbd.design.fatigue import Damage
 from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.histories import Reaction
 from torchmbd.design.measures import Frequency, Integral
@@ -38,13 +38,10 @@ UNITS = {
     "mass": "kg",
     "buckling_factor": "",
     "buckling_index": "",
-    "fatigue_damage": "",
     "fiber_curvature": "1/m",
     "lamination_region": "",
     "fiber_divergence": "1/m",
 }
-_NAMES: dict[type, str] = {kind: name for names in (RESPONSES, COMBINATORS, OF_DESIGN) for name, kind in names.items()}
-_NAMES[Damage] = "damage"
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
 Response = History | Measure
 
@@ -70,7 +67,7 @@ def words(response: Response, bodies: bool = True) -> str:
             first, *others = (_scaled(float(w), words(m, bodies)) for w, m in response.terms)
             return first + "".join(f" - {x[1:]}" if x[0] == "-" else f" + {x}" for x in others)
         return "weighted sum"
-    name = _NAMES.get(type(response), type(response).__name__).replace("_", " ")
+    name = _name(response).replace("_", " ")
     inner = getattr(response, "history", None)
     if isinstance(inner, History):
         return f"{name} of {words(inner, bodies)}"
@@ -85,8 +82,8 @@ def words(response: Response, bodies: bool = True) -> str:
 
 def unit(response: Response) -> str | None:
     """The SI unit of a response, such as `J s`; "" for a plain number; None if it is not known, as of a function."""
-    if isinstance(response, (FunctionHistory, FunctionMeasure)):
-        return response.unit
+    if hasattr(response, "unit"):  # of a function, or of a class, which then needs no line above
+        return response.unit  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(response, (Combined, CombinedMeasure)):
         return _unit_of_operation(response.operation, response.parts)
     if isinstance(response, WeightedSum) and response.normalize is not None:
@@ -97,16 +94,23 @@ def unit(response: Response) -> str | None:
     if isinstance(response, Total):
         units = {unit(measure) for _, measure in response.terms}
         return units.pop() if len(units) == 1 and {abs(w) for w, _ in response.terms} == {1.0} else None
-    if isinstance(response, Damage):
-        return ""
     if isinstance(response, Reaction) and response.kind == "torque":
         return "N m"
-    name = _NAMES.get(type(response), "")
+    name = _name(response)
     if name in UNITS:
         return UNITS[name]
     inner = getattr(response, "history", None)
     of_history = unit(inner) if isinstance(inner, History) else None
     return of_history if of_history is None or not isinstance(response, Integral) else f"{of_history} s".strip()
+
+
+def _name(response: Response) -> str:
+    """The name in experiment files; of a class that these do not know that of the class, in the same form."""
+    for registry in (RESPONSES, COMBINATORS, OF_DESIGN):
+        for name, kind in registry.items():
+            if kind is type(response):
+                return name
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(response).__name__).lower()
 
 
 def heading(response: Response) -> str:

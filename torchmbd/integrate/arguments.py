@@ -26,6 +26,7 @@ from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import Start, System
 from torchmbd.results.motion_data import MotionData
 
+SHORTEST, LONGEST = 1e-12, 1e9  # steps [s], whose powers in the equations neither vanish nor overflow
 GRADIENTS = ("auto", "forward", "reverse", "none")
 
 
@@ -44,6 +45,9 @@ def checked_integrator(
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (is_whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
+    if not SHORTEST <= float(duration) / (steps or 1) <= LONGEST:
+        step = f"steps of {float(duration) / (steps or 1):.3g} s"
+        raise InputError(f"duration is {duration!r} s: {step}; allowed: {SHORTEST:g} to {LONGEST:g} s")
     integrator = integrator_of(method, options, own)
     if steps is not None:
         integrator.stored_intervals(steps)

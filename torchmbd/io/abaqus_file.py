@@ -4,7 +4,7 @@ meshio skips every keyword but *NODE, *ELEMENT, *NSET, *ELSET and *INCLUDE, and 
 keywords before *STEP must be among those that change neither the mesh nor its mass, stiffness or ties: nodes and elements that
 are generated, instances that are moved, masses, springs, couplings and the like are refused by file, line and keyword.
 Supports (*BOUNDARY) are left out, as in Nastran files: joints hold a body.
-Source: Abaqus Keywords Reference Guide. Checked in tests/io/test_mesh_file.py.
+Source: Abaqus Keywords Reference Guide. Checked in tests/extensions/test_mesh_file.py.
 """
 
 from __future__ import annotations

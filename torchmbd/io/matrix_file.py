@@ -9,7 +9,7 @@ Abaqus and DMIG name the node and direction of each row; the others count rows 1
 two entries ij and ji, in either triangle, the other is its mirror image. Of several matrices in a file "path:NAME" is read, or
 else the one whose name starts like the argument (M or K).
 Source: MSC Nastran Quick Reference Guide (DMIG) and DMAP manual (OUTPUT4); Abaqus Analysis Guide, Generating matrices.
-Checked in tests/io/test_matrix_file.py.
+Checked in tests/extensions/test_matrix_file.py.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ are the named groups of cells, node sets the named groups of nodes:
 Elements of second order or in three dimensions are refused: leaving them out would change the structure; so are keywords of
 Abaqus that meshio skips and that may be structure (abaqus_file.py).
 Needs meshio, an optional dependency.
-Checked in tests/io/test_mesh_file.py.
+Checked in tests/extensions/test_mesh_file.py.
 """
 
 from __future__ import annotations

@@ -74,6 +74,12 @@ def misfit(parameter: str, unit: str) -> str | None:
     return f"allowed for {parameter}: {', '.join(units_of(si))}"
 
 
+def shown(parameter: str, x: float) -> str:
+    """A value [SI] of a parameter, or of an entry of it, for a message: of an angle "0.785398 rad (45 deg)"."""
+    is_angle = QUANTITIES.get(parameter.partition("[")[0].rpartition(".")[2]) == "rad"
+    return f"{x:g} rad ({math.degrees(x):g} deg)" if is_angle else f"{x:g}"
+
+
 def meters(name: str, given: float | str) -> float:
     """A unit of length as meters: a number > 0, or its name; InputError for anything else."""
     lengths = units_of("m")

@@ -27,6 +27,7 @@ from torchmbd.optimization.optimizer import (
     checked_names,
     find_method,
     require_count,
+    require_inside,
     require_problem,
     require_range,
 )
@@ -126,11 +127,10 @@ def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarr
     lower, upper = (
         np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper)
     )
-    for name, value, low, high in zip(names, x, lower, upper, strict=True):
+    for name, low, high in zip(names, lower, upper, strict=True):
         if not low <= high:
             raise InputError(f"bounds of {name} are crossed: lower = {low:g} must not exceed upper = {high:g}")
-        if not low <= value <= high:
-            raise InputError(f"start of {name} = {value:g}: must lie in its bounds [{low:g}, {high:g}]")
+    require_inside("start", names, lower, x, upper)
     return x, lower, upper
 
 

@@ -283,6 +283,25 @@ def require_count(name: str, value: int, low: int, high: int) -> int:
     return value
 
 
+def require_inside(
+    what: str,
+    names: Sequence[str],
+    lower: np.ndarray,
+    x: np.ndarray,
+    upper: np.ndarray,
+    shown: Callable[[str, float], str] = lambda name, x: f"{x:g}",
+) -> None:
+    """Raise InputError unless a design [n] lies in its bounds [n].
+
+    what   the noun of the message
+    shown  writes a value of a variable
+    """
+    for name, low, value, high in zip(names, lower, x, upper, strict=True):
+        if not low <= value <= high:
+            between = f"must lie between {shown(name, low)} and {shown(name, high)}"
+            raise InputError(f"{what} of {name} = {shown(name, value)}: {between}")
+
+
 def require_problem(problem: Any) -> None:
     """Raise InputError unless the argument has what every problem has."""
     missing = [name for name in ("names", "start", "lower", "upper", "evaluate") if not hasattr(problem, name)]

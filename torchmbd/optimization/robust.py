@@ -28,7 +28,7 @@ import numpy as np
 from torchmbd.errors import InputError, unknown
 from torchmbd.optimization.api import checked_box
 from torchmbd.optimization.extra_variable import ExtraVariable
-from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers
+from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers, require_inside
 
 KINDS = ("expected", "worst")
 NODE, OUTER = np.sqrt(0.6), 5.0 / 18.0  # of the Gauss rule of three points on [-1, 1], weights of sum one
@@ -70,11 +70,7 @@ class RobustProblem:
             d[-1] = 0.0  # it is no design variable
         inside = np.where(self.period > 0.0, 0.0, d)
         self.names, self.lower, self.upper = list(problem.names), lower + inside, upper - inside
-        for name, low, x, high in zip(self.names, self.lower, start, self.upper, strict=True):
-            if not low <= x <= high:
-                raise InputError(
-                    f"start of {name} is {x:g}; allowed: {low:g} to {high:g}, inside the bounds by tolerance"
-                )
+        require_inside("start (inside the bounds by tolerance)", self.names, self.lower, start, self.upper)
         self.problem, self.kind, self.start = problem, kind, start
         self.tolerance = d
         self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)

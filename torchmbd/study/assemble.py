@@ -5,6 +5,7 @@ Checked in tests/study/test_tolerances.py, tests/study/test_discrete_polish.py, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,14 +14,14 @@ import numpy as np
 
 from torchmbd.design import Constraint, Problem, Tradeoff
 from torchmbd.design.response_spec import measure_of
-from torchmbd.design.scenarios import SYSTEM, Scenarios
-from torchmbd.design.space import CONSTANT
+from torchmbd.design.scenario_settings import SYSTEM
+from torchmbd.design.scenarios import Scenarios
+from torchmbd.errors import InputError
 from torchmbd.multibody.system import System
-from torchmbd.optimization import RobustProblem, Starts, given, latin_hypercube, sobol
-from torchmbd.study.check import design_vector, entry_labels
+from torchmbd.optimization import RobustProblem, Starts, latin_hypercube, sobol
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
-from torchmbd.study.schema import UNITS, Combine, Optimizer, StudyFile
+from torchmbd.study.schema import UNITS, Combine, Optimizer, StudyFile, Variable
 from torchmbd.study.settings import Origin, StudySettings
 
 S = TypeVar("S", bound=StudySettings)
@@ -29,30 +30,38 @@ S = TypeVar("S", bound=StudySettings)
 def study_of(
     data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = (), kind: type[S] = StudySettings
 ) -> S:
-    """Return the study of a valid file, an object of the class `kind`.
+    """Return the study of a valid file, an object of the class `kind`; InputError for what a constructor refuses.
 
     system     built by the model of the file
     file       path of the file
     overrides  of the command line
     """
-    problem, own = _problem(data, system, file.absolute().parent), entry_labels(data.design, system, data.links)
+    problem = _problem(data, system, file.absolute().parent)
+    space = problem.problem.space if isinstance(problem, Tradeoff) else problem.space
     optimizer = data.optimizer or Optimizer()
-    tolerance = _entries(data, system, "tolerance", len(problem.names))
-    steps = dict(zip(problem.names, _entries(data, system, "step", len(problem.names)), strict=True))
+    tolerance, steps = (
+        space.vector(key, in_si(data.design, key), np.zeros(len(space.names))) for key in ("tolerance", "step")
+    )
+    for name in {label.rpartition("[")[0]: None for label in space.names}:
+        if data.design[name].lower is None or data.design[name].upper is None:
+            raise InputError(
+                f"{name} has no lower or no upper; allowed: two numbers, for entries that follow no others"
+            )
     asked = question(file) if file.is_file() else QUESTION_MISSING
     searched: Any = problem
     if tolerance.any() and isinstance(problem, Problem):  # a Tradeoff has none, see StudyFile
-        searched = RobustProblem(problem, tolerance, data.robust or "expected")
+        extra = np.zeros(len(problem.names) - len(space.names))
+        searched = RobustProblem(problem, np.append(tolerance, extra), data.robust or "expected")
     return kind(
         searched,
-        _starts(data, system, problem),
+        _starts(data, problem, space.names),
         optimizer.name,
         file.stem,
         max_iterations=optimizer.max_iterations,
-        increments={name: float(step) for name, step in steps.items() if step},
+        increments={name: float(step) for name, step in zip(space.names, steps, strict=True) if step},
         sweep=_sweep(data),
         question="" if asked == QUESTION_MISSING else asked,
-        units={name: data.design[name].unit for name in {label.rpartition("[")[0]: None for label in own}},
+        units={name: data.design[name].unit for name in {label.rpartition("[")[0]: None for label in space.names}},
         experiment=data.tracking.experiment,
         uri=data.tracking.uri,
         origin=Origin(file, overrides, data),
@@ -61,7 +70,6 @@ def study_of(
 
 
 def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeoff:
-    start, lower, upper = (_entries(data, system, key) for key in ("start", "lower", "upper"))
     simulate = data.simulate
     read = partial(measure_of, find=partial(find_response, folder=folder))
     kind, more = Problem, dict(simulate.options)
@@ -81,10 +89,10 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
         minimize=asked,
         **({} if data.maximize is None else {"maximize": read(data.maximize)}),
         subject_to=[Constraint(read(c.measure), c.si(c.limit), c.kind, c.si(c.scale)) for c in data.subject_to],
-        bounds=(lower, upper),
+        bounds=(in_si(data.design, "lower"), in_si(data.design, "upper")),
         variables=list(data.design),
-        start=start,
-        links=_links(data),
+        start=in_si(data.design, "start"),
+        links=links_in_si(data.design, data.links),
         method=simulate.method,
         steps=simulate.steps,
         tolerance=simulate.tolerance,
@@ -96,41 +104,41 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
     )
 
 
-def _factor(data: StudyFile, entry: str) -> float:
-    """Return the factor from the unit of the file to SI for an entry of the design vector."""
-    return UNITS[data.design[entry.rpartition("[")[0]].unit]
+def in_si(design: Mapping[str, Variable], key: str) -> dict[str, np.ndarray]:
+    """Return parameter -> "start", "lower", "upper", "tolerance" or "step" [SI], of those that have it."""
+    numbers = {name: getattr(variable, key) for name, variable in design.items()}
+    return {name: np.multiply(UNITS[design[name].unit], x) for name, x in numbers.items() if x is not None}
 
 
-def _factors(data: StudyFile, system: System) -> np.ndarray:
-    return np.array([_factor(data, label) for label in entry_labels(data.design, system, data.links)])
+def factor_of(design: Mapping[str, Variable], entry: str) -> float:
+    """Return the factor from the unit of the file to SI of an entry, `rod.laminate.angles[0]`; 1 of what is none."""
+    name = entry.rpartition("[")[0] or entry
+    return UNITS[design[name].unit] if name in design else 1.0
 
 
-def _links(data: StudyFile) -> dict[str, dict[str, float]]:
+def links_in_si(
+    design: Mapping[str, Variable], links: Mapping[str, Mapping[str, float]]
+) -> dict[str, dict[str, float]]:
     """Return the links in SI; in the file, factors relate numbers in their units, constants are in the follower's unit."""
     return {
-        entry: {
-            name: x * _factor(data, entry) / (1.0 if name == CONSTANT else _factor(data, name))
-            for name, x in leaders.items()
-        }
-        for entry, leaders in data.links.items()
+        follower: {leader: x * factor_of(design, follower) / factor_of(design, leader) for leader, x in leaders.items()}
+        for follower, leaders in links.items()
     }
 
 
-def _entries(data: StudyFile, system: System, key: str, count: int | None = None) -> np.ndarray:
-    """Return "start", "lower", ... of the design vector [SI], with zeros for extra variables up to `count` entries."""
-    entries = design_vector(data.design, system, key, data.links) * _factors(data, system)
-    return entries if count is None else np.append(entries, np.zeros(count - entries.size))
+def point_in_si(design: Mapping[str, Variable], names: Sequence[str], point: Sequence[float]) -> list[float]:
+    """Return a start point [SI], in its length, which may be wrong."""
+    factors = [factor_of(design, name) for name in names] + [1.0] * len(point)
+    return [factor * x for factor, x in zip(factors, point, strict=False)]
 
 
-def _starts(data: StudyFile, system: System, problem: Problem | Tradeoff) -> Starts | None:
-    """Return the rule of the start designs; all have the extra variable of the initial design."""
+def _starts(data: StudyFile, problem: Problem | Tradeoff, names: Sequence[str]) -> Starts | list[Any] | None:
     starts = data.starts
     if starts is None or starts.sampler == "none":
         return None
     if starts.sampler == "given":
-        factors = _factors(data, system)
-        points: list[Any] = [np.append(np.array(x) * factors, problem.start[len(x) :]) for x in starts.points or ()]
-        return given([problem.start, *points] if starts.include_initial else points)
+        points = [point_in_si(data.design, names, x) for x in starts.points or ()]
+        return [problem.start, *points] if starts.include_initial else points
     sample = {"sobol": sobol, "latin_hypercube": latin_hypercube}[starts.sampler]
     return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)
 
@@ -139,5 +147,5 @@ def _sweep(data: StudyFile) -> dict[str, tuple[float, float, int]] | None:
     if data.sweep is None:
         return None
     [(name, span)] = data.sweep.items()
-    factor = UNITS[data.design[name.rpartition("[")[0] if name.endswith("]") else name].unit]
+    factor = factor_of(data.design, name)
     return {name: (span.first * factor, span.last * factor, span.count)}

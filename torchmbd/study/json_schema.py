@@ -7,17 +7,70 @@ Checked in tests/study/test_json_schema.py.
 
 from __future__ import annotations
 
+import inspect
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import TypeAdapter
 
+from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.scenarios import Scenarios
+from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
-from torchmbd.optimization import OPTIMIZERS
-from torchmbd.study.key_meanings import KEYS
-from torchmbd.study.schema import LIMIT_KINDS, OBJECTIVE_KEYS, SAMPLERS, UNITS, Figures, StudyFile
+from torchmbd.optimization import OPTIMIZERS, optimize, sobol
+from torchmbd.study import schema
+from torchmbd.study.scenario_keys import Combine, Scenario, Setting
+from torchmbd.study.schema import (
+    LIMIT_KINDS,
+    OBJECTIVE_KEYS,
+    SAMPLERS,
+    UNITS,
+    Figures,
+    Optimizer,
+    Range,
+    Simulation,
+    StudyFile,
+    Tracking,
+    Variable,
+)
+from torchmbd.study.study import Study
+
+#: Section of a file -> what is constructed of it. Its keys are described by its docstring, or by the first of these.
+CONSTRUCTORS: dict[type, Sequence[Any]] = {
+    StudyFile: (Problem,),
+    Figures: (),
+    Variable: (),
+    Simulation: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), Problem, simulate),
+    schema.Constraint: (Constraint,),
+    Scenario: (),
+    Setting: (),
+    Combine: (Scenarios,),
+    Optimizer: (optimize,),
+    schema.Starts: (sobol,),
+    Range: (),
+    Tracking: (Study,),
+}
+
+
+_ENTRY = re.compile(r"(\w+(?:, \w+)*) {2,}(\S.*)")  # of a docstring: names, two spaces or more, meaning
+
+
+def meanings(documented: object) -> dict[str, str]:
+    """Argument -> its meaning in the docstring of a function or class; names that share a line share their meaning."""
+    result: dict[str, str] = {}
+    names: list[str] = []
+    for line in inspect.cleandoc(getattr(documented, "__doc__", None) or "").splitlines():
+        if entry := _ENTRY.fullmatch(line):
+            names = [] if entry[2].startswith("as in ") else entry[1].split(", ")  # explained there
+            result |= dict.fromkeys(names, entry[2])
+        elif line.startswith("  ") and names:
+            result |= {name: f"{result[name]} {line.strip()}" for name in names}
+        else:
+            names = []
+    return result
 
 
 def json_schema() -> dict[str, Any]:
@@ -37,24 +90,27 @@ def json_schema() -> dict[str, Any]:
     parts["History"] = _history()
     parts["Measure"] = _measure()
     limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
-    own: dict[str, Any] = {kind: {"anyOf": limit} for kind in LIMIT_KINDS} | {
+    types: dict[str, Any] = {kind: {"anyOf": limit} for kind in LIMIT_KINDS} | {
         "scale": {"type": "number", "exclusiveMinimum": 0},
         "unit": {"type": "string", "enum": list(UNITS)},
     }
     parts["Constraint"] = {
         "type": "object",
-        "description": "A response of `Measure` with one limit.",
-        "properties": _measure()["properties"] | own,
+        "properties": _measure()["properties"] | types,
         "oneOf": [{"required": [kind]} for kind in LIMIT_KINDS],
     }
     asked = {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": asked, "maximize": asked}
     study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
-    for name, meanings in KEYS.items():
-        section: Any = {**parts, "StudyFile": study, "Figures": figures}[name]["properties"]
-        for key, meaning in meanings.items():
-            section[key] = section[key] | {"description": meaning}
+    for section, constructors in CONSTRUCTORS.items():
+        part: Any = {"StudyFile": study, "Figures": figures, **parts}[section.__name__]
+        part["description"] = _first(section)
+        sources = [meanings(source) for source in (section, *constructors)]
+        for key, entry in part["properties"].items():
+            text = next((known[key] for known in sources if key in known), None)
+            if text is not None:
+                part["properties"][key] = entry | {"description": text[0].upper() + text[1:].removesuffix(".") + "."}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from torchmbd.errors import InputError
 from torchmbd.study.assemble import S, study_of
-from torchmbd.study.check import check, figure_faults
+from torchmbd.study.check import built_system, figure_faults, section_faults
 from torchmbd.study.file_errors import Fault, StudyError, located, mentioned
+from torchmbd.study.method_options import method_faults
 from torchmbd.study.overrides import override
 from torchmbd.study.schema import Figures, StudyFile
 from torchmbd.study.settings import StudySettings
@@ -42,17 +43,24 @@ def study_of_document(
 ) -> S | FiguresPlan:
     """Return the study or figures of the contents of a file `path`."""
     sections, faults = validate(document.data)
-    folder, figures = path.absolute().parent, kind_of(document.data) is Figures
-    system, more = (None, figure_faults(sections, folder)) if figures else check(sections, folder)
-    if faults or more or (system is None and not figures):
-        raise StudyError(document.source, located(faults + more, document.lines))
-    if system is None:
-        return FiguresPlan(Figures.model_validate(document.data), path, overrides)
-    try:
-        return study_of(StudyFile.model_validate(document.data), system, path, overrides, kind)
-    except InputError as error:  # of the study as a whole
-        fault = Fault(mentioned(str(error), document.lines), f": {error}")
-        raise StudyError(document.source, located([fault], document.lines)) from error
+    folder, lines, system = path.absolute().parent, document.lines, None
+    if kind_of(document.data) is Figures:
+        if not (faults := faults + figure_faults(sections, folder)):
+            return FiguresPlan(Figures(**sections), path, overrides)
+        raise StudyError(document.source, located(faults, lines))
+    system, of_model = built_system(sections, folder)
+    faults += method_faults(sections) + of_model
+    refusal = None
+    if system is not None and not faults:
+        try:
+            return study_of(StudyFile.model_construct(**sections), system, path, overrides, kind)
+        except InputError as error:
+            refusal = error
+    wrong = {fault.path[0] for fault in faults if fault.path}
+    faults += section_faults({key: x for key, x in sections.items() if key not in wrong}, system, folder, lines)
+    if refusal is not None and not faults:  # of the study as a whole
+        faults = [Fault(mentioned(str(refusal), lines), f": {refusal}")]
+    raise StudyError(document.source, located(faults, lines)) from refusal
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = (), kind: type[S] = StudySettings) -> S:

@@ -13,8 +13,7 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from torchmbd.errors import InputError, nearest
-from torchmbd.integrate.arguments import check_gradients
+from torchmbd.errors import nearest
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.multistart import multistart
@@ -28,21 +27,14 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     faults: list[Fault] = []
     simulation: Simulation | None = sections.get("simulate")
     if simulation is not None:
-        integrator = INTEGRATORS[simulation.method]
-        types = integrator.option_types()
-        own = ("duration", "method", "steps", "tolerance", "phases", "gradients", "backend")
-        faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
-        try:
-            check_gradients(simulation.gradients, integrator)
-        except InputError as error:
-            faults.append(Fault(("simulate", "gradients"), str(error)))
+        types = INTEGRATORS[simulation.method].option_types()
+        faults += _faults("simulate", simulation.method, simulation, types)
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:
         types, search = {}, pareto_front if sections.get("tradeoff") is not None else multistart
         for function in (search, OPTIMIZERS[optimizer.name]):
             types |= _option_types(function)
-        del types["max_iterations"]
-        faults += _faults("optimizer", optimizer.name, optimizer.options, types, ("name", "max_iterations"))
+        faults += _faults("optimizer", optimizer.name, optimizer, types)
     return faults
 
 
@@ -60,13 +52,11 @@ def _option_types(function: Callable[..., Any]) -> dict[str, Any]:
     return {name: hints.get(name, Any) for name in options}
 
 
-def _faults(
-    section: str, method: str, given: Mapping[str, Any], types: Mapping[str, Any], own: tuple[str, ...]
-) -> list[Fault]:
+def _faults(section: str, method: str, keys: Simulation | Optimizer, types: Mapping[str, Any]) -> list[Fault]:
     faults = []
-    for key, value in given.items():
+    for key, value in keys.options.items():
         if key not in types:
-            known = nearest(key, [*own, *sorted(types)])
+            known = nearest(key, dict.fromkeys([*type(keys).model_fields, *sorted(types)]))
             faults.append(Fault((section, key), f"unknown key for method {method!r}{known} (given: {shown(value)})"))
         elif text := _misfit(value, types[key]):
             faults.append(Fault((section, key), f"= {shown(value)}: {text}"))

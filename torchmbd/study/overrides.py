@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
+import yaml
+
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, StudyError, dotted
 from torchmbd.study.yaml_file import Document, parse_yaml
@@ -34,18 +36,13 @@ def combinations(assignments: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _split(text: str) -> list[str]:
-    parts, depth, quote = [""], 0, ""
-    for c in text:
-        if quote:
-            quote = "" if c == quote else quote
-        elif c in "'\"":
-            quote = c
-        depth += (c in "[{") - (c in "]}") if not quote else 0
-        if c == "," and not depth and not quote:
-            parts.append("")
-        else:
-            parts[-1] += c
-    return [part.strip() for part in parts]
+    """Return the entries of a list in YAML without its brackets, as they are written."""
+    whole = f"[{text}]"
+    try:
+        entries = yaml.compose(whole, Loader=yaml.SafeLoader).value
+    except yaml.YAMLError:
+        return [text]
+    return [whole[entry.start_mark.index : entry.end_mark.index] for entry in entries]
 
 
 def override(document: Document, assignments: Sequence[str]) -> None:

@@ -11,17 +11,21 @@ from __future__ import annotations
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from torchmbd.design.scenarios import CONSTRAINTS, OBJECTIVES
-from torchmbd.study.section import UNITS, Numbers, Section, one_of
+from torchmbd.math import units
+from torchmbd.study.section import UNITS, Numbers, Section, Unit, fault, one_of
 
 
 class Setting(Section):
-    """A value of a parameter in a scenario, with its unit; without a unit, as a number or a list, it is in SI units."""
+    """A value of a parameter in a scenario, with its unit; without a unit, as a number or a list, it is in SI units.
+
+    value  one number, or a list
+    unit   its unit
+    """
 
     value: Numbers
-    unit: Annotated[str, one_of(UNITS)]
+    unit: Unit
 
     @property
     def si(self) -> Numbers:
@@ -32,18 +36,28 @@ class Setting(Section):
 class Scenario(Section):
     """A scenario: values of parameters of the model that are no design variables, and its weight in means.
 
-    With `options`, the model is built for it with these in place of those of the file; its topology may differ.
+    name     its name; default: scenario 1, 2, ...
+    set      parameters of the model that are no design variables, with their values [SI]; of angles with a unit
+    options  other arguments of the model's function in this scenario: its topology may differ
+    weight   its weight in means
     """
 
-    name: str | None = None  # default: scenario 1, 2, ...
+    name: str | None = None
     set: dict[str, Numbers | Setting] = Field(default={})
     options: dict[str, Any] = Field(default={})
     weight: float = Field(default=1.0, ge=0)
 
     @model_validator(mode="after")
-    def _sets_something(self) -> Self:
+    def _sets_something_in_its_unit(self) -> Self:
         if not self.set and not self.options:
-            raise PydanticCustomError("kind", "sets nothing; must have set, options or both")
+            raise fault(": sets nothing; must have set, options or both")
+        for name, x in self.set.items():
+            if isinstance(x, Setting):
+                if text := units.misfit(name, x.unit):
+                    raise fault(f"= {x.value} with unit: {x.unit}: {text}", "set", name)
+            elif units.QUANTITIES.get(name.rpartition(".")[2]) == "rad":
+                allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
+                raise fault(f"= {x}: is an angle without a unit; allowed: {allowed}", "set", name)
         return self
 
     @property

@@ -1,26 +1,11 @@
-"""The experiment file as data: sections, types, ranges, and names that are known without the model.
+"""The experiment file as data: sections, types, ranges, units, and which keys exclude each other.
 
-    model      module:function or file.py:function that returns a System      options   its arguments
-    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
-    links      {entry: {entry: factor, constant: offset}}: entries of `design` that follow others, see design/space.py
-    minimize   {integral: {strain_energy: rod}}, see design/response_spec.py          subject_to  [{max: ..., at_most: initial}]
-    maximize   a response, instead of minimize
-    tradeoff   {energy: {integral: ...}, mass: {mass: rod}}, instead of minimize: a Pareto front of these criteria
-    robust     expected | worst: what is asked over the tolerances of `design`, see optimization/robust.py
-    optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
-    scenarios  [{name: heavy, set: {tool.mass: 0.4}, weight: 1}, ...]: one design in all of them, see design/scenarios.py
-    combine    {objective: worst | mean, constraints: each | worst | mean} over the scenarios
-    sweep      one design variable from .. to ..: evaluated together, instead of optimizer and starts
-    tracking   experiment, uri
-
-or, for pictures that are no optimization,
-
-    figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
-
+What a constructor of torchmbd checks is not checked here. A key that is an argument of a constructor, in the same form, is
+described in its docstring; other keys are in the docstrings of the sections (json_schema.py).
 Numbers of `design`, `links`, `starts.points` and `sweep` are in the unit of their variable, those of a constraint in its
 `unit` (required for an angle); everything else is SI.
-Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of parameters and bodies of
-the model are checked in check.py. Checked in tests/study/test_load.py.
+Pydantic validates strictly (no text for a number, no true for 1) and collects every fault.
+Checked in tests/study/test_load.py.
 Over 300 lines: a short class for each section of the file.
 """
 
@@ -53,25 +38,19 @@ from torchmbd.math.plausible_units import turn_in_radians
 from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
+from torchmbd.study.file_errors import shown
 from torchmbd.study.scenario_keys import Combine, Scenario
-from torchmbd.study.section import UNITS, Numbers, Section, one_of
+from torchmbd.study.section import UNITS, Numbers, Section, Unit, fault, one_of
 from torchmbd.tracking.store import uri_fault
 from torchmbd.tracking.uri import StoreURI
 
 LIMIT_KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
-_SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
 NAME = re.compile(r"[^\x00-\x1f]{1,200}")  # of experiments and studies
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
 OBJECTIVE_KEYS = ("minimize", "maximize", "tradeoff")  # exactly one of them is given
-
-
-def _fault(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
-    return PydanticCustomError("kind", "{text}", {"text": text, "path": path})
-
-
 Limit = Literal["initial"] | float
 
 
@@ -89,46 +68,60 @@ Measure = Annotated[dict[str, Any], AfterValidator(_readable)]
 class Variable(Section):
     """A design variable; a single number applies to every entry of the parameter. Entries that follow others have no numbers.
 
-    With a tolerance the objective is the mean over deviations up to it, and constraints hold for all of these
-    (optimization/robust.py). With a step the study ends with the best design whose variables are multiples of it
-    (optimization/discrete/branch_and_bound.py).
+    start      first value, one or a list; default: as the model is built
+    lower      lower bound, one or a list
+    upper      upper bound, one or a list
+    unit       unit of all numbers of this variable; `none`: the SI unit
+    tolerance  largest deviation when it is made; the question is then asked over all deviations (optimization/robust.py)
+    step       the study ends with multiples of it (optimization/discrete/branch_and_bound.py); 0: any value
     """
 
-    start: Numbers | None = None  # default: as the model is built
+    start: Numbers | None = None
     lower: Numbers | None = None  # required, unless every entry follows others
     upper: Numbers | None = None
-    unit: Annotated[str, one_of(UNITS)]  # without a default: an angle of 45 in radians would be wrong
-    tolerance: Numbers | None = None  # default: no deviation
-    step: Numbers | None = None  # 0, and default: any value
+    unit: Unit  # without a default: an angle of 45 in radians would be wrong
+    tolerance: Numbers | None = None
+    step: Numbers | None = None
 
     @field_validator("tolerance", "step")
     @classmethod
     def _not_negative(cls, given: Numbers | None) -> Numbers | None:
         if given is not None and min(given if isinstance(given, list) else [given]) < 0.0:
-            raise PydanticCustomError("value", "must not be negative")
+            raise fault(f"= {shown(given)}: must not be negative")
         return given
+
+    @model_validator(mode="after")
+    def _bounds_in_degrees(self) -> Self:
+        for key in ("lower", "upper") if self.unit == "deg" else ():
+            x = getattr(self, key)
+            if x is not None and (text := turn_in_radians(x if isinstance(x, list) else [x])):
+                raise fault(f"= {x} with unit: deg: {text}; allowed: degrees, or unit: rad", key)
+        return self
+
+
+def _units_fit(design: dict[str, Variable]) -> dict[str, Variable]:
+    for name, variable in design.items():
+        if text := units.misfit(name, variable.unit):
+            raise fault(f"= {variable.unit!r}: {text}", name, "unit")
+    return design
 
 
 class Simulation(Section):
-    """Arguments of torchmbd.simulate; more keys are options of the method."""
+    """Arguments of torchmbd.simulate; more keys are options of the method.
+
+    phases  function that returns the phases: path/to/file.py:function or package.module:function
+    start   `assembled`: undeformed; `equilibrium`: at rest under its loads; or values by name
+    """
 
     model_config = ConfigDict(extra="allow")
     duration: float = Field(gt=0)
     method: Annotated[str, one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
-    tolerance: float = Field(TOLERANCE, gt=0, lt=1)  # error by steps of responses, where `steps` is left out
-    phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
-    backend: Annotated[str, one_of(BACKENDS)] = "auto"  # of the steps
-    start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]  # of every motion
-    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
-
-    @model_validator(mode="after")
-    def _steps_that_numbers_hold(self) -> Self:
-        step = self.duration / (self.steps or 1)
-        if not _SHORTEST <= step <= _LONGEST:
-            text = f"has steps of {step:.3g} s; allowed: {_SHORTEST:g} to {_LONGEST:g} s"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
-        return self
+    tolerance: float = Field(default=TOLERANCE, gt=0, lt=1)
+    phases: str | None = None
+    backend: Annotated[str, one_of(BACKENDS)] = "auto"
+    start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]
+    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"
 
     @property
     def options(self) -> dict[str, Any]:
@@ -136,56 +129,44 @@ class Simulation(Section):
 
 
 class Constraint(Section):
-    """`{max: {strain_energy: rod}, at_most: initial}`: a response and a limit, its value at the start or a number.
+    """A response and a limit: `{max: {strain_energy: rod}, at_most: initial}`.
 
-    A number is in the `unit` of the constraint; without one it is in SI units. Of an angle the unit must be given.
+    at_most   largest allowed value; `initial`: the value at the start design
+    at_least  smallest allowed value; `initial`: the value at the start design
+    equal     required value; `initial`: the value at the start design
+    unit      unit of limit and scale; default: SI; an angle needs one
     """
 
     measure: Measure
     at_most: Limit | None = None
     at_least: Limit | None = None
     equal: Limit | None = None
-    scale: float | None = Field(default=None, gt=0)  # what a violation is divided by; default: the limit
-    unit: Annotated[str, one_of(UNITS)] | None = None  # of limit and scale; default: SI
+    scale: float | None = Field(default=None, gt=0)
+    unit: Unit | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or "measure" in data:
             return data
-        own = (*LIMIT_KINDS, "scale", "unit")
-        rest = {key: value for key, value in data.items() if key not in own}
-        return {"measure": rest} | {key: data[key] for key in own if key in data}
+        own = {key: data[key] for key in (*LIMIT_KINDS, "scale", "unit") if key in data}
+        return {"measure": {key: x for key, x in data.items() if key not in own}} | own
 
     @model_validator(mode="after")
-    def _one_limit(self) -> Self:
+    def _one_limit_in_its_unit(self) -> Self:
         given = [key for key in LIMIT_KINDS if getattr(self, key) is not None]
         if len(given) != 1:
-            text = f"has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(LIMIT_KINDS)}"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
-        return self
-
-    @model_validator(mode="after")
-    def _unit_of_the_response(self) -> Self:
+            raise fault(f": has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(LIMIT_KINDS)}")
         si = unit(measure_of(self.measure))
         numbers = [x for x in (self.limit, self.scale) if isinstance(x, float)]
-        if self.unit is None:
-            if si == "rad" and numbers:
-                text = f"has a limit of an angle ({numbers[0]:g}) and no unit; must have unit: deg or unit: rad"
-                raise PydanticCustomError("kind", "{text}", {"text": text})
-        elif si is not None and units.UNITS[self.unit][1] != si:
+        if self.unit is None and si == "rad" and numbers:
+            raise fault(f": has a limit of an angle ({numbers[0]:g}) and no unit; must have unit: deg or unit: rad")
+        if self.unit is not None and si is not None and units.UNITS[self.unit][1] != si:
             allowed = ", ".join(units.units_of(si)) or f"none: limits are in {si}"
-            text = f"has unit: {self.unit}, and a response in {si or 'plain numbers'}; allowed: {allowed}"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
+            raise fault(f": has unit: {self.unit}, and a response in {si or 'plain numbers'}; allowed: {allowed}")
         if self.unit == "deg" and (said := turn_in_radians(numbers[:1])):
-            text = f"has unit: deg, and {said}; allowed: degrees, or unit: rad"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
+            raise fault(f": has unit: deg, and {said}; allowed: degrees, or unit: rad")
         return self
-
-    @property
-    def factor(self) -> float:
-        """The factor from the unit of limit and scale to SI."""
-        return 1.0 if self.unit is None else UNITS[self.unit]
 
     @property
     def kind(self) -> str:
@@ -202,11 +183,14 @@ class Constraint(Section):
 
     def si(self, x: float | str | None) -> Any:
         """A limit or a scale in SI units; a word as it is."""
-        return x * self.factor if isinstance(x, float) else x
+        return x * UNITS[self.unit] if isinstance(x, float) and self.unit is not None else x
 
 
 class Optimizer(Section):
-    """Arguments of torchmbd.multistart; more keys are options of the method."""
+    """Arguments of torchmbd.multistart; more keys are options of the method.
+
+    name  its name; more keys of this section are its options
+    """
 
     model_config = ConfigDict(extra="allow")
     name: Annotated[str, one_of(OPTIMIZERS)] = "mmfd"
@@ -218,10 +202,14 @@ class Optimizer(Section):
 
 
 class Starts(Section):
-    """Where the optimizer starts: the design of the file (start 0) and more points between the bounds."""
+    """Where the optimizer starts: the design of the file (start 0) and more points between the bounds.
+
+    sampler  `sobol` or `latin_hypercube` points between the bounds, `given` points, or `none`: the first design alone
+    points   the points of `given`: a list of numbers for each, in the units of `design`
+    """
 
     sampler: Annotated[str, one_of(SAMPLERS)] = "none"
-    count: Annotated[PositiveInt, Field(le=2**20)] | None = None  # of all starts, the initial design among them
+    count: Annotated[PositiveInt, Field(le=2**20)] | None = None
     seed: NonNegativeInt = 0
     include_initial: bool = True
     points: Annotated[list[list[float]], Len(min_length=1)] | None = None
@@ -233,17 +221,20 @@ class Starts(Section):
             if (getattr(self, key) is not None) != (key == wanted):
                 verb = "needs" if key == wanted else "takes no"
                 allowed = "sobol and latin_hypercube with count, given with points"
-                text = f"sampler {self.sampler!r} {verb} {key!r}; allowed: {allowed}"
-                raise PydanticCustomError("sampler", "{text}", {"text": text})
+                raise fault(f": sampler {self.sampler!r} {verb} {key!r}; allowed: {allowed}")
         if self.sampler == "none" and not self.include_initial:
-            raise PydanticCustomError(
-                "sampler", "sampler 'none' with include_initial: false leaves no start; allowed: include_initial: true"
-            )
+            allowed = "include_initial: true"
+            raise fault(f": sampler 'none' with include_initial: false leaves no start; allowed: {allowed}")
         return self
 
 
 class Range(Section):
-    """Values of a sweep, ends included, in the unit of the variable."""
+    """Values of a sweep.
+
+    from   first value, in the unit of the variable
+    to     last value
+    count  number of values, ends included
+    """
 
     first: float = Field(alias="from")
     last: float = Field(alias="to")
@@ -252,10 +243,10 @@ class Range(Section):
 
 def _known_store(given: Any) -> StoreURI:
     if not isinstance(given, str):
-        raise PydanticCustomError("uri", "must be a valid string")
+        raise fault(f"= {shown(given)}: must be a valid string")
     uri = StoreURI(given)
-    if fault := uri_fault(uri):
-        raise PydanticCustomError("uri", "{text}", {"text": fault})
+    if text := uri_fault(uri):
+        raise fault(f"= {shown(str(uri))}: {text}")
     return uri
 
 
@@ -272,7 +263,12 @@ class Tracking(Section):
 
 
 class Figures(Section):
-    """An experiment file that draws figures."""
+    """An experiment file that draws figures.
+
+    figures   the function that draws into a folder: path/to/file.py:function or package.module:function
+    options   arguments of this function; `folder` is given by the program
+    tracking  where MLflow keeps the runs
+    """
 
     figures: Annotated[str, Field(pattern=FUNCTION)]
     options: dict[str, Any] = Field(default={})
@@ -284,11 +280,27 @@ class Figures(Section):
 
 
 class StudyFile(Section):
-    """An experiment file that optimizes, or sweeps a variable."""
+    """An experiment file that optimizes, or sweeps a variable.
+
+    model       the function that returns the System: path/to/file.py:function or package.module:function
+    options     arguments of the model's function
+    design      design variables: parameters of the model with bounds and a unit
+    links       entries of `design` that follow others: entry -> {entry: factor, constant: offset}
+    simulate    the motion: duration, steps, start, method
+    tradeoff    named responses whose Pareto front is sought; stands instead of `minimize`
+    robust      what is asked over the tolerances of `design`: `expected`, the mean, or `worst`
+    subject_to  constraints, all of which hold
+    scenarios   load cases or settings in which one design is simulated
+    combine     what is asked of objective and constraints over the scenarios
+    optimizer   the method of optimization with its options
+    starts      designs from which the optimizer starts
+    sweep       one entry of `design` with a range: evaluated along it; stands instead of `optimizer` and `starts`
+    tracking    where MLflow keeps the runs
+    """
 
     model: Annotated[str, Field(pattern=FUNCTION)]
     options: dict[str, Any] = Field(default={})
-    design: Annotated[dict[str, Variable], Len(min_length=1)]
+    design: Annotated[dict[str, Variable], Len(min_length=1), AfterValidator(_units_fit)]
     links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(default={})
     simulate: Simulation
     minimize: Measure | None = None
@@ -308,39 +320,31 @@ class StudyFile(Section):
         given = [key for key in OBJECTIVE_KEYS if getattr(self, key) is not None]
         if not given:
             text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
-            raise _fault(("minimize",), text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]))
+            raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
         if len(given) > 1:
-            raise _fault((given[1],), f"and {given[0]} are both given; allowed: one of {', '.join(OBJECTIVE_KEYS)}")
+            raise fault(f"and {given[0]} are both given; allowed: one of {', '.join(OBJECTIVE_KEYS)}", given[1])
         tolerant = any(variable.tolerance is not None for variable in self.design.values())
         if self.robust is not None and not tolerant:
-            raise _fault(("robust",), f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design")
-        if self.tradeoff is not None:
-            others = [key for key in ("scenarios", "sweep") if getattr(self, key) is not None]
-            others += [key for key in ("tolerance", "step") if any(getattr(v, key) for v in self.design.values())]
-            if others:
-                raise _fault(("tradeoff",), f"and {others[0]} are both given; allowed: one of them")
-            if any(constraint.kind == "equal" for constraint in self.subject_to):
-                raise _fault(("tradeoff",), "and a constraint with equal are both given; allowed: at_most, at_least")
+            raise fault(f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design", "robust")
+        others = {"scenarios": self.scenarios is not None, "tolerance": tolerant}
+        for key in others:
+            if self.tradeoff is not None and others[key]:
+                raise fault(f"and {key} are both given; allowed: one of them", "tradeoff")
         return self
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         extra = [key for key in ("optimizer", "starts") if getattr(self, key) is not None]
         if self.sweep is not None and extra:
-            text = f"sweep and {' and '.join(extra)} are both given; allowed: a sweep, or an optimizer with starts"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
+            allowed = "a sweep, or an optimizer with starts"
+            raise fault(f": sweep and {' and '.join(extra)} are both given; allowed: {allowed}")
         if self.combine is not None and self.scenarios is None:
-            raise PydanticCustomError("kind", "combine is given without scenarios; allowed: both, or none")
+            raise fault(": combine is given without scenarios; allowed: both, or none")
         if self.sweep is not None and self.scenarios is not None:
-            raise PydanticCustomError("kind", "sweep and scenarios are both given; allowed: one of them")
+            raise fault(": sweep and scenarios are both given; allowed: one of them")
         names = [scenario.name for scenario in self.scenarios or () if scenario.name is not None]
         if len({*names}) < len(names):
-            text = f"scenarios have the names {names}; allowed: each name once"
-            raise PydanticCustomError("kind", "{text}", {"text": text})
-        for key in ("tolerance", "step"):
-            if self.sweep is not None and any(getattr(variable, key) is not None for variable in self.design.values()):
-                text = f"sweep and a {key} are both given; allowed: one of them"
-                raise PydanticCustomError("kind", "{text}", {"text": text})
+            raise fault(f": scenarios have the names {names}; allowed: each name once")
         return self
 
     def resolved(self) -> dict[str, Any]:

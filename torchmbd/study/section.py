@@ -11,9 +11,15 @@ from pydantic_core import PydanticCustomError
 
 from torchmbd.errors import nearest
 from torchmbd.math import units
+from torchmbd.study.file_errors import shown
 
 UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit -> SI
 Numbers = float | Annotated[list[float], Len(min_length=1)]
+
+
+def fault(text: str, *path: str) -> PydanticCustomError:
+    """Make the error of a validator; `text` follows the path in the message, `path`: keys below what is validated."""
+    return PydanticCustomError("fault", "{text}", {"text": text, "path": path})
 
 
 def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValidator:
@@ -22,10 +28,13 @@ def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValid
     def check(name: str) -> str:
         allowed = names() if callable(names) else names
         if name not in allowed:
-            raise PydanticCustomError("name", "{text}", {"text": nearest(name, allowed)[2:]})
+            raise fault(f"= {shown(name)}: {nearest(name, allowed)[2:]}")
         return name
 
     return AfterValidator(check)
+
+
+Unit = Annotated[str, one_of(UNITS)]
 
 
 class Section(BaseModel):
@@ -38,5 +47,5 @@ class Section(BaseModel):
     def _no_empty_value(cls, given: Any) -> Any:
         """A key without a value was most likely forgotten: its default is that of no key."""
         if given is None:
-            raise PydanticCustomError("value", "no value; allowed: a value, or the file without this key")
+            raise fault("= null: no value; allowed: a value, or the file without this key")
         return given

@@ -15,15 +15,15 @@ import numpy as np
 
 from torchmbd.design import Tradeoff
 from torchmbd.errors import InputError, unknown
+from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts
 from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.sampling import given, recipe
-from torchmbd.optimization.optimizer import find_method, require_count, require_problem, require_range
+from torchmbd.optimization.optimizer import find_method, require_count, require_inside, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.results.answer import Verification
-from torchmbd.study.check import swept_index
 from torchmbd.study.columns import Columns
 from torchmbd.study.method_options import search_options
 from torchmbd.study.schema import NAME, UNITS, StudyFile
@@ -143,21 +143,24 @@ class StudySettings(Summary):
             return None
         if not isinstance(given, Mapping) or any(np.shape(span) != (3,) for span in given.values()):
             raise InputError(f"sweep is {given!r}; allowed: one variable -> (first, last, count)")
-        if self.problem is not self.simulated or any(self.increments) or len(given) != 1:
-            raise InputError(
-                f"sweep is {given!r}; allowed: one variable of a Problem without tolerances and increments"
-            )
+        others = {"a tolerance": isinstance(self.problem, RobustProblem), "a tradeoff": self.front}
+        others["a step"] = any(self.increments)
+        for other, is_asked in others.items():
+            if is_asked:
+                raise InputError(f"sweep and {other} are both given; allowed: one of them")
+        if len(given) != 1:
+            raise InputError(f"sweep is {given!r}; allowed: one variable")
+        if self.has_extra_variable:
+            raise InputError("minimize has several rows; allowed in a sweep: one number, such as max")
         [(name, span)] = given.items()
-        index = swept_index(name, list(self.problem.names))
-        if index is None:
-            raise unknown("swept variable", name, self.problem.names)
+        index = _swept_index(name, list(self.problem.names))
         first, last, count = span
         for what, value in (("first value", first), ("last value", last)):
             require_range(f"{what} of sweep", value, -np.inf, np.inf)
         require_count("count of sweep", count, 2, 100_000)
-        low, high = float(self.problem.lower[index]), float(self.problem.upper[index])
-        if not low <= min(first, last) <= max(first, last) <= high:
-            raise InputError(f"sweep of {name} is {first:g} to {last:g}; allowed: between {low:g} and {high:g}")
+        low, high = (np.asarray(x)[[index]] for x in (self.problem.lower, self.problem.upper))
+        for value in (first, last):
+            require_inside("sweep", [name], low, np.array([value]), high, shown)
         return index, np.linspace(first, last, count)
 
     @property
@@ -220,6 +223,14 @@ class StudySettings(Summary):
         if self.sweep is None:
             data |= {"optimizer": optimizer, "starts": {"sampler": self.starts.name, "count": self.starts.count}}
         return data | {"tracking": {"experiment": self.experiment}}
+
+
+def _swept_index(name: str, names: Sequence[str]) -> int:
+    """Return the index of a swept variable, named by its label or by a parameter of one entry."""
+    entries = [k for k, label in enumerate(names) if name in (label, label.rpartition("[")[0])]
+    if len(entries) != 1:
+        raise unknown("swept variable", name, names)
+    return entries[0]
 
 
 def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None:

@@ -117,10 +117,8 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
         return f"= {shown(value)}: matches no pattern; allowed: {_ALLOWED['model']}"
     if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
         return f"{details['msg']}; a limit is one of {', '.join(LIMIT_KINDS)}"
-    if kind == "response":
+    if kind in ("fault", "response"):
         return details["msg"]
-    if kind == "name":
-        return f"= {shown(value)}: {details['msg']}"
     if kind in ("model_type", "dict_type"):
         return f"= {shown(value)}: must be a mapping (key: value)"
     if kind == "too_short" and path == ("design",):
@@ -128,10 +126,6 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     if kind in ("too_short", "too_long") and isinstance(value, dict):
         least = details.get("ctx", {}).get("min_length", 1)
         return f"has {len(value)} keys; must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
-    if kind == "value":
-        return f"= {shown(value)}: {details['msg']}"
-    if kind in ("kind", "sampler"):
-        return details["msg"] if details.get("ctx", {}).get("path") else f": {details['msg']}"
     return f"= {shown(value)}: {re.sub(r'^[A-Z][a-z]+ should', 'must', details['msg'])}"
 
 

@@ -3,7 +3,7 @@
     K = sum over elements of their matrices at their freedoms 6 * node + i
 
 Freedoms that no part of a body gives stiffness or mass to, such as rotations of nodes of solids, are left out by the assembly.
-Checked in tests/io/nastran/test_elements.py.
+Checked in tests/extensions/nastran/test_elements.py.
 """
 
 from __future__ import annotations

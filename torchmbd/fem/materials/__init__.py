@@ -8,7 +8,6 @@ from torchmbd.fem.materials.laminate import ENTRIES, Laminate, LaminateStiffness
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.ply_maps import PlyMaps, ply_maps
 from torchmbd.fem.materials.progressive_failure import progressive_failure
-from torchmbd.fem.materials.sn_curve import SNCurve, mean_factor, power_law_damage
 from torchmbd.fem.materials.strength import CRITERIA, PLY_COMPONENTS, Strength, tsai_wu, tsai_wu_irf
 
 __all__ = [
@@ -23,11 +22,8 @@ __all__ = [
     "LaminateStiffness",
     "Ply",
     "PlyMaps",
-    "SNCurve",
     "Strength",
-    "mean_factor",
     "ply_maps",
-    "power_law_damage",
     "present_mean",
     "progressive_failure",
     "tsai_wu",

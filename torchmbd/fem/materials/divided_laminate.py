@@ -4,7 +4,7 @@
 
 e: offset of the middle from the surface of the nodes. Q_A, Q_D, G: in the axes of the layer, turned by its angle. There is no
 layer with these stiffnesses, so there are no ply stresses.
-Checked in tests/io/nastran/test_shells.py.
+Checked in tests/extensions/nastran/test_shells.py.
 """
 
 from __future__ import annotations

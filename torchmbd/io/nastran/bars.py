@@ -5,7 +5,7 @@ new nodes are made: one at the end of the offset, which follows the grid as one 
 components that no pin releases, along the axes of the bar.
 OFFT says in which axes the vector of plane 1 (G: system CD of the first grid, B: basic) and the offsets (G: systems CD, O:
 those of the bar) are.
-Source: MSC Nastran Quick Reference Guide, CBAR, CBEAM. Checked in tests/io/nastran/test_bars.py.
+Source: MSC Nastran Quick Reference Guide, CBAR, CBEAM. Checked in tests/extensions/nastran/test_bars.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Data fields are counted from 1 after the name, eight to a line, as they stand in the manual's pictures without their first and
 last columns.
 Source: MSC Nastran Quick Reference Guide, section 8 (bulk data format).
-Checked in tests/io/nastran/test_cards.py.
+Checked in tests/extensions/nastran/test_cards.py.
 """
 
 from __future__ import annotations

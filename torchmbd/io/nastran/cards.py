@@ -8,7 +8,7 @@ A continuation starts with +, * or a blank first field, and stands below the lin
 Cards stand between BEGIN BULK and ENDDATA where these exist, parameters above them, too; INCLUDE is followed; lines that
 repeat the card before (=) are written out (replication.py).
 Source: MSC Nastran Quick Reference Guide, section 8 (bulk data format).
-Checked in tests/io/nastran/test_cards.py.
+Checked in tests/extensions/nastran/test_cards.py.
 """
 
 from __future__ import annotations

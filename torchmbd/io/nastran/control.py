@@ -5,7 +5,8 @@
     TEMP = 7                    temperatures, of which materials may depend; TEMP(LOAD) = 7 is a load alone
     PARAM, WTMASS, ...          parameters, which may stand here, too, and are cards of the bulk data
 
-Source: MSC Nastran Quick Reference Guide, section 4 (case control). Checked in tests/io/nastran/test_refusal.py, test_nsm.py.
+Source: MSC Nastran Quick Reference Guide, section 4 (case control).
+Checked in tests/extensions/nastran/test_refusal.py, test_nsm.py.
 """
 
 from __future__ import annotations

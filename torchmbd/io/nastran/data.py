@@ -7,7 +7,7 @@ material or grid that does not exist, a field that is missing. Loads and the lik
 Elements of scalar points (SPOINT) alone, and springs to the ground, are no part of a body: they are left out, and listed.
 Over 300 lines: every kind of card is sorted in one place.
 Source: MSC Nastran Quick Reference Guide, section 8.
-Checked in tests/io/nastran/test_data.py.
+Checked in tests/extensions/nastran/test_data.py.
 """
 
 from __future__ import annotations

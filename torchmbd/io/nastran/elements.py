@@ -2,7 +2,7 @@
 
     CROD, CTUBE, CONROD, CELAS1, CELAS2, CBUSH   two grids       CTETRA, CPENTA, CHEXA   4, 6, 8 or 10, 15, 20 grids
 
-Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_elements.py.
+Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/extensions/nastran/test_elements.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Loads, analyses, sets, tables, aerodynamics, optimization, plots, dampers (a body has damping of its modes), materials and
 properties that no element names. Every other card that is not read is refused: an unknown one may be structure.
 Source: MSC Nastran Quick Reference Guide, section 8; Simcenter Nastran Quick Reference Guide, section 16.
-Checked in tests/io/nastran/test_refusal.py.
+Checked in tests/extensions/nastran/test_refusal.py.
 """
 
 from __future__ import annotations

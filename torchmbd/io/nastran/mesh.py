@@ -6,7 +6,7 @@ direction   x axis of the laminate: the first side of the element turned by THET
             of a cylindrical one the radius at the element's middle)
 
 Grids at one place stay apart: what the file does not join is not joined. Grids of no element are left out, and listed.
-Checked in tests/io/nastran/test_mesh.py.
+Checked in tests/extensions/nastran/test_mesh.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 Elements are named by their property (PSHELL, PBAR, ..., CONROD by its own number) or their own number (ELEMENT). The mass lies
 at the corners of the element, in the middle of its laminate or at the ends of the bar, and does not change with the design.
-Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_nsm.py.
+Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/extensions/nastran/test_nsm.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ in the plane through the middles of its sides; x from the middle of side 41 to t
 of constant shear flow along the sides; of other quadrilaterals it is that of their mean strain. F1 (sides 12, 34) and F2
 (23, 41) are rods along the sides, of the area F t w / 2, or F t^2 / 2 where F > 1.01; w: mean width. A quarter of the mass is
 at each corner.
-Source: MSC Nastran Quick Reference Guide (PSHEAR). Checked in tests/io/nastran/test_shells.py.
+Source: MSC Nastran Quick Reference Guide (PSHEAR). Checked in tests/extensions/nastran/test_shells.py.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@
 
 Only cards of one line are repeated, in which all fields are data.
 Source: MSC Nastran Quick Reference Guide, section 8 (format of bulk data entries, replication).
-Checked in tests/io/nastran/test_replication.py.
+Checked in tests/extensions/nastran/test_replication.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     MPC    A1 u1 + A2 u2 + ... = 0 of single components: the first one follows
 
 A grid that leads may follow by another card; circles are refused. Components are along the axes of the system CD of their grid.
-Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_rigids.py.
+Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/extensions/nastran/test_rigids.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ The line of a CBEAM is that of the centers of shear: N1, N2 of a PBEAM, or the s
 lies. Of a section that changes along the bar the mean is taken (linear between stations), with a warning.
 Mass without stiffness (NSM) is spread over the section.
 Source: MSC Nastran Quick Reference Guide, section 8.
-Checked in tests/io/nastran/test_sections.py, tests/multibody/bodies/test_from_bdf.py.
+Checked in tests/extensions/nastran/test_sections.py, tests/multibody/bodies/test_from_bdf.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Saint-Venant for each rectangle of an open section, Bredt's formula for a box. S
 and of the flanges along z; 5/6 for a bar, 0.9 and 0.5 for a rod and a tube, as Nastran does.
 Source: MSC Nastran Quick Reference Guide, PBARL and PBEAML (measures); S. Timoshenko, J. Goodier, Theory of Elasticity,
 section 109 (series), 116 (Bredt); W. Young, R. Budynas, Roark's Formulas for Stress and Strain, table 9.2 (shear centers).
-Checked in tests/io/nastran/test_shapes.py.
+Checked in tests/extensions/nastran/test_shapes.py.
 """
 
 from __future__ import annotations

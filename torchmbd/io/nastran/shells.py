@@ -8,7 +8,7 @@
 The middle lies at Z0 + h/2 above the plane of the grids, and ZOFFS of an element more; it stays there where thicknesses are
 design variables. Mass without stiffness (NSM) is spread over the thickness. A PSHELL without MID2 is a membrane in Nastran,
 whose plate freedoms are held: here it keeps MEMBRANE of the bending stiffness of a solid shell, with a warning.
-Checked in tests/io/nastran/test_shells.py, tests/multibody/bodies/test_from_bdf.py.
+Checked in tests/extensions/nastran/test_shells.py, tests/multibody/bodies/test_from_bdf.py.
 """
 
 from __future__ import annotations

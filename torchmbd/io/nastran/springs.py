@@ -6,7 +6,7 @@
     solids          fem/elements/solids.py, of MAT1 or MAT9 in the system CORDM of the property
 
 A body has one part for each kind of card: "crod", "celas2", "cbush", "solids".
-Checked in tests/io/nastran/test_elements.py.
+Checked in tests/extensions/nastran/test_elements.py.
 """
 
 from __future__ import annotations

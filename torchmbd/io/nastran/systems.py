@@ -3,7 +3,7 @@
 CORD2R, CORD2C, CORD2S (three points A, B, C: origin, z axis, x-z plane) and CORD1R, CORD1C, CORD1S (the same by grids), in
 any order of reference. Displacements in another system than the basic one (CD) count for springs (springs.py) only: supports
 hold all six freedoms, or are only named.
-Checked in tests/io/nastran/test_data.py.
+Checked in tests/extensions/nastran/test_data.py.
 """
 
 from __future__ import annotations

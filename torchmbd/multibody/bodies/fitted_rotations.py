@@ -1,6 +1,6 @@
 """Rotations of nodes without rotational freedoms, such as those of solids: a least-squares fit of displacements of neighbors.
 
-Checked in tests/multibody/bodies/test_from_matrices.py, tests/io/nastran/test_elements.py.
+Checked in tests/multibody/bodies/test_from_matrices.py, tests/extensions/nastran/test_elements.py.
 """
 
 from __future__ import annotations

@@ -12,15 +12,12 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, one_of, unknown
-from torchmbd.io.mjcf import read_mjcf
-from torchmbd.io.urdf import read_urdf
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.math.gradients import refuse_derivatives
 from torchmbd.math.module_call import call_module, exclusive, outside_transforms
@@ -42,7 +39,6 @@ from torchmbd.multibody.system.initial import start_of_bodies
 from torchmbd.multibody.system.lost_gradients import refuse_lost_constants, refuse_lost_laws
 from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
 from torchmbd.multibody.system.modal_start import in_moving_basis
-from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import POSE, Start
 from torchmbd.multibody.system.state_equation import StateEquation, unchanged, with_copies
@@ -126,27 +122,6 @@ class System(nn.Module):
         self._add_laws()
         self._own = self._tensors()
         self.register_load_state_dict_post_hook(_rebuild_topology)
-
-    @classmethod
-    def from_urdf(cls, path: str | Path, flexible: Any = None, fixed_base: bool = True, **options: Any) -> Self:
-        """A robot of a URDF file: links as rigid bodies, or as flexible ones whose mesh is in the frame of the link.
-
-        flexible, fixed_base   link name -> body in its place; True: the root link is the ground, False: a free body
-        options                positions, velocities, drives, locked, gravity, stop_stiffness, stop_damping, friction_speed
-                               (multibody/system/robot.py)
-        """
-        return cls(**robot(read_urdf(path), flexible or {}, fixed_base, **options))
-
-    @classmethod
-    def from_mjcf(cls, path: str | Path, flexible: Any = None, **options: Any) -> Self:
-        """A mechanism of MuJoCo's format: bodies, joints, springs, actuators on joints, connections (io/mjcf.py).
-
-        flexible   body name -> body in its place, whose mesh is in the frame of the body
-        options    as of from_urdf, and controls: actuator name -> number or function of time; gravity is that of the file
-        """
-        found = read_mjcf(path)
-        options.setdefault("gravity", found.gravity)
-        return cls(**robot(found, flexible or {}, **options))
 
     def _add_laws(self) -> None:
         """Register the modules with the design variables of joints and forces, by the names of these and of their frames."""

@@ -1,0 +1,336 @@
+"""Sections of windIO blades: a round tube in closed form, a profile with caps and webs, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+import torchmbd as mbd
+from torchmbd.errors import InputError
+from torchmbd.extensions.windio.blade import WindIOBlade, _loaded
+
+FLAT = [0.0, 1.0]
+
+
+def along(*values: float) -> dict:
+    return {"grid": np.linspace(0.0, 1.0, len(values)).tolist(), "values": list(values)}
+
+
+def circle(n: int = 101) -> dict:
+    t = np.linspace(0.0, 2.0 * np.pi, n)
+    return {"x": (0.5 + 0.5 * np.cos(t)).tolist(), "y": (0.5 * np.sin(t)).tolist()}
+
+
+def wing(thickness: float = 0.3, gap: float = 0.01, n: int = 80) -> dict:
+    """A symmetric four-digit profile with a blunt trailing edge."""
+    x = 0.5 + 0.5 * np.cos(np.linspace(0.0, np.pi, n))
+    y = 5 * thickness * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4) + gap * x / 2
+    return {"x": [*x.tolist(), *x[::-1][1:].tolist()], "y": [*y.tolist(), *(-y[::-1][1:]).tolist()]}
+
+
+def layer(name: str, material: str, thickness: float, angle: float = 0.0, **more) -> dict:
+    own = {"name": name, "material": material, "thickness": along(thickness, thickness)}
+    return own | {"fiber_orientation": along(angle, angle)} | more
+
+
+def skin(name: str, material: str, thickness: float, angle: float = 0.0) -> dict:
+    return layer(name, material, thickness, angle, start_nd_arc=along(0.0, 0.0), end_nd_arc=along(1.0, 1.0))
+
+
+MATERIALS = [
+    {"name": "steel", "orth": 0, "E": 2e11, "nu": 0.3, "rho": 7850.0},
+    {"name": "foam", "orth": 0, "E": 1.3e8, "nu": 0.32, "rho": 130.0},
+    {
+        "name": "carbon",
+        "orth": 1,
+        "E": [1.1e11, 8e9, 8e9],
+        "G": [6e9, 6e9, 6e9],
+        "nu": [0.27, 0.27, 0.27],
+        "rho": 1220.0,
+    },
+]
+FULL = [
+    skin("outer", "carbon", 2e-3, 0.3),
+    layer("cap", "carbon", 0.02, start_nd_arc=along(0.25, 0.25), width=along(0.4, 0.4), end_nd_arc=along(0.35, 0.35)),
+    layer("cap_below", "carbon", 0.02, start_nd_arc=along(0.65, 0.65), end_nd_arc=along(0.75, 0.75)),
+    layer("edge", "carbon", 4e-3, start_nd_arc={"fixed": "TE"}, width=along(0.3, 0.3)),
+    layer("filler", "foam", 0.01, start_nd_arc={"fixed": "edge"}, end_nd_arc={"fixed": "cap"}),
+    skin("inner", "carbon", 2e-3),
+    layer("web_skin", "carbon", 2e-3, 0.7, web="web"),
+    layer("web_core", "foam", 0.02, web="web"),
+]
+WEBS = [{"name": "web", "start_nd_arc": along(0.3, 0.3), "end_nd_arc": along(0.7, 0.7)}]
+
+
+@pytest.fixture
+def blade(tmp_path):
+    """A blade of one airfoil, its chord, layers and webs."""
+
+    def made(airfoil: dict, layers: list, webs: list, chord: float = 2.0, **changed) -> WindIOBlade:
+        shape = {
+            "airfoil_position": {"grid": FLAT, "labels": ["root", "tip"]},
+            "chord": along(chord, chord),
+            "twist": along(0.2, 0.0),
+            "pitch_axis": along(0.5, 0.5),
+            "reference_axis": {axis: along(0.0, 50.0 if axis == "z" else 0.0) for axis in "xyz"},
+        }
+        names = {"root": 0.31, "tip": 0.3}
+        data = {
+            "components": {
+                "blade": {
+                    "outer_shape_bem": shape,
+                    "internal_structure_2d_fem": {"layers": layers, "webs": webs},
+                }
+            },
+            "airfoils": [{"name": k, "coordinates": airfoil, "relative_thickness": t} for k, t in names.items()],
+            "materials": MATERIALS,
+        } | changed
+        path = tmp_path / "blade.yaml"
+        path.write_text(yaml.safe_dump(data))
+        return mbd.read_windio(path)
+
+    return made
+
+
+def test_a_round_tube(blade):
+    """Stretch, bending, torsion and mass of a thick tube; two layers of one material are one."""
+    layers = [skin("outer", "steel", 0.02), skin("inner", "steel", 0.03)]
+    section = blade(circle(), layers, []).section(0.4, cells=80)
+    K, M = section.stiffness(), section.mass()
+    r, R = 0.95, 1.0
+    area, second = math.pi * (R**2 - r**2), math.pi / 4.0 * (R**4 - r**4)
+    wanted = {0: 2e11 * area, 3: 2e11 / 2.6 * 2.0 * second, 4: 2e11 * second, 5: 2e11 * second}
+    for k, x in wanted.items():
+        assert float(K[k, k]) == pytest.approx(x, rel=4e-3), k
+    assert float(M[0, 0]) == pytest.approx(7850.0 * area, rel=3e-3)
+    assert float(K[0, 4].abs() + K[0, 5].abs()) < 1e-3 * float(K[0, 0])
+
+
+def test_a_profile_with_caps_and_a_web(blade):
+    """Area of every layer, and the derivative of the torsional stiffness by the fibers' orientations."""
+    section = blade(wing(), FULL, WEBS).section(0.5)
+    geometry = section.geometry
+    area = [float(geometry.weight[geometry.layer == k].sum()) for k in range(len(FULL))]
+    points = blade(wing(), FULL, WEBS).contour(0.5) * 2.0
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    assert area[1] == pytest.approx(area[2], rel=1e-2)
+    assert area[1] == pytest.approx(0.02 * 0.1 * length, rel=4e-2)  # inside of the curved contour it is shorter
+    assert area[0] == pytest.approx(2e-3 * length, rel=2e-2)
+    assert 0.93 < area[3] / (4e-3 * 0.3) < 1.0  # walls are cut where the trailing edge is thinner than both
+    height = float(np.interp(0.3, np.linspace(0, 1, 3), [0.0, 0.3, 0.6])) * 2.0  # 30 % of the chord or less
+    assert 0.5 * height * 2e-3 < area[6] < height * 4e-3
+    J = section.stiffness()[3, 3]
+    (slope,) = torch.autograd.grad(J, section.angles)
+    with torch.no_grad():
+        section.angles[0] += 1e-5
+        up = section.stiffness()[3, 3]
+        section.angles[0] -= 2e-5
+        down = section.stiffness()[3, 3]
+    assert float(slope[0]) == pytest.approx(float(up - down) / 2e-5, rel=1e-5)
+    assert float(slope[0]) > 0.0
+
+
+def test_caps_carry_along_the_span(blade):
+    """E A is that of the layers, each by its area and its modulus along the span."""
+    section = blade(wing(), [own | {"fiber_orientation": along(0.0, 0.0)} for own in FULL], WEBS).section(0.5)
+    geometry, E = section.geometry, [1.1e11 if own["material"] == "carbon" else 1.3e8 for own in FULL]
+    area = [float(geometry.weight[geometry.layer == k].sum()) for k in range(len(FULL))]
+    assert float(section.stiffness()[0, 0]) == pytest.approx(sum(a * b for a, b in zip(E, area, strict=True)), rel=2e-3)
+    station = blade(wing(), FULL, WEBS).station(0.5)
+    assert station == {"chord": 2.0, "twist": 0.1, "pitch_axis": 0.5, "x": 0.0, "y": 0.0, "z": 25.0}
+
+
+@pytest.mark.parametrize(
+    ("layers", "webs", "words"),
+    [
+        (FULL[1:5], [], "no layer at"),
+        ([skin("outer", "glass", 2e-3)], [], "no windIO blade|material 'glass'|'glass'"),
+        ([skin("outer", "steel", 2e-3) | {"thickness": {"grid": FLAT, "values": ["a", 1]}}], [], "thickness of outer"),
+        ([layer("outer", "steel", 2e-3, start_nd_arc=along(0.0))], [], "outer"),
+        (
+            [skin("outer", "steel", 2e-3), layer("cap", "steel", 2e-3, start_nd_arc=along(0.9), end_nd_arc=along(0.9))],
+            [],
+            r"layer 'cap' at 0\.5 reaches from 0\.9 to 0\.9 of the contour; allowed: start below end",
+        ),
+        ([*FULL[:6], *FULL[6:]], [*WEBS, WEBS[0] | {"name": "other"}], None),
+    ],
+)
+def test_what_is_refused(blade, layers, webs, words):
+    made = blade(wing(), layers, webs)
+    if words is None:
+        assert made.section(0.5).mesh.layers > 0
+        return
+    with pytest.raises(InputError, match=words):
+        made.section(0.5)
+
+
+def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
+    def area(start: float) -> float:
+        cap = layer("cap", "steel", 2e-3, start_nd_arc=along(start), end_nd_arc=along(0.2))
+        section = blade(wing(), [skin("outer", "steel", 2e-3), cap], []).section(0.5)
+        return float(section.stiffness()[0, 0])
+
+    with pytest.warns(
+        UserWarning, match=r"layer 'cap' at 0\.5 reaches from -0\.1 to 0\.2 of the contour; it is cut off"
+    ):
+        assert area(-0.1) == pytest.approx(area(0.0), rel=1e-12)
+
+
+def test_a_blade_of_one_airfoil(blade):
+    """The same airfoil at both ends, or one alone: its own contour everywhere."""
+    one = [{"name": "root", "coordinates": wing(), "relative_thickness": 0.3}]
+    made = blade(wing(), FULL, WEBS)
+    for position in ({"grid": FLAT, "labels": ["root", "root"]}, {"grid": [0.0], "labels": ["root"]}):
+        made._airfoils(position, {"root": one[0]})
+        x, y = made.contour(0.37).T
+        wanted = np.interp(x[:100][::-1], wing()["x"][79::-1], wing()["y"][79::-1])
+        np.testing.assert_allclose(y[:100][::-1], wanted, atol=2e-3)
+        assert made.section(0.37).mesh.layers > 0
+
+
+@pytest.mark.parametrize(
+    ("layers", "webs", "changed", "words"),
+    [
+        (FULL, [], {}, r"web of layer 'web_skin': 'web' does not exist"),
+        (FULL, [{"name": "web", "end_nd_arc": along(0.7)}], {}, "web 'web' has no start_nd_arc"),
+        ([FULL[0], FULL[0]], [], {}, "layer 'outer' stands twice"),
+        ([{"name": "outer", "thickness": along(1e-3)}], [], {}, "layer 'outer' has no material"),
+        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": 0.3} for k in ("root", "tip")]}, "have the same"),
+        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": "x"} for k in ("root", "tip")]}, "is no windIO"),
+        (FULL, WEBS, {"airfoils": [{"name": "root", "relative_thickness": float("nan")}] * 2}, "'root' stands twice"),
+    ],
+)
+def test_what_a_blade_lacks_is_named(blade, layers, webs, changed, words):
+    with pytest.raises(InputError, match=rf"blade\.yaml.*{words}"):
+        blade(wing(), layers, webs, **changed)
+
+
+@pytest.mark.parametrize("y", [[0.0], [0.0, float("nan"), 0.0], [0.0, 0.1, 0.0, 0.2]], ids=["one", "nan", "more"])
+def test_coordinates_that_are_none(blade, y):
+    with pytest.raises(InputError, match="coordinates of airfoil"):
+        blade({"x": [1.0, 0.0, 1.0][: len(y)], "y": y}, FULL, WEBS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 200_000,
+        "- " * 200_000,
+        "a: &a [x,x,x,x,x,x,x,x,x]\n"
+        + "".join(f"{b}: &{b} [{','.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)),
+    ],
+    ids=["brackets", "lists", "aliases"],
+)
+def test_hostile_files(tmp_path, text):
+    """Neither a deep nor a multiplied file is built."""
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"x\.yaml: its data have more than"):
+        mbd.read_windio(path)
+
+
+def test_a_tip_without_chord(blade):
+    with pytest.raises(InputError, match="chord at 1 is 0 m"):
+        blade(wing(), FULL, WEBS, chord=0.0).section(1.0)
+
+
+def test_files_that_are_no_blade(tmp_path, blade):
+    for text in ("", "[1, 2", "a: {b: c}", "components: {blade: 3}", "&a [*a]", "\x00"):
+        path = tmp_path / "x.yaml"
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"x\.yaml is no windIO blade"):
+            mbd.read_windio(path)
+    with pytest.raises(InputError, match="allowed: a windIO file"):
+        mbd.read_windio(tmp_path / "none.yaml")
+    with pytest.raises(InputError, match="position = 2"):
+        blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"), [({"cells": 0}, "cells = 0"), ({"cells": "a"}, "cells"), ({"order": 3}, "order = 3")]
+)
+def test_numbers_of_elements_that_are_refused(blade, options, match):
+    with pytest.raises(InputError, match=f"{match}.*allowed"):
+        blade(circle(), [skin("outer", "steel", 0.02)], []).section(0.5, **options)
+
+
+def test_linear_elements_give_nearly_the_same_section(blade):
+    made = blade(circle(), [skin("outer", "steel", 0.02)], [])
+    linear, quadratic = (made.section(0.5, order=order).stiffness().diagonal().detach() for order in (1, 2))
+    assert float((linear / quadratic - 1.0).abs().max()) < 2e-3
+
+
+def test_a_layer_round_the_trailing_edge_is_two_layers(blade):
+    """Its start is above its end; the wall that closes the edge has it once, of two layers both."""
+    outer = skin("outer", "steel", 2e-3)
+    whole = layer("edge", "steel", 2e-3, start_nd_arc=along(0.94), end_nd_arc=along(0.06))
+    parts = [
+        layer(f"edge_{a}", "steel", 2e-3, start_nd_arc=along(a), end_nd_arc=along(b))
+        for a, b in ((0.94, 1.0), (0.0, 0.06))
+    ]
+    found = [blade(wing(), [outer, *own], []).section(0.5) for own in ([whole], parts)]
+    masses = [float(section.mass()[0, 0]) for section in found]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-2)
+    assert masses[0] < masses[1]
+    plain = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
+    points = blade(wing(), [outer], []).contour(0.5) * 2.0
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    extra = 7850.0 * 2e-3 * 0.12 * length
+    assert 0.8 * extra < masses[0] - plain < 1.05 * extra  # walls are cut where the edge is thinner than both
+
+
+def test_layers_without_orientation_lie_along_the_blade(blade):
+    """The schema's default of fiber_orientation is zero."""
+    bare = {key: x for key, x in skin("outer", "carbon", 2e-3).items() if key != "fiber_orientation"}
+    section, wanted = (blade(wing(), [own], []).section(0.5) for own in (bare, skin("outer", "carbon", 2e-3)))
+    assert section.angles.tolist() == [0.0]
+    torch.testing.assert_close(section.stiffness(), wanted.stiffness())
+
+
+def test_an_anchor_may_be_defined_again(tmp_path, blade):
+    """As in YAML 1.2: an alias names the definition before it, also where the blade uses them."""
+    outer = skin("outer", "steel", 2e-3)
+    wanted = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
+    path = tmp_path / "blade.yaml"
+    text = path.read_text()
+    path.write_text("a: &g [7, 9]\nb: &g [0.0, 1.0]\nc: *g\n" + text)
+    assert float(mbd.read_windio(path).section(0.5).mass()[0, 0]) == pytest.approx(wanted, rel=1e-14)
+    assert _loaded(path.read_text())["c"] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("gap", [0.002, 0.01])
+@pytest.mark.parametrize("end", [0.9955, 0.9971, 0.9976, 0.9983, 0.9992])
+@pytest.mark.parametrize("side", ["start", "end"])
+def test_a_layer_that_ends_shortly_before_the_trailing_edge(side, end, gap, blade):
+    """Its mass is that of one which ends there, within 0.1 % of the section; from both sides."""
+    ends = (0.0, end) if side == "end" else (1.0 - end, 1.0)
+    inner = layer("inner", "steel", 2e-3, start_nd_arc=along(ends[0]), end_nd_arc=along(ends[1]))
+    found = float(blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), inner], []).section(0.5).mass()[0, 0])
+    whole = float(
+        blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), skin("inner", "steel", 2e-3)], [])
+        .section(0.5)
+        .mass()[0, 0]
+    )
+    length = float(np.linalg.norm(np.diff(blade(wing(0.18, gap), [], []).contour(0.5) * 2.0, axis=0), axis=1).sum())
+    assert found == pytest.approx(whole - 7850.0 * 2e-3 * (1.0 - end) * length, rel=2e-3)
+
+
+@pytest.mark.parametrize("core", [0.03, 0.06, 0.09])
+@pytest.mark.parametrize("ends", [(0.43, 0.57), (0.43, 0.492), (0.502, 0.58)])
+def test_a_core_thicker_than_the_radius_of_the_nose(core, ends, blade):
+    """The radius is 4 % of the chord: the mesh stays valid, and the wall is thinner where there is no room."""
+    core_layer = layer("core", "foam", core, start_nd_arc=along(ends[0]), end_nd_arc=along(ends[1]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        section = blade(
+            wing(0.18), [skin("outer", "steel", 1.5e-3), core_layer, skin("inner", "steel", 1.5e-3)], []
+        ).section(0.5)
+    area = float(section.geometry.weight[section.geometry.layer == 1].sum())
+    length = float(np.linalg.norm(np.diff(blade(wing(0.18), [], []).contour(0.5) * 2.0, axis=0), axis=1).sum())
+    assert 0.1 * core * (ends[1] - ends[0]) * length < area < core * (ends[1] - ends[0]) * length
+    assert float(torch.linalg.eigvalsh(section.stiffness())[0]) > 0.0

@@ -1,0 +1,78 @@
+"""What extensions add to the core: names at `mbd.`, entries of registries, and what is said where an extension is missing."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import torchmbd as mbd
+from torchmbd import registry
+from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES
+
+FOLDER = Path(mbd.__file__ or "").parent / "extensions"
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    """Function that puts other tables, or None for no folder, in the place of those of torchmbd/extensions."""
+    registry._tables()
+    return lambda found: monkeypatch.setattr(registry, "_tables", lambda: found)
+
+
+def test_a_name_of_a_missing_extension_tells_which(tables):
+    tables(
+        SimpleNamespace(
+            NAMES={"robots_of_others": "read_robot"}, ENTRIES={"of_design": {"wear": "robots_of_others:Wear"}}
+        )
+    )
+    with pytest.raises(
+        AttributeError, match=r"mbd\.read_robot is of the extension robots_of_others, which is not installed"
+    ):
+        mbd.read_robot  # noqa: B018
+    assert "read_robot" not in mbd.__all__
+    assert "wear" not in registry.Registry("of_design", {"mass": mbd.Mass})
+
+
+def test_without_the_folder_the_core_is_complete(tables):
+    tables(None)
+    assert "simulate" in mbd.__all__
+    assert list(registry.Registry("of_design", {"mass": mbd.Mass})) == ["mass"]
+    with pytest.raises(AttributeError, match=r"no attribute 'read_robot'; torchmbd\.extensions is not installed"):
+        mbd.read_robot  # noqa: B018
+
+
+def test_a_registry_is_a_mapping():
+    found = registry.Registry("responses", {"energy": mbd.StrainEnergy})
+    found["place"] = mbd.Position
+    assert dict(found) == {
+        "energy": mbd.StrainEnergy,
+        "place": mbd.Position,
+        **dict(registry.Registry("responses", {})),
+    }
+    del found["place"]
+    assert "place" not in found
+    with pytest.raises(KeyError):
+        found["place"]
+
+
+@pytest.mark.extensions
+def test_every_entry_leads_to_a_class():
+    for found in (RESPONSES, COMBINATORS, OF_DESIGN):
+        assert all(isinstance(kind, type) for kind in found.values())
+
+
+@pytest.mark.extensions
+def test_the_tables_name_every_extension_and_type_checkers_know_the_names():
+    from torchmbd import extensions
+
+    present = {path.stem for path in FOLDER.iterdir() if path.stem[:2] != "__"}
+    assert present == set(extensions.NAMES)
+    modules = {name: importlib.import_module(f"{registry.EXTENSIONS}.{name}") for name in extensions.NAMES}
+    listed = {name: [x.rpartition(".")[2] for x in names.split()] for name, names in extensions.NAMES.items()}
+    assert {name: sorted(found.__all__) for name, found in modules.items()} == {k: sorted(x) for k, x in listed.items()}
+    starred = re.findall(rf"from {registry.EXTENSIONS}\.(\w+) import \*", (FOLDER / "__init__.py").read_text())
+    assert starred == sorted(extensions.NAMES)

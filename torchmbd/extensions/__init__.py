@@ -1,0 +1,33 @@
+"""Extensions: what torchmbd can do beside its core, each a package or a file here, which may be taken away.
+
+They use the core by its registries and public contracts; the core imports none of them. torchmbd/registry.py finds what the
+tables below name, at the first look-up. To add an extension: its package or file, whose `__all__` are its public names; a line
+in NAMES; an import for type checkers; and entries of registries, if it has some (docs/how-to/extend.md).
+Checked in tests/test_registry.py, tests/test_layers.py.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
+    from torchmbd.extensions.beamdyn import *  # noqa: F403
+    from torchmbd.extensions.fatigue import *  # noqa: F403
+    from torchmbd.extensions.openmdao import *  # noqa: F403
+    from torchmbd.extensions.robots import *  # noqa: F403
+    from torchmbd.extensions.windio import *  # noqa: F403
+
+#: Extension -> its public names, `mbd.<name>`.
+NAMES = {
+    "beamdyn": "read_beamdyn",
+    "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
+    "openmdao": "openmdao_component",
+    "robots": "read_mjcf read_urdf",
+    "windio": "read_windio",
+}
+#: Registry (design/responses.py) -> name in experiment files -> "extension:class".
+ENTRIES: dict[str, dict[str, str]] = {
+    "responses": {},
+    "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
+    "of_design": {"fatigue_damage": "fatigue:FatigueDamage"},
+}

@@ -1,0 +1,69 @@
+"""Sections along a beam out of a BeamDyn blade file.
+
+Source: BeamDyn of OpenFAST, blade input file. Checked in tests/extensions/test_beamdyn.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.fem.exact_beam import SectionTable
+
+__all__ = ["read_beamdyn"]
+
+#: Indices of our forces and moments (x along the beam, y, z) among those of BeamDyn (z along the blade, x, y).
+_BEAMDYN = [2, 0, 1, 5, 3, 4]
+
+
+def read_beamdyn(path: str | Path) -> SectionTable:
+    """A SectionTable of the stations of a BeamDyn blade file: their axes (z along the blade) become ours (x along the beam).
+
+    path   the blade file, named by BldFile of a primary input file
+    Raises InputError that names file and line.
+
+    >>> rows = "\\n".join(" ".join(map(str, row)) for row in np.diag([2.0, 2, 9, 4, 3, 1]).tolist())
+    >>> with open("blade.inp", "w") as file:
+    ...     _ = file.write(f"a blade\\n2 station_total\\n--- Distributed Properties ---\\n"
+    ...                    f"0.0\\n{rows}\\n\\n{rows}\\n\\n1.0\\n{rows}\\n\\n{rows}\\n")
+    >>> mbd.read_beamdyn("blade.inp").stiffness(torch.tensor([0.0]))[0].diagonal().tolist()
+    [9.0, 2.0, 2.0, 1.0, 4.0, 3.0]
+    """
+    positions, sections = [], []
+    for numbers in _stations(Path(path)):
+        matrices = numbers[1:].reshape(2, 6, 6)[:, _BEAMDYN][:, :, _BEAMDYN]
+        positions.append(float(numbers[0]))
+        sections.append((matrices[0], matrices[1]))
+    try:
+        return SectionTable(positions, sections)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _stations(file: Path) -> list[np.ndarray]:
+    """Read position, stiffness and mass of each station: 73 numbers."""
+    if not file.is_file():
+        raise InputError(f"path is {str(file)!r}; allowed: a BeamDyn blade file that exists")
+    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+    total = next((line.split()[0] for line in lines if "station_total" in line), "")
+    start = next((k for k, line in enumerate(lines) if "distributed properties" in line.lower()), None)
+    allowed = "a BeamDyn blade file, with station_total and Distributed Properties"
+    if start is None or not total.isdecimal() or int(total) < 2:
+        raise InputError(f"{file} has no stations, station_total {total!r}; allowed: {allowed}, two stations at least")
+    rows = [(k, line.split()) for k, line in enumerate(lines[start + 1 :], start=start + 2) if line.strip()]
+    if len(rows) < 13 * int(total):
+        raise InputError(f"{file} has {len(rows)} lines for {total} stations; allowed: 13 for each")
+    numbers: list[float] = []
+    for row, (k, words) in enumerate(
+        rows[: 13 * int(total)]
+    ):  # a position, then two matrices; words behind are comments
+        count = 6 if row % 13 else 1
+        try:
+            numbers += [float(word.lower().replace("d", "e")) for word in words[:count]]
+        except ValueError as error:
+            raise InputError(f"{file}, line {k}: {error}; allowed: {count} numbers") from None
+        if len(words) < count:
+            raise InputError(f"{file}, line {k}: {len(words)} numbers; allowed: {count}")
+    return list(np.array(numbers).reshape(-1, 73))

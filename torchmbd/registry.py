@@ -1,0 +1,96 @@
+"""What extensions add to the core: public names, and entries of registries; imported when somebody looks one up.
+
+torchmbd/extensions/__init__.py has the tables. No other file of the core names that folder (torchmbd/__init__.py for type
+checkers), and none imports what is in it; without the folder the tables are empty.
+Checked in tests/test_registry.py.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, MutableMapping
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, TypeVar
+
+from torchmbd.errors import name_arguments
+
+EXTENSIONS = "torchmbd.extensions"
+T = TypeVar("T")
+
+
+class Registry(MutableMapping[str, T]):
+    """Names of experiment files -> classes: those of the core, and those that the table ENTRIES[name] of extensions adds.
+
+    Names are complete from the start; an extension is imported when one of its classes is looked up.
+    """
+
+    def __init__(self, name: str, entries: Mapping[str, T]) -> None:
+        self._entries: dict[str, Any] = {**entries, **_entries(name)}
+
+    def __getitem__(self, name: str) -> T:
+        entry = self._entries[name]
+        if isinstance(entry, str):
+            extension, kind = entry.split(":")
+            entry = self._entries[name] = getattr(import_module(f"{EXTENSIONS}.{extension}"), kind)
+        return entry
+
+    def __setitem__(self, name: str, kind: T) -> None:
+        self._entries[name] = kind
+
+    def __delitem__(self, name: str) -> None:
+        del self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __repr__(self) -> str:
+        return f"Registry({', '.join(self)})"
+
+
+def public(name: str) -> Any:
+    """What has a public name in an extension, such as "read_urdf"; AttributeError where nothing has, or it is not installed."""
+    tables = _tables()
+    if tables is None:
+        raise AttributeError(f"module 'torchmbd' has no attribute {name!r}; {EXTENSIONS} is not installed")
+    for extension, names in tables.NAMES.items():
+        if name in names.split():
+            if not _is_installed(extension):
+                raise AttributeError(f"mbd.{name} is of the extension {extension}, which is not installed")
+            module = import_module(f"{EXTENSIONS}.{extension}")
+            attribute = name.rpartition(".")[2]
+            name_arguments(module, [attribute])
+            return getattr(module, attribute)
+    raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
+
+
+def public_names() -> list[str]:
+    """Names at `mbd.` of the extensions that are installed."""
+    tables = _tables()
+    named = {} if tables is None else tables.NAMES
+    return [name for extension, names in named.items() if _is_installed(extension) for name in names.split()]
+
+
+def _entries(name: str) -> dict[str, str]:
+    """Names of a registry -> "extension:class", of the extensions that are installed."""
+    tables = _tables()
+    entries = {} if tables is None else tables.ENTRIES[name]
+    return {key: entry for key, entry in entries.items() if _is_installed(entry.split(":")[0])}
+
+
+@functools.cache
+def _tables() -> Any:
+    """The module with the tables; None without the folder."""
+    try:
+        return import_module(EXTENSIONS)
+    except ModuleNotFoundError as error:
+        if error.name != EXTENSIONS:
+            raise
+        return None
+
+
+def _is_installed(extension: str) -> bool:
+    return find_spec(f"{EXTENSIONS}.{extension}") is not None
