@@ -26,6 +26,7 @@ from torchmbd.study.cluster import load_cluster
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
+from torchmbd.study.run import UNVERIFIED
 from torchmbd.study.unfinished import StudyState, unsent
 
 SHIPPED = Path(__file__).parents[2] / "docs/how-to/cluster"
@@ -195,7 +196,7 @@ def test_a_study_runs_on_slurm(one_machine, folder, monkeypatch, capfd):
         change.setattr("torchmbd.study.run.save_pictures", _interrupt)
         assert cli.main([*command, *jobs]) == 130
     assert f"to go on with it: torchmbd {' '.join([*command, '--workers', '2', *jobs[:2]])}" in capfd.readouterr().out
-    assert cli.main([*command, *jobs]) == 0
+    assert cli.main([*command, *jobs]) == UNVERIFIED  # eight steps do not resolve the rod
     assert "6 starts" in capfd.readouterr().out
     assert not subprocess.run(["squeue", "--noheader", "--states=PENDING,RUNNING"], capture_output=True).stdout
 
@@ -210,7 +211,8 @@ def test_a_study_runs_on_jobs(slurm, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     command = ["run", "study.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=6"]
-    assert cli.main([*command, "--scheduler", str(write(slurm)), "--workers", "2"]) == 0
+    code = cli.main([*command, "--scheduler", str(write(slurm)), "--workers", "2"])
+    assert code == UNVERIFIED  # eight steps do not resolve the rod
     output = capsys.readouterr().out
     assert "6 starts" in output
     assert "evaluations of this problem are on disk" not in output
@@ -220,10 +222,8 @@ def test_a_study_runs_on_jobs(slurm, folder, monkeypatch, capsys):
             break
         time.sleep(0.1)
     assert _over(job)
-    assert cli.main(command) == 0  # and here: everything is known
-    found = re.findall(r"(\d+) of (\d+) evaluations known", capsys.readouterr().out)
-    assert found
-    assert found[0][0] == found[0][1]
+    assert cli.main(command) == UNVERIFIED  # here it is the same study, which is finished
+    assert "nothing is run again" in capsys.readouterr().out
 
 
 def _over(process: str) -> bool:

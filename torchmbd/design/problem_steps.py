@@ -2,11 +2,13 @@
 
     n <- 1.1 n sqrt(e / tolerance)      e: the largest error of a response by steps, over its value or its limit
 
-The first n is that of the motion (integrate/step_count.py), by the error of its largest vibrations; a response may ask for
-more: a residual vibration, a difference of large numbers. A constraint is measured by the larger of value and limit; the
-objective of a design that a search has found by the larger of its value and a tenth of that of the start. Where no
-number of steps up to MOST times the first, or up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the
-steps with the least error are taken, and a warning says error and steps.
+e of n steps is estimated by a motion of half of them, whose error is four times as large; where that is resolved, its error
+by up to FAR times its own steps is known as well, and needs no motion. The first n is that of the motion
+(integrate/step_count.py), by the error of its largest vibrations; a response may ask for more: a residual vibration, a
+difference of large numbers. A constraint is measured by the larger of value and limit; the objective of a design that a search
+has found by the larger of its value and a tenth of that of the start. Where no number of steps up to MOST times the first, or
+up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the steps with the least error are taken, and a
+warning says error and steps.
 Checked in tests/design/test_problem_steps.py.
 """
 
@@ -14,8 +16,9 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -37,6 +40,7 @@ _OF_START = 0.1  # of the objective at the start, whose share counts where a sea
 _MORE = 1.1  # times the steps that the estimate says
 _LEAST_MORE, _MOST_MORE = 1.2, 8.0  # times the steps before
 _UNKNOWN = 4.0  # times the steps before, of a response that is not resolved
+FAR = 4  # times the steps of a motion: so far its error, once resolved, is taken to fall with the square of the step
 _FALLS = 0.7  # of the error before: where it is larger twice, further steps do not help
 
 
@@ -54,6 +58,10 @@ class StepChoice:
     error: float = math.nan
     response: str = ""
     reason: str = ""
+
+    def by(self, steps: int) -> StepChoice:
+        """The error by other steps, of a method of second order."""
+        return replace(self, steps=steps, error=self.error * (self.steps / steps) ** 2 if self.steps else self.error)
 
     def meets(self, tolerance: float) -> bool:
         """Whether all errors are resolved and at most the tolerance."""
@@ -104,24 +112,26 @@ def steps_for(
     most        times the first steps
     least_size  of the objective, by which its error is measured
     """
-    motions = _motions(problem, x, steps)
-    if not motions:
-        return StepChoice(steps)
-    n, tolerance = max(motion.integration.steps for motion in motions), tolerance or problem.tolerance
-    if tolerance is None or any(not isinstance(motion.simulation.integrator, OneStep) for motion in motions):
+    found = _errors(problem, x, None if steps is None else (steps + 1) // 2, least_size)
+    tolerance, n = tolerance or problem.tolerance, steps or found.choice.steps
+    if n is None or found.multiple is None or tolerance is None:
         return StepChoice(n)
     limit, tried = min(most * n, max(MOST_STEPS, n)), []
     while True:
-        if any(motion.integration.steps != n for motion in motions):
-            motions = _motions(problem, x, n)
-        tried.append(_choice(problem, motions, n, least_size))
-        if tried[-1].meets(tolerance) or n >= limit or not motions or _is_stuck(tried):
-            return min(tried, key=lambda choice: (not choice.meets(tolerance), choice.error))
-        growth = _MORE * math.sqrt(tried[-1].error / tolerance) if math.isfinite(tried[-1].error) else _MOST_MORE
-        growth = min(max(growth, _UNKNOWN if tried[-1].reason else _LEAST_MORE), _MOST_MORE)
-        n = min(limit, math.ceil(growth * n))
-        for motion in motions:
-            n = rounding(motion.simulation.integrator, motion.integration.dynamics, problem.duration)(n)
+        tried.append(found.choice.by(n))
+        if n > (found.choice.steps or n) and found.choice.error <= tolerance:  # however it falls: it is small enough
+            tried[-1] = replace(tried[-1], reason="")
+        if not (tried[-1].meets(tolerance) or n >= limit or _is_stuck(tried)):
+            growth = _MORE * math.sqrt(tried[-1].error / tolerance) if math.isfinite(tried[-1].error) else _MOST_MORE
+            growth = min(max(growth, _UNKNOWN if tried[-1].reason else _LEAST_MORE), _MOST_MORE)
+            n = min(limit, math.ceil(growth * n))
+            n = -(-n // found.multiple) * found.multiple
+            if found.choice.reason or n > FAR * (found.choice.steps or n):
+                found = _errors(problem, x, (n + 1) // 2, least_size)
+                if found.multiple is not None:
+                    continue
+            tried.append(found.choice.by(n))
+        return min(tried, key=lambda choice: (not choice.meets(tolerance), choice.error))
 
 
 def coarse_problem(problem: Any) -> Any:
@@ -153,6 +163,7 @@ def _with_steps(problem: Any, steps: int) -> Any:
     for name in ("reference", "steps", "coarse"):
         other.__dict__.pop(name, None)
     other.simulation = {**problem.simulation, "steps": steps}
+    _known[other] = _known.setdefault(problem, {})  # the errors of motions by given numbers of steps
     return other
 
 
@@ -161,8 +172,31 @@ def _is_stuck(tried: list[StepChoice]) -> bool:
     return len(errors) > 2 and errors[-1] > _FALLS * errors[-2] > _FALLS**2 * errors[-3]
 
 
+class _Errors(NamedTuple):
+    """What is known of the motions of a design by so many steps.
+
+    choice    their steps, and the largest error of all responses in all lanes
+    multiple  number that divides the steps of every motion; None: the motions fail, or their method has no estimate
+    """
+
+    choice: StepChoice
+    multiple: int | None
+
+
+def _errors(problem: Any, x: np.ndarray, steps: int | None, least_size: float) -> _Errors:
+    """Simulate a design [n] by so many steps, or as many as its motions choose, and estimate the errors; once for each."""
+    known = _known.setdefault(problem, {})
+    key = (np.asarray(x, dtype=float).tobytes(), steps, least_size)
+    if key not in known:
+        known[key] = _estimated(problem, _motions(problem, x, steps), steps, least_size)
+    return known[key]
+
+
+_known: WeakKeyDictionary[Any, dict[tuple, _Errors]] = WeakKeyDictionary()  # of each problem
+
+
 def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]:
-    """Motions of a design [n] without gradients, one for each system; none where one has no steps or fails."""
+    """Motions of a design [n] without gradients, one for each system, by equal steps; none where one has no steps or fails."""
     motions = []
     for system, designs in problem.cases(np.asarray(x)[None]):
         options = {**problem.simulation, "steps": steps}
@@ -173,13 +207,17 @@ def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]
         if motion.integration.steps is None or any(status != OK for status in motion.status):
             return []
         motions.append(motion)
-    return motions
+    most = max((motion.integration.steps for motion in motions), default=steps)
+    return motions if all(motion.integration.steps == most for motion in motions) else _motions(problem, x, most)
 
 
-def _choice(problem: Any, motions: list[Trajectory], steps: int, least_size: float) -> StepChoice:
-    """The largest error of all responses in all lanes of motions with so many steps; none: they fail."""
+def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least_size: float) -> _Errors:
+    """The largest error of all responses in all lanes of motions; not known: they fail."""
     if not motions:
-        return StepChoice(steps, math.inf, "every response", "the motion fails")
+        return _Errors(StepChoice(steps, math.inf, "every response", "the motion fails"), None)
+    steps = motions[0].integration.steps
+    if any(not isinstance(motion.simulation.integrator, OneStep) for motion in motions):
+        return _Errors(StepChoice(steps), None)
     measures = [(problem.objective, least_size), *((c.measure, c.limit) for c in problem.constraints)]
     worst = StepChoice(steps, 0.0, "all responses")
     for motion in motions:
@@ -189,7 +227,8 @@ def _choice(problem: Any, motions: list[Trajectory], steps: int, least_size: flo
             )
             if (bool(reason), share) > (bool(worst.reason), worst.error):
                 worst = StepChoice(steps, share, repr(measure), reason)
-    return worst
+    each = [rounding(m.simulation.integrator, m.integration.dynamics, problem.duration)(1) for m in motions]
+    return _Errors(worst, math.lcm(*each))
 
 
 def _share(motion: Trajectory, measure: Measure, limit: float) -> tuple[float, str]:
