@@ -23,6 +23,7 @@ def tables(monkeypatch):
     return lambda found: monkeypatch.setattr(registry, "_tables", lambda: found)
 
 
+@pytest.mark.extensions  # the folder is there, an extension is not
 def test_a_name_of_a_missing_extension_tells_which(tables):
     tables(
         SimpleNamespace(
