@@ -11,6 +11,7 @@ import torch
 import torchmbd as mbd
 
 
+@pytest.mark.thorough
 def test_lines_follow_the_fibers():
     """Straight fibers at 30 degrees are straight lines at 30 degrees."""
     body = mbd.examples.arm(controls=(3, 2)).body("arm")

@@ -64,6 +64,7 @@ def test_a_beam_is_the_built_in_one(numbers, kind):
     assert_close(swing(two), swing(one), rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_files_and_arrays_make_the_same_body(built, numbers, tmp_path):
     paths = built.save_matrices(tmp_path / "arm")
     assert [p.name for p in paths] == ["arm_M.mtx", "arm_K.mtx"]
@@ -89,6 +90,7 @@ def test_labels_with_places_that_are_none(numbers, nodes):
         mbd.FlexibleBody.from_matrices("arm", *numbers, nodes)
 
 
+@pytest.mark.thorough
 def test_labels_of_a_file_find_their_nodes(numbers, tmp_path):
     """Abaqus' rows by node label and direction, in any order."""
 
@@ -120,6 +122,7 @@ def richardson(f, x: float, h: float) -> float:
     return (4.0 * slope(h / 2.0) - slope(h)) / 3.0
 
 
+@pytest.mark.thorough
 def test_derivatives_that_the_user_gives(numbers):
     M, K = numbers
     body = given(numbers, derivatives={"height": (0.03, 2.0 * M, 5.0 * K), "density": (1.0, M, None)})
@@ -150,6 +153,7 @@ class Stiffened(torch.nn.Module):
         return self.M * self.factor**0.5, self.K * self.factor**3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["vibration", "craig-bampton"])
 def test_a_torch_module_makes_the_matrices(numbers, kind):
     own = {"modes": 3, "reference": "start", "node_sets": SETS, "reduction": kind}

@@ -27,6 +27,7 @@ def test_a_mesh_of_ones_own_is_a_plate():
     assert_close(values(made), values(expected))
 
 
+@pytest.mark.thorough
 def test_the_direction_turns_the_laminate():
     """The sum of the plies' shear stiffness is a tensor; that of equal energy is one of the laminate's own axes."""
     turn, thickness = math.radians(30), [1e-3, 2e-3, 1.5e-3]
