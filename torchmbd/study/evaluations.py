@@ -10,6 +10,8 @@ Optimizers are deterministic, so a study that was killed asks for the same desig
 up to the batch that was being computed are found here.
 SQLite, one transaction for each batch, which is on disk before it is returned. A batch that cannot be written (full disk) is
 kept in memory, reported once, and written together with a later batch.
+A library for caches on disk keeps what it is given under a key: checksums, batches that wait for a full disk to have room, and
+all designs of one problem would stand here all the same.
 Assumed: a law that reads a file, or imports a module, while it is evaluated, always finds the same contents.
 Checked in tests/study/test_evaluations.py.
 """

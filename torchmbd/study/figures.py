@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from torchmbd.study.journal import PARENT, flat
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.model import find_function
 from torchmbd.study.paths import figures_key
-from torchmbd.study.run import close_tracker, print_outcome
+from torchmbd.study.run_record import RunRecord
 from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
@@ -38,13 +37,15 @@ def run_figures(
     plan: FiguresPlan, console: Console, tracker: MlflowTracker | None = None, uri: str | StoreURI | None = None
 ) -> int:
     """Draw and track the figures; return the exit code. `tracker`, `uri` as in run.run_study."""
-    start_time = time.monotonic()
     with ExitStack() as stack:
-        study = None
-        if tracker is None:
-            uri = store_uri(uri or plan.study.tracking.uri)
-            study = stack.enter_context(claim_study(figures_key(plan, uri), plan.name, plan.file, plan.overrides, uri))
-            tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
+        if tracker is not None:
+            record = RunRecord(plan.name, "figures", console, lambda: tracker)
+        else:
+            store = store_uri(uri or plan.study.tracking.uri)
+            claim = claim_study(figures_key(plan, store), plan.name, plan.file, plan.overrides, store)
+            state = stack.enter_context(claim)
+            tracker = MlflowTracker(plan.study.tracking.experiment, store, state.id)
+            record = RunRecord(plan.name, "figures", console, lambda: tracker, state)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         resolved = plan.study.resolved()
         tags = {"kind": "figures", **provenance(plan.file.absolute().parent)}
@@ -60,9 +61,8 @@ def run_figures(
             status = "KILLED"
         finally:
             tracker.end(PARENT, status)
-            record = close_tracker(tracker, study, console)
-        duration, again = f"{time.monotonic() - start_time:.1f} s", study.command() if study else ""
-        return print_outcome(plan.name, "figures", status, duration, record, study, console, again)
+            record.close()
+        return record.tell_outcome(status)
 
 
 def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:

@@ -3,16 +3,13 @@
 Runs end with the status FINISHED, KILLED (Ctrl-C, with the results so far) or FAILED (an exception, or no start succeeded).
 Results are tracked before pictures are drawn, so that an error in a picture loses no result. Every evaluation is on disk
 before it is returned (evaluations.py): the same command continues a study, however it ended (unfinished.py).
-Over 300 lines: what is printed at each way in which a study ends.
 Checked in tests/study/test_run.py, test_resume.py.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import tempfile
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -21,35 +18,29 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from torchmbd.errors import InputError
 from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.progress import stages_told
-from torchmbd.results.answer import NOT_VERIFIED, Verification
+from torchmbd.results.answer import Verification
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import search_on_steps
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
-from torchmbd.study.journal import PARENT, Journal, percent
-from torchmbd.study.listing import print_links_of, study_links
+from torchmbd.study.journal import Journal, percent
 from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, gain_metric, without_group
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Beginning, Progress
 from torchmbd.study.report import print_results, save_pictures
+from torchmbd.study.run_record import UNVERIFIED, RunRecord
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
-from torchmbd.study.unfinished import StudyState, claim_study, unsent
+from torchmbd.study.unfinished import StudyState, claim_study
 from torchmbd.study.verify import verify_best
-from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
-from torchmbd.tracking.catalog import VERIFICATION, Entry, find
-from torchmbd.tracking.links import DEFAULT_BASE
-from torchmbd.tracking.store import own_files, store_uri
+from torchmbd.tracking import MlflowTracker, Status
+from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI
-
-EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
-UNVERIFIED = 3  # exit code of a study that is finished, and whose best design does not hold in a finer model (cli.py)
 
 
 def run_study(
@@ -73,33 +64,37 @@ def run_study(
     evaluator       evaluates designs that are not on disk; None: this process, or the workers
     rerun_finished  run a finished study again, with its evaluations on disk and in its runs; False: print where it is
     """
-    problem, key, start_time = study.simulated, problem_key(study.simulated), time.monotonic()
+    problem, key = study.simulated, problem_key(study.simulated)
     pool = None
     if workers != 1 or scheduler is not None:
         pool = study_workers(study, key, getattr(problem, "rows", 0), workers, scheduler)
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), key)
         stack.callback(store.close)
-        unfinished = None
-        if tracker is None:
-            uri = store_uri(uri or study.uri)
+        if tracker is not None:
+            record = RunRecord(study.name, study.kind, console, lambda: tracker)
+        else:
+            store_of_runs = store_uri(uri or study.uri)
             file, overrides = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
-            claim = claim_study(study_key(study, uri), study.name, file, overrides, uri, fresh)
-            unfinished = stack.enter_context(claim)
-            if unfinished.run_id and not rerun_finished and (entry := _finished_run(unfinished, uri)):
-                again = unfinished.command(workers=workers, scheduler=scheduler, fresh=True)
-                return _print_finished(study.name, unfinished, uri, entry, again, console)
-            tracker = MlflowTracker(study.experiment, uri, unfinished.id)
+            claim = claim_study(study_key(study, store_of_runs), study.name, file, overrides, store_of_runs, fresh)
+            state = stack.enter_context(claim)
+            # The tracker is made later: `finished_run` may give the state another id.
+            record = RunRecord(
+                study.name, study.kind, console, lambda: MlflowTracker(study.experiment, store_of_runs, state.id), state
+            )
+            if not rerun_finished and (entry := record.finished_run(store_of_runs)):
+                again = state.command(workers=workers, scheduler=scheduler, fresh=True)
+                return record.tell_finished(store_of_runs, entry, again)
         if fresh:  # `claim_study` has refused a study that is running in another process
             store.forget()
-        _print_stored_count(study.name, store.count(), unfinished, console)
+        _print_stored_count(study.name, store.count(), record.state, console)
         evaluator, lanes = evaluator or problem, LANES
         if pool is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
-                _enter(pool, stack, unfinished)
+                _enter(pool, stack, record.state)
             evaluator, lanes = pool, pool.lanes
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
-        journal = Journal(study, tracker, folder)
+        journal = Journal(study, record.tracker, folder)
         beginning = Beginning(console)
         stack.enter_context(stages_told(beginning.stage))
         cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch)
@@ -117,15 +112,12 @@ def run_study(
             status = "KILLED"
         finally:
             journal.end_all(status)
-            record = close_tracker(tracker, unfinished, console, store.trouble)
-            run_id = None if record is None else record.runs.get(PARENT)
-            study.outcome = Outcome(status, result, run_id, verified)
+            record.close(store.trouble)
+            study.outcome = Outcome(status, result, record.run_id, verified)
         if journal.trouble:
             console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
-        known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known"
-        duration = f"{time.monotonic() - start_time:.1f} s{known if cached.hits else ''}"
-        again = unfinished.command(workers=workers, scheduler=scheduler) if unfinished else ""
-        code = print_outcome(study.name, study.kind, status, duration, record, unfinished, console, again)
+        known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known" if cached.hits else ""
+        code = record.tell_outcome(status, known, workers=workers, scheduler=scheduler)
         return code or (0 if verified is None or verified.verified else UNVERIFIED)
 
 
@@ -137,30 +129,6 @@ def _enter(pool: Workers, stack: ExitStack, study: StudyState | None) -> None:
         if study is not None and not study.continues:
             study.forget()
         raise
-
-
-def _finished_run(study: StudyState, uri: StoreURI) -> Entry | None:
-    """Return the run in which a study has finished; None, with its state renewed, if its store has no such run."""
-    try:
-        return find(uri, study.run_id)
-    except InputError:
-        study.renew()
-        return None
-
-
-def _print_finished(name: str, study: StudyState, uri: StoreURI, entry: Entry, again: str, console: Console) -> int:
-    """Print where the run of a finished study is, and return the exit code."""
-    best = entry.metrics.get("best_objective")
-    outcome = "" if best is None else f", best objective {best:.6g}"
-    console.print(f"{escape(name)}: finished on {study.ended}{outcome}; nothing is run again", soft_wrap=True)
-    record = Record(uri, entry.experiment_id, {PARENT: entry.run_id})
-    print_run_links(record, entry.kind, "FINISHED", console)
-    verified = entry.tags.get(VERIFICATION, "")
-    if verified:
-        console.print(verified, soft_wrap=True, highlight=False, markup=False)
-    short = entry.run_id[:8]
-    console.print(f"its designs: torchmbd best {short}; to run it anew: {again}", soft_wrap=True, highlight=False)
-    return UNVERIFIED if verified.startswith(NOT_VERIFIED) else EXIT["FINISHED"]
 
 
 def _print_stored_count(name: str, count: int, study: StudyState | None, console: Console) -> None:
@@ -262,73 +230,3 @@ def _summarize(result: MultistartResult, sign: float, journal: Journal) -> None:
         numbers |= journal.design_metrics(best.x)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
     journal.summary(numbers, tags)
-
-
-def close_tracker(
-    tracker: MlflowTracker, study: StudyState | None, console: Console, trouble: str | None = None
-) -> Record | None:
-    """Wait until everything is in the store; None, with a message, if the tracker gives up.
-
-    trouble  why the last evaluations are not on disk, None if they are
-    """
-    record = None
-    try:
-        with console.status("writing the last of it to MLflow"):
-            record = tracker.close()
-    except TrackingError as error:
-        console.print(f"Tracking failed: {escape(str(error))}", style="red", soft_wrap=True)
-    if trouble:
-        again = "" if record else ". When both take them, the same command makes them again and sends the study"
-        console.print(f"The last evaluations are not on disk: {escape(trouble)}{again}", style="red", soft_wrap=True)
-    elif record is None and tracker.trouble:
-        text = "When the store takes them, `torchmbd sync` sends the study: what it has computed is on disk"
-        console.print(text, style="red", soft_wrap=True)
-    if record is None:
-        return None
-    if study is not None and record.runs:
-        study.mark_sent()
-    elif study is not None:  # no run has begun
-        study.forget()
-    return record
-
-
-def print_outcome(
-    name: str,
-    kind: str,
-    status: Status,
-    duration: str,
-    record: Record | None,
-    study: StudyState | None,
-    console: Console,
-    again: str,
-) -> int:
-    """Print how a study ended and where its run is, update its state on disk, and return the exit code.
-
-    again  the command that goes on with it
-    """
-    console.print(f"{escape(name)}: {status.lower()} after {duration}", soft_wrap=True)
-    if record is None:
-        return 1
-    if PARENT in record.runs:
-        print_run_links(record, kind, status, console)
-    if status == "KILLED" and study is not None:
-        console.print(f"to go on with it: {again}", soft_wrap=True, highlight=False, markup=False)
-    if status == "FINISHED" and study is not None:
-        if kind == "figures":  # their function may draw other figures the next time
-            study.forget()
-        else:
-            study.mark_finished(record.runs[PARENT])
-    if waiting := unsent():
-        console.print(f"{len(waiting)} earlier studies are not in their tracking store: torchmbd sync", soft_wrap=True)
-    return EXIT[status]
-
-
-def print_run_links(record: Record, kind: str, status: Status, console: Console) -> None:
-    """Print the links of a run."""
-    run = record.runs[PARENT]
-    base = record.uri.page if record.uri.served else DEFAULT_BASE
-    links = study_links(base, record.experiment_id, run, kind, status)
-    if own := own_files(record.uri, run):
-        console.print("To look at it: torchmbd ui, then", highlight=False)
-        links["on disk"] = os.path.relpath(own) if own.is_relative_to(Path.cwd()) else str(own)
-    print_links_of(links, console)

@@ -1,5 +1,6 @@
 """Parallel coordinates of designs: a line for each, over one axis for each variable and one for the objective.
 
+The plot of MLflow needs a server and knows no feasible designs; this one stands in reports, which need nothing else.
 Checked in tests/viz/test_criteria.py.
 """
 

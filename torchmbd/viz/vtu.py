@@ -7,7 +7,8 @@
 
 Fields of a motion: "displacement" (elastic, ground axes), and a failure index of the plies on the cells if a
 criterion is asked for. Rigid bodies are lines through their joints.
-Format: XML, numbers inline in base64 (little endian, 8 bytes of length before them), no compression. Nothing but NumPy.
+Format: XML, numbers inline in base64 (little endian, 8 bytes of length before them), no compression. Nothing but NumPy:
+meshio would save some twenty lines of these, and make every picture for ParaView need an extra.
 Source: The VTK User's Guide, "VTK File Formats" (XML, unstructured grid).
 Checked in tests/viz/test_vtu.py.
 """
