@@ -119,7 +119,7 @@ def test_an_initial_limit_needs_an_initial_motion():
         ({"minimize": mbd.Integral(mbd.StrainEnergy("rdo"))}, ["'rdo'", "did you mean 'rod'"]),
         ({"subject_to": [mbd.Max(mbd.StrainEnergy("arm")) <= 1.0]}, ["'arm' is rigid", "allowed: rod"]),
         ({"variables": ["rod.angles"]}, ["'rod.angles'", "did you mean"]),
-        ({"bounds": (1.0, 0.0)}, ["bounds", "lower below upper"]),
+        ({"bounds": (1.0, 0.0)}, ["lower bound of", "must be below upper"]),
     ],
     ids=lambda x: "-".join(f"{k}={v}" for k, v in x.items())[:40] if isinstance(x, dict) else "",
 )
