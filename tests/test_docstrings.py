@@ -17,6 +17,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd import cli
+from torchmbd.registry import public_names
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
@@ -24,7 +25,9 @@ FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 def _members(module: ModuleType) -> list[str]:
     """What a public module offers: its list, or the classes that it defines."""
     defined = [n for n, x in vars(module).items() if getattr(x, "__module__", None) == module.__name__ and n[0] != "_"]
-    return list(getattr(module, "__all__", defined))
+    place = f"{module.__name__.rpartition('.')[2]}."
+    of_extensions = [name.removeprefix(place) for name in public_names() if name.startswith(place)]
+    return [*getattr(module, "__all__", defined), *of_extensions]
 
 
 def _objects() -> Iterator[tuple[str, Any]]:

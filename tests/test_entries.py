@@ -68,7 +68,6 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     "allowed": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), "x"), "allowed of .* is 'x'"),
     "allowed by name": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), {"a": 1}), "allowed is {'a': 1}"),
     "an allowed value": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), [["a"], 0.1]), "allowed of"),
-    "units": (lambda: mbd.FlexibleBody.from_bdf("r", "none.bdf", modes=2, units=3), "units"),
     "parts": (lambda: mbd.FlexibleBody("r", SQUARE, None, 2), "parts of 'r' is None"),
     "a part": (lambda: mbd.FlexibleBody("r", SQUARE, {"a": 3}, 2), "parts of 'r' is {'a': 3}"),
     "no parts": (lambda: mbd.FlexibleBody("r", SQUARE, {}, 2), "parts of 'r' is {}"),

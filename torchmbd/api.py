@@ -47,20 +47,15 @@ from torchmbd.design import (
     measure,
 )
 from torchmbd.design.aggregate import Aggregate
-from torchmbd.design.blended_stacks import recover_blended_stacks
 from torchmbd.design.differences import Differences
-from torchmbd.design.fibers import FiberCurvature, FiberDivergence
-from torchmbd.design.lamination import LaminationRules
-from torchmbd.design.lamination_region import LaminationRegion
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
-from torchmbd.design.stack_recovery import recover_stacks
 from torchmbd.design.verification import verify
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
-from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, LaminationParameters, SteeredLaminate
+from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
@@ -199,9 +194,6 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
-    "FiberCurvature",
-    "FiberDivergence",
-    "FiberField",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -217,9 +209,6 @@ __all__ = [
     "Integral",
     "Interface",
     "Laminate",
-    "LaminationParameters",
-    "LaminationRegion",
-    "LaminationRules",
     "Mass",
     "Max",
     "MbdError",
@@ -257,7 +246,6 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
-    "SteeredLaminate",
     "StrainEnergy",
     "Strength",
     "Study",
@@ -288,8 +276,6 @@ __all__ = [
     "pareto_front",
     "problem_of",
     "progressive_failure",
-    "recover_blended_stacks",
-    "recover_stacks",
     "sections",
     "sharpen",
     "signals",

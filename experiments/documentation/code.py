@@ -25,7 +25,7 @@ DRAWING = PAGE.with_suffix(".svg")
 SHARE, FEW = 0.10, 30
 # Folders and files below torchmbd/ by what they are for; everything else is the core.
 PARTS = {
-    "extensions": ("extensions", "io"),
+    "extensions": ("extensions",),
     "studies, tracking, pictures, command line": ("study", "tracking", "viz", "cli.py", "__main__.py"),
     "examples": ("examples",),
 }

@@ -22,7 +22,7 @@ GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks recover_blended_stacks progressive_failure deg",
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
-    "bodies": "Ground RigidBody FlexibleBody Frame Interface",
+    "bodies": "Ground RigidBody FlexibleBody read_bdf read_mesh read_matrix Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "

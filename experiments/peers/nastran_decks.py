@@ -15,7 +15,7 @@ from pathlib import Path
 
 from experiments.peers.wing_body import VARIABLE
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.body import read_bdf
+from torchmbd.extensions.nastran.body import bulk_body
 
 #: What a message has, and what it means; the first that fits counts.
 REASONS = (
@@ -51,7 +51,7 @@ def main() -> None:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                read_bdf(file, density=1.0)
+                bulk_body(file, density=1.0)
         except InputError as error:
             refused[reason(str(error))].append(file.name)
     print(f"{len(files)} decks: {len(files) - sum(map(len, refused.values()))} are read; not read:")

@@ -27,12 +27,12 @@ import scipy.sparse.linalg
 import torch
 from torch import Tensor, nn
 
+from torchmbd.extensions.nastran.body import BulkBody, bulk_body
+from torchmbd.extensions.nastran.cards import read_cards
+from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.fem.elements import Assembly, Combination
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.reduction.static import StaticLoads
-from torchmbd.io.nastran.body import BulkBody, read_bdf
-from torchmbd.io.nastran.cards import read_cards
-from torchmbd.io.nastran.data import BulkData
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.math.units import GRAVITY as STANDARD_GRAVITY
 from torchmbd.math.units import INCH, POUND
@@ -104,7 +104,7 @@ def read(path: Path) -> Wing:
     """Read the model in inches."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        body, data = read_bdf(path, "in"), BulkData.of(read_cards(path))
+        body, data = bulk_body(path, "in"), BulkData.of(read_cards(path))
     return Wing(body, data, list(dict.fromkeys(str(w.message) for w in caught)))
 
 

@@ -30,8 +30,6 @@ CASES = [
         for x in NUMBERS
     ),
     *((lambda x=x: mbd.AtTime(mbd.StrainEnergy("rod"), x), "time is .*; allowed: zero or positive") for x in NUMBERS),
-    *((lambda x=x: mbd.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25") for x in NUMBERS),
-    *((lambda x=x: mbd.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90") for x in NUMBERS[1:]),
     *(
         (lambda x=x: mbd.Laminate(PLY, mbd.deg([0.0]), 1e-3, shear_correction=x), "shear_correction = .*; allowed: 0 <")
         for x in NUMBERS
@@ -40,10 +38,6 @@ CASES = [
     *((lambda x=x: mbd.SectionHistory(x, "rod"), "motion is .*; allowed: a motion") for x in NUMBERS),
     *((lambda x=x: mbd.DesignSpace(x), "system is .*; allowed: a System") for x in NUMBERS),
     *((lambda x=x: build().with_joints([x]), "joints has .*; allowed: joints") for x in NUMBERS),
-    *(
-        (lambda x=x: mbd.FlexibleBody.from_mesh("b", MESH, x), "laminate is .*; allowed: a Laminate")
-        for x in NUMBERS[:4]
-    ),
     *((lambda x=x: mbd.RobustProblem(BOX, 0.1, x), "kind .* does not exist; allowed: expected") for x in NUMBERS),
     *((lambda x=x: mbd.RobustProblem(BOX, x), "tolerance is .*; allowed: ") for x in NUMBERS[2:]),
     *((lambda x=x: mbd.optimize(BOX, x), "method .* does not exist; allowed: ") for x in NUMBERS),
@@ -59,13 +53,11 @@ CASES = [
         for x in ("x", {}, object(), [[1], [1, 2]])
     ),
     *((lambda x=x: mbd.DesignSpace(build(), links=x), "links is .*; allowed: entry") for x in NUMBERS[5:8]),
-    *((lambda x=x: mbd.FlexibleBody.from_mesh("b", x, None), "path is .*; allowed: a mesh file") for x in NUMBERS[5:8]),
     (
         lambda: mbd.optimize_discrete(BOX, 1e-9),
         "allowed of x = 1e-09 .* 2e[+]09 values, .* bytes; allowed: up to 1000000 values",
     ),
     *((lambda x=x: mbd.problem_of(x), "file is .*; allowed: the path of a file") for x in [None, [], 3, b"x"]),
-    *((lambda x=x: mbd.FlexibleBody.from_bdf("b", x), "path is .*; allowed: a Nastran") for x in [None, [], 3, b"x"]),
 ]
 
 

@@ -77,11 +77,6 @@ CASES: dict[str, tuple[Callable[..., Any], Mapping[str, Any], Mapping[str, Any]]
     ),
     "Strength": (mbd.Strength, STRENGTHS, STRENGTHS),
     "Laminate": (mbd.Laminate, {"thickness": 1e-3, "shear_correction": 0.8}, {**WALL, "thickness": 1e-3}),
-    "LaminationParameters": (
-        mbd.LaminationParameters,
-        {"thickness": 1e-3, "shear_correction": 0.8},
-        {"ply": PLY, "thickness": 1e-3, "membrane": [0.0] * 4},
-    ),
     "tube": (mbd.sections.tube, {"radius": 0.02, "thickness": 1e-3}, {**WALL, "radius": 0.02, "thickness": 1e-3}),
     "box": (
         mbd.sections.box,
@@ -98,7 +93,6 @@ CASES: dict[str, tuple[Callable[..., Any], Mapping[str, Any], Mapping[str, Any]]
         {"length": 0.05, "width": 0.02, "cells": (2, 2)},
     ),
     "BeamLine": (mbd.BeamLine.straight, {"length": 1.0}, {"elements": 2}),
-    "FiberField": (mbd.FiberField, {"radius": 0.3}, {"mesh": MESH, "controls": [[0.0, 0.0, 0.0]]}),
     "FlexibleBody": (plate, {"damping": 0.1}, {}),
     "System": (
         lambda gravity: mbd.System([body()], [], gravity=(0.0, gravity, 0.0)),
@@ -106,6 +100,15 @@ CASES: dict[str, tuple[Callable[..., Any], Mapping[str, Any], Mapping[str, Any]]
         {},
     ),
 }
+if "FiberField" in mbd.__all__:  # the extensions fibers and lamination are there
+    CASES |= {
+        "LaminationParameters": (
+            mbd.LaminationParameters,
+            {"thickness": 1e-3, "shear_correction": 0.8},
+            {"ply": PLY, "thickness": 1e-3, "membrane": [0.0] * 4},
+        ),
+        "FiberField": (mbd.FiberField, {"radius": 0.3}, {"mesh": MESH, "controls": [[0.0, 0.0, 0.0]]}),
+    }
 if "SNCurve" in mbd.__all__:  # the extension fatigue is there
     CASES["SNCurve"] = mbd.SNCurve, {"tension": 5e8}, {"points": [(1e3, 4e8), (1e6, 2e8)]}
 

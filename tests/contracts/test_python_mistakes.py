@@ -116,12 +116,6 @@ MISTAKES = {
     "damping": (lambda: plate(damping=-1.0), "damping of 'rod' is -1.0 s", "zero or positive"),
     "axes": (lambda: plate(axes=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]), "axes of 'rod'", "orthonormal columns"),
     "position": (lambda: plate(position=(1, 2)), "position of 'rod' is (1, 2)", "three finite numbers"),
-    "option of a mesh": (
-        lambda: any_.FlexibleBody.from_mesh("b", MESH, LAMINATE, refrence="center"),
-        "'refrence' (= 'center')",
-        "did you mean 'reference'",
-    ),
-    "units of a file": (lambda: mbd.FlexibleBody.from_bdf("b", "b.bdf", units="inch"), "'inch'", "did you mean 'in'"),
     "beam": (lambda: any_.FlexibleBody.beam("b", mbd.BeamLine.straight(1.0), "tube"), "section is 'tube'", "a Section"),
     "name": (lambda: mbd.RigidBody("a b", 1.0, (1, 1, 1)), "'a b'", "a Python identifier"),
     "mass": (lambda: mbd.RigidBody("a", -1.0, (1, 1, 1)), "mass of 'a' is -1.0 kg", "a positive and finite number"),
@@ -225,7 +219,6 @@ MISTAKES = {
     "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
     # switches
     "symmetric": (lambda: any_.Laminate(PLY, [0.0], 1e-3, symmetric="no"), "symmetric is 'no'", "True or False"),
-    "rules": (lambda: any_.LaminationRules(balanced="no"), "balanced of LaminationRules is 'no'", "True or False"),
     "rigid": (lambda: any_.Interface([0], rigid=1), "rigid of an Interface is 1", "True or False"),
     "scaling": (lambda: any_.optimize(BOX, scaling=None), "scaling is None", "True or False"),
     "eager": (lambda: any_.multistart(BOX, eager_gradients="no"), "eager_gradients is 'no'", "True or False"),

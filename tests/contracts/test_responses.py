@@ -195,12 +195,10 @@ def difference(x: Tensor, step: float) -> Tensor:
     return (total / (60.0 * step)).movedim(1, -1)
 
 
-#: Of bodies that the pendulum does not have: tests/sensitivity/test_fiber_variables.py, tests/design/test_fibers.py,
-#: tests/design/test_lamination_region.py.
+#: Of bodies that the pendulum does not have: tests/extensions/fibers/test_variables.py, test_measures.py,
+#: tests/extensions/lamination/test_region.py.
 ELSEWHERE = {
-    "fiber_curvature": mbd.FiberCurvature,
-    "fiber_divergence": mbd.FiberDivergence,
-    "lamination_region": mbd.LaminationRegion,
+    name: OF_DESIGN[name] for name in ("fiber_curvature", "fiber_divergence", "lamination_region") if name in OF_DESIGN
 }
 
 

@@ -45,7 +45,7 @@ ENDDATA
 
 def bulk(folder: Path) -> list[Tensor]:
     (folder / "model.bdf").write_text(BARS)
-    return list(mbd.FlexibleBody.from_bdf("body", folder / "model.bdf", 4).structure().values())
+    return list(mbd.read_bdf(folder / "model.bdf", "body", 4).structure().values())
 
 
 def robot(folder: Path) -> list[Tensor]:
@@ -76,5 +76,5 @@ def test_masses_of_bars(tmp_path):
     )
     for dtype in (torch.bfloat16, torch.float32):
         with default(dtype):
-            body = mbd.FlexibleBody.from_bdf("bar", tmp_path / "bar.bdf", 2)
+            body = mbd.read_bdf(tmp_path / "bar.bdf", "bar", 2)
         assert_close(body.structure()["mass"], tensor(2.7001)[0], rtol=1e-14, atol=0)

@@ -12,17 +12,18 @@ import pytest
 import yaml
 
 import torchmbd as mbd
-from tests.extensions import test_mesh_file, test_windio
+from tests.extensions import test_windio
+from tests.extensions.meshes import test_mesh_file
 from tests.extensions.nastran import test_nsm
+from tests.extensions.nastran.bdf_models import model
 from tests.extensions.robots import test_mjcf, test_urdf
 from tests.extensions.spoilt import spoilt
-from tests.multibody.bodies.bdf_models import model
 from torchmbd.errors import InputError
+from torchmbd.extensions.matrices import read_matrix
+from torchmbd.extensions.meshes.mesh_file import mesh_file
+from torchmbd.extensions.nastran.body import bulk_body
 from torchmbd.extensions.robots.mjcf import mjcf_robot
 from torchmbd.extensions.robots.urdf import urdf_robot
-from torchmbd.io.matrix_file import read_matrix
-from torchmbd.io.mesh_file import read_mesh
-from torchmbd.io.nastran.body import read_bdf
 
 OP4 = """\
        2       2       6       2KGG     1P,3E23.16
@@ -113,23 +114,23 @@ def _nastran() -> str:
 
 #: Reader, its files' name, a text that it reads.
 READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
-    "nastran": (read_bdf, "model.bdf", model(cells=(2, 1))),
-    "nastran_mass": (read_bdf, "model.bdf", _nastran()),
+    "nastran": (bulk_body, "model.bdf", model(cells=(2, 1))),
+    "nastran_mass": (bulk_body, "model.bdf", _nastran()),
     "dmig": (
-        lambda path: read_matrix("K", path),
+        lambda path: read_matrix(path, "K"),
         "k.dmig",
         "DMIG,KX,0,6,1\nDMIG,KX,3,3,,3,3,100.\n,4,1,7.\nDMIG,KX,4,1,,4,1,5.\n",
     ),
-    "op4": (lambda path: read_matrix("K", path), "k.op4", OP4 + OP4.replace("KGG", "MGG")),
+    "op4": (lambda path: read_matrix(path, "K"), "k.op4", OP4 + OP4.replace("KGG", "MGG")),
     "matrix_market": (
-        lambda path: read_matrix("K", path),
+        lambda path: read_matrix(path, "K"),
         "k.mtx",
         "%%MatrixMarket matrix coordinate real symmetric\n2 2 2\n1 1 4.\n2 2 5.\n",
     ),
-    "abaqus_matrix": (lambda path: read_matrix("K", path), "k.mtx", "1,1,1,1,4.\n1,1,1,2,5.\n1,2,1,2,6.\n"),
-    "abaqus_mesh": (read_mesh, "mesh.inp", test_mesh_file.ABAQUS),
-    "gmsh": (read_mesh, "mesh.msh", GMSH),
-    "vtk": (read_mesh, "mesh.vtk", VTK),
+    "abaqus_matrix": (lambda path: read_matrix(path, "K"), "k.mtx", "1,1,1,1,4.\n1,1,1,2,5.\n1,2,1,2,6.\n"),
+    "abaqus_mesh": (mesh_file, "mesh.inp", test_mesh_file.ABAQUS),
+    "gmsh": (mesh_file, "mesh.msh", GMSH),
+    "vtk": (mesh_file, "mesh.vtk", VTK),
     "urdf": (urdf_robot, "arm.urdf", test_urdf.TEXT),
     "mjcf": (mjcf_robot, "arm.xml", test_mjcf.MECHANISM.replace("><", ">\n<")),
     "windio": (lambda path: mbd.read_windio(path).section(0.5, cells=12, order=1), "blade.yaml", _windio()),

@@ -11,7 +11,7 @@ import pytest
 import torch
 from rich.console import Console
 
-from tests.multibody.bodies.bdf_models import model as bdf_model
+from tests.extensions.nastran.bdf_models import model as bdf_model
 from torchmbd.fem.mesh import rectangle
 from torchmbd.study import paths as paths_module
 from torchmbd.study.load import load_study
@@ -66,8 +66,8 @@ def build(layers: int = 2) -> mbd.System:
     ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
     laminate = mbd.Laminate(ply, angles=mbd.deg([45.0, -45.0]), thickness=7.5e-3 / layers)
     mesh = HERE / "rod.inp"
-    rod = mbd.FlexibleBody.from_mesh("rod", mesh, laminate, 2, reference="left", axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
-    plate = mbd.FlexibleBody.from_bdf("plate", HERE / "plate.bdf", 1)
+    rod = mbd.read_mesh(mesh, "rod", laminate, 2, reference="left", axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    plate = mbd.read_bdf(HERE / "plate.bdf", "plate", 1)
     ground = mbd.Ground()
     push = float(np.loadtxt(HERE / "push.txt"))
     joints = [mbd.Fixed(ground.at(), rod.at("left")), mbd.Fixed(rod.at("right"), plate.at(0))]
@@ -102,6 +102,7 @@ def known(file: Path, tracker) -> tuple[int, str]:
 
 
 @pytest.mark.thorough
+@pytest.mark.extensions
 @pytest.mark.parametrize(
     ("name", "old", "new", "same"),
     [
@@ -122,6 +123,7 @@ def test_what_a_model_reads_counts_and_comments_do_not(study, folder, name, old,
     assert (problem_key(load_study(study).simulated) == before) is same
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 def test_evaluations_of_the_same_model_are_known(study, folder, monkeypatch):
     """Those of a file with one more comment, but none of a file with another number, whose table is another."""

@@ -14,7 +14,6 @@ from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
-from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -24,7 +23,6 @@ from torchmbd.design.histories import (
     StrainEnergy,
     Velocity,
 )
-from torchmbd.design.lamination_region import LaminationRegion
 from torchmbd.design.measures import (
     RMS,
     AtTime,
@@ -81,8 +79,5 @@ OF_DESIGN: Registry[type[Measure]] = Registry(
         "frequency": Frequency,
         "frequencies": Frequencies,
         "mass": Mass,
-        "fiber_curvature": FiberCurvature,
-        "fiber_divergence": FiberDivergence,
-        "lamination_region": LaminationRegion,
     },
 )

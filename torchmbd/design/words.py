@@ -38,9 +38,6 @@ UNITS = {
     "mass": "kg",
     "buckling_factor": "",
     "buckling_index": "",
-    "fiber_curvature": "1/m",
-    "lamination_region": "",
-    "fiber_divergence": "1/m",
 }
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
 Response = History | Measure

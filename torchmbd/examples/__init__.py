@@ -18,7 +18,6 @@ import torch
 
 from torchmbd.examples import slider_crank, two_link_arm
 from torchmbd.fem import mesh
-from torchmbd.fem.elements import FiberField, SteeredLaminate
 from torchmbd.fem.materials import Laminate, Ply, Strength
 from torchmbd.math.angles import deg
 from torchmbd.multibody.bodies import FlexibleBody, Ground, RigidBody
@@ -38,23 +37,22 @@ def carbon() -> Ply:
     return Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0, strength=strength)
 
 
-def arm(modes: int = 2, controls: tuple[int, int] | None = None) -> System:
+def arm(modes: int = 2, laminate: Laminate | None = None) -> System:
     """A laminated plate of 0.5 m with a tool of 0.2 kg at its end swings on a hinge under gravity.
 
     modes     retained modes of the plate
-    controls  of fibers that steer (FiberField), "arm.laminate.angles" [controls, 2]; None: straight fibers
+    laminate  of the plate; None: two plies of 1 mm at 45 and -45 degrees
 
-    Bodies "arm" (flexible) and "tool" (rigid); joints "hinge" and "grip"; two plies, "arm.laminate.angles".
+    Bodies "arm" (flexible) and "tool" (rigid); joints "hinge" and "grip"; its angles are "arm.laminate.angles".
 
     >>> system = mbd.examples.arm()
     >>> [body.name for body in system.bodies], [joint.name for joint in system.joints]
     (['arm', 'tool'], ['hinge', 'grip'])
     """
-    plate, angles = mesh.rectangle(length=0.5, width=0.05, cells=(4, 2)), deg([45.0, -45.0])
-    if controls is None:
-        laminate = Laminate(carbon(), angles, thickness=1e-3)
-    else:
-        laminate = SteeredLaminate(carbon(), angles, 1e-3, FiberField(plate, controls, degree=1))
+    field = None if laminate is None else laminate.field  # where angles vary over a mesh, it is the mesh of the body
+    plate = mesh.rectangle(length=0.5, width=0.05, cells=(4, 2)) if field is None else field.mesh
+    if laminate is None:
+        laminate = Laminate(carbon(), deg([45.0, -45.0]), thickness=1e-3)
     upright = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # columns: the axes of the mesh in ground axes
     body = FlexibleBody.plate("arm", plate, laminate, modes=modes, position=(0.25, 0, 0), axes=upright)
     tool = RigidBody("tool", mass=0.2, inertia=(1e-4, 1e-4, 1e-4), position=(0.5, 0, 0))

@@ -13,14 +13,24 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.beamdyn import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
+    from torchmbd.extensions.fibers import *  # noqa: F403
+    from torchmbd.extensions.lamination import *  # noqa: F403
+    from torchmbd.extensions.matrices import *  # noqa: F403
+    from torchmbd.extensions.meshes import *  # noqa: F403
+    from torchmbd.extensions.nastran import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
 
-#: Extension -> its public names, `mbd.<name>`.
+#: Extension -> its public names, `mbd.<name>`; `viz.` before those of pictures.
 NAMES = {
     "beamdyn": "read_beamdyn",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
+    "fibers": "FiberCurvature FiberDivergence FiberField SteeredLaminate viz.fiber_paths",
+    "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
+    "matrices": "read_matrix",
+    "meshes": "read_mesh",
+    "nastran": "read_bdf",
     "openmdao": "openmdao_component",
     "robots": "read_mjcf read_urdf",
     "windio": "read_windio",
@@ -29,5 +39,10 @@ NAMES = {
 ENTRIES: dict[str, dict[str, str]] = {
     "responses": {},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
-    "of_design": {"fatigue_damage": "fatigue:FatigueDamage"},
+    "of_design": {
+        "fatigue_damage": "fatigue:FatigueDamage",
+        "fiber_curvature": "fibers:FiberCurvature",
+        "fiber_divergence": "fibers:FiberDivergence",
+        "lamination_region": "lamination:LaminationRegion",
+    },
 }

@@ -32,7 +32,7 @@ def read_beamdyn(path: str | Path) -> SectionTable:
     [9.0, 2.0, 2.0, 1.0, 4.0, 3.0]
     """
     positions, sections = [], []
-    for numbers in _stations(Path(path)):
+    for numbers in _stations(path):
         matrices = numbers[1:].reshape(2, 6, 6)[:, _BEAMDYN][:, :, _BEAMDYN]
         positions.append(float(numbers[0]))
         sections.append((matrices[0], matrices[1]))
@@ -42,10 +42,11 @@ def read_beamdyn(path: str | Path) -> SectionTable:
         raise InputError(f"{path}: {error}") from None
 
 
-def _stations(file: Path) -> list[np.ndarray]:
+def _stations(path: str | Path) -> list[np.ndarray]:
     """Read position, stiffness and mass of each station: 73 numbers."""
-    if not file.is_file():
-        raise InputError(f"path is {str(file)!r}; allowed: a BeamDyn blade file that exists")
+    if not isinstance(path, (str, Path)) or not Path(path).is_file():
+        raise InputError(f"path is {str(path)!r}; allowed: a BeamDyn blade file that exists")
+    file = Path(path)
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     total = next((line.split()[0] for line in lines if "station_total" in line), "")
     start = next((k for k, line in enumerate(lines) if "distributed properties" in line.lower()), None)

@@ -5,11 +5,13 @@
 'arm.html'
 """
 
+from typing import Any
+
+from torchmbd.registry import public
 from torchmbd.viz.animation import animate
 from torchmbd.viz.criteria import criteria_over_iterations, criteria_over_time, weighted_parts
 from torchmbd.viz.design_map import design_map
 from torchmbd.viz.failure_map import failure_map
-from torchmbd.viz.fiber_paths import fiber_paths
 from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
 from torchmbd.viz.film import film
 from torchmbd.viz.parallel_coordinates import parallel_coordinates
@@ -24,7 +26,6 @@ __all__ = [
     "design_map",
     "energy_over_time",
     "failure_map",
-    "fiber_paths",
     "film",
     "parallel_coordinates",
     "save",
@@ -33,3 +34,8 @@ __all__ = [
     "save_motion",
     "weighted_parts",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Pictures of extensions."""
+    return public(f"viz.{name}")

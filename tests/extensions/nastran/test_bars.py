@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.io.nastran.body import read_bdf
+from torchmbd.extensions.nastran.body import bulk_body
 
 E, A, INERTIA, RHO, LENGTH, CELLS = 2e11, 1e-4, 1e-9, 8000.0, 1.0, 12
 HEAD = ["MAT1,1,2.+11,,.25,8000.", "PBAR,5,1,1.-4,1.-9,2.-9,2.-9"]
@@ -35,7 +35,7 @@ def frequencies(tmp_path):
     def made(*lines: str, modes: int = 2) -> list[float]:
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *HEAD, *lines, "ENDDATA"]))
-        body = mbd.FlexibleBody.from_bdf("body", path, modes)
+        body = mbd.read_bdf(path, "body", modes)
         return torch.linalg.eigvalsh(body.structure()["Kr"].detach()).sqrt().tolist()
 
     return made
@@ -67,10 +67,10 @@ def test_offsets_along_and_different_at_the_ends(tmp_path):
     path = tmp_path / "model.bdf"
     more = "\n,,,,,,.05,0.02,0."
     path.write_text("\n".join(["BEGIN BULK", *HEAD, *beam("", more), "ENDDATA"]))
-    made = read_bdf(path)
+    made = bulk_body(path)
     assert len(made.mesh.nodes) == CELLS + 2
     assert_close(made.mesh.nodes[-1], torch.tensor([1.05, 0.02, 0.0], dtype=torch.float64))
-    mass = float(mbd.FlexibleBody.from_bdf("body", path, 2).structure()["mass"])
+    mass = float(mbd.read_bdf(path, "body", 2).structure()["mass"])
     length = 11 / 12 + math.hypot(1 / 12 + 0.05, 0.02)
     assert mass == pytest.approx(RHO * A * length)
 
@@ -101,6 +101,6 @@ def test_a_cylindrical_system_turns_the_vector(tmp_path):
         "CBAR,1,5,1,2,0.,1.,0.",
     ]
     path.write_text("\n".join(["BEGIN BULK", *HEAD, *text, "ENDDATA"]))
-    made = read_bdf(path)
+    made = bulk_body(path)
     axes = made.parts["pbar_5"].matrices.axes[0]
     assert_close(axes, torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]], dtype=torch.float64), atol=1e-12, rtol=0)

@@ -3,8 +3,8 @@
 import pytest
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.card import Card
-from torchmbd.io.nastran.cards import parse_cards, read_cards
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.cards import parse_cards, read_cards
 
 SMALL = """\
 PCOMP   7       -.0015          5.E7    TSAI                    SYM     +P1

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.cards import parse_cards
-from torchmbd.io.nastran.data import BulkData
+from torchmbd.extensions.nastran.cards import parse_cards
+from torchmbd.extensions.nastran.data import BulkData
 
 
 def data(text: str) -> BulkData:

@@ -10,9 +10,9 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.body import bulk_body
+from torchmbd.extensions.nastran.cards import read_cards
 from torchmbd.fem.elements import Assembly
-from torchmbd.io.nastran.body import read_bdf
-from torchmbd.io.nastran.cards import read_cards
 
 GRIDS = ["GRID,1,,0.,0.,0.", "GRID,2,,3.,4.,0.", "GRID,3,,0.,0.,0."]
 STEEL = "MAT1,1,2.+11,,.25,8000."
@@ -25,7 +25,7 @@ def stiffness(tmp_path):
     def made(*lines: str, units: str = "m"):
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *lines, "ENDDATA"]))
-        found = read_bdf(path, units)
+        found = bulk_body(path, units)
         full = sum(part.pattern.to_scipy(part.values()).toarray() for part in found.parts.values())
         return np.asarray(full), float(Assembly(found.mesh, found.parts).masses().mass.sum())
 
@@ -110,7 +110,7 @@ def test_a_bar_of_solids(card, stiff, tmp_path):
     """First bending frequency of a clamped bar: bricks near Euler-Bernoulli, linear wedges and tetrahedra stiffer."""
     path = tmp_path / "model.bdf"
     path.write_text("\n".join(["BEGIN BULK", *brick_model(card), "ENDDATA"]))
-    body = mbd.FlexibleBody.from_bdf("bar", path, modes=4)
+    body = mbd.read_bdf(path, "bar", modes=4)
     made = body.structure()
     assert float(made["mass"]) == pytest.approx(27.0)
     first = math.sqrt(float(torch.linalg.eigvalsh(made["Kr"])[0]))
@@ -170,7 +170,7 @@ def test_masses_on_arms_and_defaults_of_grids(stiffness, tmp_path):
         "CONM2,9,1,4,5.,.5",
     ]
     (tmp_path / "model.bdf").write_text("\n".join(["BEGIN BULK", *lines, "ENDDATA"]))
-    found = read_bdf(tmp_path / "model.bdf")
+    found = bulk_body(tmp_path / "model.bdf")
     np.testing.assert_allclose(found.mesh.nodes.numpy(), [[1.0, 0.0, 0.0], [1.0, 2.0, 0.0]], atol=1e-15)
     points = found.parts["conm2"].masses()
     assert points.arm is not None
@@ -232,4 +232,4 @@ def test_hostile_files_are_refused(tmp_path):
         read_cards(path)
     path.write_text("GRID,1,,1e999,0.,0.\n")
     with pytest.raises(InputError, match="X1 is '1e999'"):
-        read_bdf(path)
+        bulk_body(path)

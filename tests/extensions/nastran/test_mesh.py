@@ -7,9 +7,9 @@ import torch
 from torch.testing import assert_close
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.cards import parse_cards
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.mesh import bulk_mesh
+from torchmbd.extensions.nastran.cards import parse_cards
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.mesh import bulk_mesh
 
 GRIDS = "GRID,10,,0.,0.,0.\nGRID,20,,0.,2.,0.\nGRID,30,,0.,2.,2.\nGRID,40,,0.,0.,2.\nGRID,50,,0.,4.,0."
 ELEMENTS = "PSHELL,1,1,.1\nPSHELL,2,1,.1\nCQUAD4,1,2,10,20,30,40,30.\nCTRIA3,2,1,20,50,30,3"

@@ -11,7 +11,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.body import read_bdf
+from torchmbd.extensions.nastran.body import bulk_body
 
 #: Grid k at (k, 0), grid 100 + k at (k, 2): shell k has area 2, a side line k has length 1.
 GRIDS = [f"GRID,{k + row},,{k}.,{2 * (row > 0)}.,0." for row in (0, 100) for k in range(1, 9)]
@@ -45,7 +45,7 @@ def mass(tmp_path):
         above = [] if control is None else ["SOL 103", "CEND", *control, "BEGIN BULK"]
         path = tmp_path / "model.bdf"
         path.write_text("\n".join([*above, *model, *cards, "ENDDATA"]))
-        return sum(float(part.masses().mass.sum()) for part in read_bdf(path).parts.values())
+        return sum(float(part.masses().mass.sum()) for part in bulk_body(path).parts.values())
 
     return read
 
@@ -123,7 +123,7 @@ def test_mass_lies_where_the_laminate_lies(tmp_path):
     path, found = tmp_path / "model.bdf", []
     for cards in ("PSHELL,1,9,2.,9,,,,3.-9", "PSHELL,1,9,2.,9\nNSM,5,PSHELL,1,3.-9"):
         path.write_text(above + cards)
-        body = mbd.FlexibleBody.from_bdf("b", path, modes=2, units="mm")
+        body = mbd.read_bdf(path, "b", modes=2, units="mm")
         M, _ = body.mass_and_stiffness()
         x = body.mesh.nodes.detach().numpy()
         rigid = np.zeros((len(x), 6, 6))
@@ -174,5 +174,5 @@ def test_mass_of_any_deck_is_the_sum_of_its_cards(seed, mass):
 def test_the_part_is_one_of_points(tmp_path):
     path = tmp_path / "model.bdf"
     path.write_text("\n".join(["CEND", "NSM = 5", "BEGIN BULK", *GRIDS, *MODEL, "NSM,5,PBAR,3,4."]))
-    points = read_bdf(path).parts["nsm"].masses()
+    points = bulk_body(path).parts["nsm"].masses()
     assert torch.equal(points.mass, torch.tensor([2.0, 2.0], dtype=torch.float64))

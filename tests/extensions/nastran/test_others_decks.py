@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.body import read_bdf
+from torchmbd.extensions.nastran.body import bulk_body
 
 SQUARE = (
     "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,1.,1.,0.\nGRID,4,,0.,1.,0.\nCQUAD4,1,1,1,2,3,4\n"
@@ -22,7 +22,7 @@ def read(tmp_path):
     def made(*lines: str, start: str = SQUARE):
         path = tmp_path / "model.bdf"
         path.write_text(start + "\n".join(lines), encoding="utf-8")
-        return read_bdf(path)
+        return bulk_body(path)
 
     return made
 
@@ -129,7 +129,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path):
     with path.open("wb") as file:
         file.truncate(10**12)  # takes no place on the disk
     with pytest.raises(InputError, match=r"model.bdf has 1000000000000 bytes; allowed: 5000000 lines"):
-        read_bdf(path)
+        bulk_body(path)
 
 
 def test_chains_are_bounded(read, tmp_path):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.body import read_bdf
-from torchmbd.io.nastran.inert import is_inert
+from torchmbd.extensions.nastran.body import bulk_body
+from torchmbd.extensions.nastran.inert import is_inert
 
 SQUARE = (
     "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,1.,1.,0.\nGRID,4,,0.,1.,0.\nCQUAD4,1,1,1,2,3,4\n"
@@ -18,7 +18,7 @@ DMIG = "DMIG,KX,0,6,1\nDMIG,KX,3,3,,3,3,100.\n"
 def read(tmp_path, bulk: str, control: str | None = None):
     path = tmp_path / "model.bdf"
     path.write_text(("" if control is None else f"SOL 103\nCEND\n{control}\nBEGIN BULK\n") + SQUARE + bulk)
-    return read_bdf(path)
+    return bulk_body(path)
 
 
 @pytest.mark.parametrize(

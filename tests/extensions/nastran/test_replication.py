@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.cards import parse_cards
+from torchmbd.extensions.nastran.cards import parse_cards
 
 
 def cards(text: str) -> list[tuple[str, ...]]:

@@ -9,7 +9,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.body import read_bdf
+from torchmbd.extensions.nastran.body import bulk_body
 
 E, A, INERTIA, RHO, LENGTH, CELLS = 2e11, 1e-4, 1e-9, 8000.0, 1.0, 16
 BEAM = ["MAT1,1,2.+11,,.25,8000.", "PBAR,5,1,1.-4,1.-9,2.-9,2.-9"]
@@ -28,7 +28,7 @@ def frequencies(tmp_path):
     def made(*lines: str, modes: int = 2) -> list[float]:
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *BEAM, *lines, "ENDDATA"]))
-        body = mbd.FlexibleBody.from_bdf("body", path, modes)
+        body = mbd.read_bdf(path, "body", modes)
         return torch.linalg.eigvalsh(body.structure()["Kr"].detach()).sqrt().tolist()
 
     return made
@@ -69,7 +69,7 @@ def test_an_mpc_ties_two_tips_in_one_direction(first, second, tmp_path):
     path = tmp_path / "model.bdf"
     tie = f"MPC,9,17,3,{first},117,3,{second}"
     path.write_text("\n".join(["BEGIN BULK", *BEAM, *beam(1), *beam(101, 0.5), "SPC1,1,123456,1,101", tie, "ENDDATA"]))
-    body = mbd.FlexibleBody.from_bdf("body", path, 4)
+    body = mbd.read_bdf(path, "body", 4)
     made = body.structure()
     found, modes = torch.linalg.eigh(made["Kr"].detach())
     free = bending(1.87510)  # in y, each for itself
@@ -84,7 +84,7 @@ def test_an_mpc_ties_two_tips_in_one_direction(first, second, tmp_path):
 def read(tmp_path, *lines: str, units: str = "m"):
     path = tmp_path / "model.bdf"
     path.write_text("\n".join(["BEGIN BULK", *BEAM, *beam(1), *lines, "ENDDATA"]))
-    return read_bdf(path, units)
+    return bulk_body(path, units)
 
 
 @pytest.mark.parametrize(("units", "meters"), [("m", 1.0), ("mm", 1e-3)])
@@ -94,7 +94,7 @@ def test_an_mpc_of_many_terms_in_meters(units, meters, tmp_path):
     path = tmp_path / "model.bdf"
     own = [line + ",4" if line.startswith("GRID,17,") else line for line in beam(1)]
     path.write_text("\n".join(["BEGIN BULK", *BEAM, *own, *lines, "ENDDATA"]))
-    (link,) = read_bdf(path, units).links
+    (link,) = bulk_body(path, units).links
     assert (link.node, link.component) == (2, 2)
     assert [term[:2] for term in link.terms] == [(4, 4), (6, 0), (16, 0), (16, 1)]
     assert [term[2] for term in link.terms] == pytest.approx([2.0 * meters, -0.5, -0.8 * 2.5, 0.6 * 2.5])

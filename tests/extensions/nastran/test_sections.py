@@ -7,11 +7,11 @@ import torch
 from torch.testing import assert_close
 
 from torchmbd.errors import InputError
-from torchmbd.io.nastran.cards import parse_cards
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import UNITS
-from torchmbd.io.nastran.sections import section_of
-from torchmbd.io.nastran.shapes import of_shape
+from torchmbd.extensions.nastran.cards import parse_cards
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.materials import UNITS
+from torchmbd.extensions.nastran.sections import section_of
+from torchmbd.extensions.nastran.shapes import of_shape
 
 E, G = 100.0, 40.0
 

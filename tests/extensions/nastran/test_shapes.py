@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from torchmbd.io.nastran.shapes import SHAPES, of_shape, torsion
+from torchmbd.extensions.nastran.shapes import SHAPES, of_shape, torsion
 
 #: A, I1, I2, I12 by hand: whole rectangle less what is cut out, or parts with their arms.
 CASES = {

@@ -8,10 +8,10 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.multibody.bodies.bdf_models import model
+from tests.extensions.nastran.bdf_models import model
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.body import bulk_body
 from torchmbd.fem.elements import Plates
-from torchmbd.io.nastran.body import read_bdf
 
 SQUARE = ["GRID,1,,0.,0.,0.", "GRID,2,,2.,0.,0.", "GRID,3,,2.,1.,0.", "GRID,4,,0.,1.,0."]
 STEEL = "MAT1,1,2.+11,,.25,8000."
@@ -25,7 +25,7 @@ def parts(tmp_path):
     def made(*lines: str, units: str = "m"):
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *SQUARE, *lines, "ENDDATA"]))
-        return read_bdf(path, units).parts
+        return bulk_body(path, units).parts
 
     return made
 
@@ -136,7 +136,7 @@ def test_derivatives_by_property(name, tmp_path):
     path = tmp_path / "model.bdf"
     more = "PCOMP,8,,,,TSAI\n,1,.002,10.\nCQUAD4,900,8,601,602,912,911,0.\nGRID,911,,.2,-.05,.01\nGRID,912,,.2,0.,.01"
     path.write_text(model(cells=(6, 2), extra=[more]))
-    body = mbd.FlexibleBody.from_bdf("wing", path, modes=3)
+    body = mbd.read_bdf(path, "wing", modes=3)
     names = [f"pcomp_{number}.{name}" for number in (7, 8)]
     given = [dict(body.named_parameters())[own] for own in names]
 

@@ -119,6 +119,7 @@ def test_zones_that_were_equal_at_the_start_move_apart():
     assert_close(found, wanted, rtol=1e-9, atol=0)
 
 
+@pytest.mark.extensions
 @pytest.mark.parametrize("varies", [False, True])
 @pytest.mark.parametrize("kind", ["steered", "lamination parameters"])
 def test_fields_and_lamination_parameters(kind, varies):

@@ -124,5 +124,9 @@ def test_bad_input_is_named():
         mbd.progressive_failure(cross(), (1, 0, 0), kept=0)
     with pytest.raises(mbd.InputError, match="the ply of layer 0 has no strength"):
         mbd.progressive_failure(bare, (1, 0, 0))
+
+
+@pytest.mark.extensions
+def test_lamination_parameters_have_no_plies_that_fail():
     with pytest.raises(mbd.InputError, match=r"laminate is LaminationParameters.*; allowed: one Laminate"):
         mbd.progressive_failure(mbd.LaminationParameters(PLY, T, [0, 0, 0, 0]), (1, 0, 0))

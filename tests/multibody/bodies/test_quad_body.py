@@ -88,7 +88,7 @@ def test_uniform_states_have_their_stresses_in_every_ply():
     lean = mapped((6, 2), lambda s, t: (0.3 * s + 0.02 * (1 - 2 * t) * np.sin(np.pi * s), 0.1 * t, 0.0), "quad")
     laminate = mbd.Laminate(mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], 2e-3)
     R = rotation(9)
-    matrices = mbd.FlexibleBody.from_mesh("bar", turned(lean, R), laminate, 2, direction=R[:, 0]).matrices
+    matrices = mbd.FlexibleBody.plate("bar", turned(lean, R), laminate, 2, direction=R[:, 0]).matrices
     x = lean.nodes
     strain = 1e6 / 70e9
     local = torch.stack([strain * x[:, 0], -0.3 * strain * x[:, 1], 0 * x[:, 0]], dim=1)

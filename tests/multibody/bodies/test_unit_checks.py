@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import CARBON
+from torchmbd.multibody.bodies.unit_checks import warn_units
 
 PLATE = mbd.mesh.rectangle(0.3, 0.1, (4, 2))
 STEEL = mbd.Ply.isotropic(210e9, 0.3, 7850.0)
@@ -14,7 +15,9 @@ STEEL = mbd.Ply.isotropic(210e9, 0.3, 7850.0)
 
 def made(ply, scale=1.0):
     mesh = mbd.Mesh(PLATE.nodes * scale, node_sets=PLATE.node_sets, quads=PLATE.quads)
-    return mbd.FlexibleBody.from_mesh("plate", mesh, mbd.Laminate(ply, mbd.deg([0, 90]), 2e-3 * scale), 2)
+    body = mbd.FlexibleBody.plate("plate", mesh, mbd.Laminate(ply, mbd.deg([0, 90]), 2e-3 * scale), 2)
+    warn_units("plate", mesh, body.plates.values(), body.structure)  # as readers of files do
+    return body
 
 
 @pytest.mark.parametrize("ply", [CARBON, STEEL, mbd.Ply.isotropic(30e6, 0.3, 60.0)], ids=["carbon", "steel", "foam"])

@@ -87,6 +87,7 @@ def test_gradients_by_the_nodes_of_a_beam_whose_loads_are_spread():
 
 
 @pytest.mark.thorough
+@pytest.mark.extensions
 def test_gradients_by_steered_fibers():
     mesh = mbd.mesh.rectangle(1.0, 0.7, (4, 3), "quad")
     field = mbd.FiberField(mesh, controls=(3, 1))

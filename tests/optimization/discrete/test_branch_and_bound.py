@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+import torchmbd as mbd
 from tests.optimization.analytic import Analytic
 from tests.optimization.structures import three_bar_truss
-from torchmbd.design.lamination import LaminationRules
 from torchmbd.errors import InputError
 from torchmbd.optimization import optimize_discrete, sobol
 from torchmbd.optimization.discrete.grid import Grid
@@ -79,17 +79,15 @@ def test_equals_exhaustive_enumeration(case):
     assert result.analyses <= share * result.size
 
 
-RULES = {
-    "balanced": LaminationRules(balanced=True),
-    "45 degrees between neighbors": LaminationRules(max_step=45.0),
-}
+RULES = {"balanced": {"balanced": True}, "45 degrees between neighbors": {"max_step": 45.0}}
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", RULES)
 def test_rules_of_a_laminate_are_kept(name):
     """The best of all stacks that keep the rules, by enumeration."""
-    problem, rules = angles(), RULES[name]
+    problem, rules = angles(), mbd.LaminationRules(**RULES[name])
     result = optimize_discrete(problem, 15.0, starts=sobol(16, seed=3, include_initial=True), admits=rules.admits)
     X = np.array([x for x in product(np.arange(-90.0, 91.0, 15.0), repeat=4) if rules.admits(x)])
     F, C = np.asarray(problem.f(list(X.T))), problem.c(list(X.T))[0]

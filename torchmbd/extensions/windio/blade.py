@@ -57,6 +57,8 @@ def read_windio(path: str | Path) -> WindIOBlade:
     >>> blade = mbd.read_windio("IEA-15-240-RWT.yaml")  # doctest: +SKIP
     >>> blade.section(0.5).stiffness()[0, 0]  # E A in the middle  # doctest: +SKIP
     """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"path is {path!r}; allowed: a windIO file")
     return WindIOBlade(Path(path))
 
 

@@ -5,10 +5,8 @@ from torchmbd.fem.elements.beam import BeamMatrices
 from torchmbd.fem.elements.beam_line import BeamLine
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection
 from torchmbd.fem.elements.beams import Beams
-from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.given_elements import GivenElements
-from torchmbd.fem.elements.lamination_parameters import LaminationParameters
 from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLink
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
@@ -16,7 +14,6 @@ from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merge_plat
 from torchmbd.fem.elements.ply_recovery import PlyBasis, ply_basis, ply_points
 from torchmbd.fem.elements.shell_elements import ELEMENTS
 from torchmbd.fem.elements.solids import CORNERS, solid_matrices
-from torchmbd.fem.elements.steered_laminate import FiberPaths, SteeredLaminate
 from torchmbd.fem.elements.strains import FREEDOMS
 
 __all__ = [
@@ -31,13 +28,10 @@ __all__ = [
     "BeamSection",
     "Beams",
     "Combination",
-    "FiberField",
-    "FiberPaths",
     "Follower",
     "Freedoms",
     "GivenElements",
     "GivenSection",
-    "LaminationParameters",
     "MassPoints",
     "MeanMotion",
     "Part",
@@ -46,7 +40,6 @@ __all__ = [
     "PlyBasis",
     "PointMasses",
     "RigidLink",
-    "SteeredLaminate",
     "merge_plates",
     "ply_basis",
     "ply_points",

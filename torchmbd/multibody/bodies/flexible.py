@@ -15,7 +15,6 @@ Over 300 lines: a quarter are the examples and arguments of the constructors.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Self
 
 import torch
@@ -38,8 +37,6 @@ from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
-from torchmbd.io.mesh_file import MeshFile, read_mesh
-from torchmbd.io.nastran.body import read_bdf
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
@@ -61,8 +58,7 @@ from torchmbd.multibody.bodies.modal_damping import ModalDamping
 from torchmbd.multibody.bodies.reduced import matrices, reduced
 from torchmbd.multibody.bodies.reference import reference_nodes
 from torchmbd.multibody.bodies.stiffening import Stiffening
-from torchmbd.multibody.bodies.unit_checks import warn_slender, warn_units
-from torchmbd.multibody.bodies.zones import zone_parts
+from torchmbd.multibody.bodies.unit_checks import warn_slender
 
 Node = str | int
 InterfaceArgument = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]
@@ -79,7 +75,7 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
 
 
 class FlexibleBody(MatrixMethods, nn.Module):
-    """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_mesh`, `.from_bdf`, `.from_matrices` or `.from_reduced`.
+    """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_matrices` or `.from_reduced`, or by readers of files.
 
     The body frame sits at the reference node (the mean of several) with the axes of the mesh. Modules of parts, such as
     a laminate, are registered by their own names; where several parts have modules, by the names of the parts.
@@ -198,10 +194,11 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
+        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
-        mesh            triangles or quadrilaterals; the plies follow its x axis
+        mesh            triangles or quadrilaterals
         laminate        its `angles` [rad] are parameters of the body
         modes           number of vibration modes of the body fixed at its reference nodes (and its interface); a few more are
                         retained where others have the frequency of the last, as bending of a tube in two directions
@@ -216,8 +213,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
         stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
+        direction       the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
         """
-        parts = {"plate": Plates(mesh, laminate, mass=mass)}
+        parts = {"plate": Plates(mesh, laminate, direction, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening)
         body = cls(name, mesh, parts, modes, *options)
         warn_slender(name, mesh, body.plates.values())
@@ -258,50 +256,6 @@ class FlexibleBody(MatrixMethods, nn.Module):
         return cls(name, line, parts, modes, *options)
 
     exact_beam = FlexibleBeam  # of finite displacements and rotations, without modes
-
-    @classmethod
-    def from_mesh(
-        cls,
-        name: str,
-        mesh: Mesh | str | Path,
-        laminate: Laminate | Mapping[str, Laminate],
-        modes: int = 8,
-        scale: float | str = 1.0,
-        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
-        mass: str = "lumped",
-        **options: Any,
-    ) -> FlexibleBody:
-        """A laminated shell on a mesh of another program: gmsh, Abaqus, VTK (by meshio), or a Mesh.
-
-        laminate    one for all, or one for each named zone of the file
-        scale       meters per unit of the file, or its name: "mm", "cm", "in", "ft"
-        direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
-        options     position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`
-        Warns if size, density or speed of sound is implausible.
-        """
-        file = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
-        body = cls(name, file.mesh, zone_parts(file, laminate, direction, mass), modes, **options)
-        warn_units(name, file.mesh, body.plates.values(), body.structure)
-        return body
-
-    @classmethod
-    def from_bdf(
-        cls, name: str, path: str | Path, modes: int = 8, units: str = "m", mass: str = "lumped", **options: Any
-    ) -> FlexibleBody:
-        """A Nastran model; the angles of its PCOMP cards are the design parameters (io/nastran/body.py).
-
-        units     of the file: "m" (m, kg, s, N, Pa), "mm" (mm, t, s, N, MPa), "cm" (cm, N s2/cm, s, N, N/cm2), "in" (in,
-                  lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
-        options   density: of materials without RHO [kg/m3], as in decks for statics (None: they are refused); position,
-                  axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a
-                  reference it is the grids whose six freedoms the file fixes (SPC, SPC1)
-        Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
-        """
-        deck = read_bdf(path, units, mass, options.pop("density", None))
-        options = {"reference": deck.reference} | options
-        body = cls(name, deck.mesh, deck.parts, modes, links=deck.links, **options)
-        warn_units(name, deck.mesh, body.plates.values(), body.structure)
-        return body
 
     def at(
         self,

@@ -5,8 +5,8 @@
     a torch module that returns (M, K)     dense [N, N], float64                        "rod.model.<its parameters>"
     a function of parameters, likewise     f(**parameters)                              "rod.model.<name>"
 
-Numbers are arrays, tensors, SciPy sparse matrices, or files (io/matrix_file.py). Rows: three displacements, or these and
-three rotations, of each node in turn; or any freedoms, each row named by (node, component).
+Numbers are arrays, tensors, SciPy sparse matrices, or a LabeledMatrix, as readers of files make. Rows: three displacements, or
+these and three rotations, of each node in turn; or any freedoms, each row named by (node, component).
 Checked in tests/multibody/bodies/test_from_matrices.py.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -24,7 +24,6 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, NodeCloud
-from torchmbd.io.matrix_file import FileMatrix, read_matrix
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.variable import ParameterVector
@@ -32,6 +31,13 @@ from torchmbd.multibody.bodies.matrix_modules import matrix_source
 
 SYMMETRY = 1e-9  # largest unsymmetry, as a share of the largest entry
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class LabeledMatrix(NamedTuple):
+    """A square matrix; `rows`: (label of the node, direction 1 to 6) of each row, None: in the order of the nodes."""
+
+    matrix: scipy.sparse.csr_array
+    rows: list[tuple[int, int]] | None = None
 
 
 class GivenMatrices:
@@ -57,10 +63,10 @@ class GivenMatrices:
         self.name = name
         source = matrix_source(name, M, K, derivatives, parameters)
         first = (M, K) if source is None else source.start()
-        read = _aligned([_read(f"{key} of {name!r}", key, x) for key, x in zip("MK", first, strict=True)])
+        read = _aligned([_labeled(f"{key} of {name!r}", x) for key, x in zip("MK", first, strict=True)])
         labels, positions = _positions(name, nodes, read)
         self.freedoms = _freedoms(name, len(positions), freedoms, read, labels)
-        further = [_read(f"a derivative of {name!r}", "", x) for x in ([] if source is None else source.further())]
+        further = [_labeled(f"a derivative of {name!r}", x) for x in ([] if source is None else source.further())]
         matrices = [x.matrix for x in (*read, *further)]
         if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
             raise InputError(
@@ -107,25 +113,25 @@ def mesh_of(
     return nodes
 
 
-def _read(label: str, key: str, given: Any) -> FileMatrix:
-    """A matrix out of an array, a sparse matrix, or a file; `key` names it in messages of the file reader."""
-    if isinstance(given, FileMatrix):
+def _labeled(label: str, given: Any) -> LabeledMatrix:
+    """A matrix with its rows out of an array or a sparse matrix."""
+    if isinstance(given, LabeledMatrix):
         read = given
     elif isinstance(given, (str, Path)):
-        read = read_matrix(key or label, given)
+        raise InputError(f"{label} is {str(given)!r}; allowed: numbers, such as mbd.read_matrix reads from a file")
     elif scipy.sparse.issparse(given):
-        read = FileMatrix(scipy.sparse.csr_array(given, dtype=np.float64))
+        read = LabeledMatrix(scipy.sparse.csr_array(given, dtype=np.float64))
     else:
         dense = reals(label, given)
         if dense.dim() != 2:
             raise InputError(f"{label} has shape {tuple(dense.shape)}; allowed: a square matrix")
-        read = FileMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
+        read = LabeledMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
     if not np.isfinite(read.matrix.data).all():
         raise InputError(f"{label} has entries that are not finite; allowed: finite numbers")
     return read
 
 
-def _aligned(read: list[FileMatrix]) -> list[FileMatrix]:
+def _aligned(read: list[LabeledMatrix]) -> list[LabeledMatrix]:
     """Matrices whose files state their rows, over the rows of all of them: freedoms without mass are in K only."""
     if any(x.rows is None for x in read):
         return read
@@ -137,12 +143,12 @@ def _aligned(read: list[FileMatrix]) -> list[FileMatrix]:
         coo = x.matrix.tocoo()
         shape = (len(rows), len(rows))
         aligned.append(
-            FileMatrix(scipy.sparse.csr_array((coo.data, (number[coo.row], number[coo.col])), shape=shape), rows)
+            LabeledMatrix(scipy.sparse.csr_array((coo.data, (number[coo.row], number[coo.col])), shape=shape), rows)
         )
     return aligned
 
 
-def _positions(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int] | None, Float[Tensor, "n 3"]]:
+def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[list[int] | None, Float[Tensor, "n 3"]]:
     """Labels of the nodes, if rows of the matrices refer to them, and positions [n, 3]."""
     if isinstance(nodes, Mapping):
         try:
@@ -161,7 +167,7 @@ def _positions(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[
 
 
 def _freedoms(
-    name: str, n: int, given: Any, read: Sequence[FileMatrix], labels: list[int] | None
+    name: str, n: int, given: Any, read: Sequence[LabeledMatrix], labels: list[int] | None
 ) -> Int[Tensor, " rows"]:
     """Number 6 * node + component of each row."""
     rows = next((matrix.rows for matrix in read if matrix.rows is not None), None)

@@ -53,8 +53,8 @@ class MatrixMethods:
     ) -> Self:
         """A body from the mass and stiffness matrices of another program: free of supports, linear, in m, kg, s, N.
 
-        M, K         arrays, tensors, SciPy sparse matrices or files (Matrix Market, Nastran OP4 and DMIG text, Abaqus .mtx); or
-                     M alone, a torch module, or a function of `parameters`, that returns both, dense [N, N]
+        M, K         arrays, tensors, SciPy sparse matrices or what mbd.read_matrix reads; or M alone, a torch module, or a
+                     function of `parameters`, that returns both, dense [N, N]
         nodes        positions [n, 3] [m], label -> position, or a Mesh (for pictures and names)
         modes        number of modes with the reference held, besides the constraint modes of `interface` (Craig-Bampton);
                      or the shapes [N, m] of the modes
@@ -130,7 +130,7 @@ class MatrixMethods:
         return assembled(self)
 
     def save_matrices(self, path: str | Path) -> tuple[Path, Path]:
-        """Write these as Matrix Market files path_M.mtx and path_K.mtx; from_matrices reads them."""
+        """Write these as Matrix Market files path_M.mtx and path_K.mtx; mbd.read_matrix reads them."""
         return save_matrices(self, path)
 
     def save_reduced(self, path: str | Path) -> Path:

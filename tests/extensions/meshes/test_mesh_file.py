@@ -1,0 +1,142 @@
+"""Meshes through meshio: zones, node sets, unused points, scale, in three formats; and what is refused."""
+
+import meshio
+import numpy as np
+import pytest
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.extensions.meshes.mesh_file import mesh_file, mesh_of
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [0, 1, 0], [9, 9, 9]], dtype=float)
+QUADS, TRIANGLES = np.array([[0, 1, 4, 5]]), np.array([[1, 2, 3], [1, 3, 4]])
+
+
+def written(tmp_path, name, **given):
+    file = tmp_path / name
+    meshio.Mesh(POINTS, [("quad", QUADS), ("triangle", TRIANGLES)], **given).write(file)
+    return file
+
+
+@pytest.mark.parametrize("name", ["plate.vtk", "plate.vtu", "plate.inp"])
+def test_geometry_in_every_format(tmp_path, name):
+    """Point 6 belongs to no element and is left out; millimeters become meters."""
+    mesh, zones = mesh_file(written(tmp_path, name), scale=1e-3)
+    assert len(mesh.nodes) == 6
+    assert (len(mesh.triangles), len(mesh.quads)) == (2, 1)
+    assert float(mesh.areas.sum()) == pytest.approx(2e-6)
+    assert zones == {}
+
+
+ABAQUS = """\
+*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 2., 0., 0.
+4, 2., 1., 0.
+5, 1., 1., 0.
+6, 0., 1., 0.
+*ELEMENT, TYPE=S4R, ELSET=web
+10, 1, 2, 5, 6
+*ELEMENT, TYPE=S3, ELSET=flange
+20, 2, 3, 4
+21, 2, 4, 5
+*ELSET, ELSET=skin
+10, 20
+*ELSET, ELSET=both
+web, flange
+*NSET, NSET=tip
+3, 4
+"""
+
+
+def test_sets_of_abaqus(tmp_path):
+    """Sets of elements are zones (a set of sets is not read); triangles are counted first."""
+    file = tmp_path / "plate.inp"
+    file.write_text(ABAQUS)
+    mesh, zones = mesh_file(file)
+    assert mesh.node_set("tip") == (2, 3)
+    assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2, "skin": 2}
+    assert float(mesh.areas[zones["skin"]].sum()) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("*NSET", "*NODE\n7, 9., 9., 9.\n*NSET", ["line 17", "*NODE stands twice"]),
+        ("*NSET", "*INCLUDE, INPUT=none.inp\n*NSET", ["line 17", "*INCLUDE of 'none.inp'"]),
+        ("*NSET", "*INCLUDE, INPUT=plate.inp\n*NSET", ["*INCLUDE in a circle"]),
+        ("*NSET", "*INCLUDE\n*NSET", ["line 17", "*INCLUDE of"]),
+        ("*NSET", "*ELGEN, ELSET=web\n10, 3\n*NSET", ["line 17", "*ELGEN is not read"]),
+        (
+            "*NSET",
+            "*NONSTRUCTURAL MASS, ELSET=web, UNITS=MASS PER AREA\n3.\n*NSET",
+            ["*NONSTRUCTURAL MASS is not read"],
+        ),
+        ("*NSET", "*Tie, name=a\nx, y\n*NSET", ["*TIE is not read"]),
+        ("*NSET", "*INSTANCE, NAME=a, PART=b\n1., 0., 0.\n*NSET", ["line 17", "*INSTANCE is moved"]),
+        (
+            "*NSET",
+            "*INSTANCE, NAME=a, PART=b\n*END INSTANCE\n*INSTANCE, NAME=c, PART=b\n*NSET",
+            ["line 19", "*INSTANCE"],
+        ),
+        ("*NSET", "*ELEMENT, TYPE=B31\n30, 1, 2\n*NSET", ["plate.inp", "beams, rods or masses"]),
+        ("*NSET", "*ELEMENT, TYPE=MASS\n30, 1\n*NSET", ["plate.inp", "MASS"]),
+    ],
+)
+def test_what_meshio_loses_of_abaqus(old, new, words, tmp_path):
+    """Nodes, elements, masses and ties that its reader skips are refused by file, line and keyword."""
+    file = tmp_path / "plate.inp"
+    file.write_text(ABAQUS.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        mesh_file(file)
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_what_abaqus_writes_besides_is_left_out(tmp_path):
+    """Sections, materials, supports and steps; a file that is included."""
+    file = tmp_path / "plate.inp"
+    (tmp_path / "mesh.inp").write_text(ABAQUS)
+    more = "*SHELL SECTION, ELSET=web, MATERIAL=AL\n.01\n*MATERIAL, NAME=AL\n*ELASTIC\n7e10, .3\n*DENSITY\n2700.\n"
+    more += "*BOUNDARY\ntip, 1, 6\n"
+    file.write_text(f"*HEADING\n*INCLUDE, INPUT=mesh.inp\n{more}*STEP\n*FREQUENCY\n5\n*MODEL CHANGE\n")
+    assert float(mesh_file(file).mesh.areas.sum()) == pytest.approx(2.0)
+
+
+def test_physical_groups_of_gmsh(tmp_path):
+    """Named surfaces are zones; a named point and a named curve are node sets."""
+    cells = [("vertex", np.array([[3]])), ("line", np.array([[0, 5]])), ("quad", QUADS), ("triangle", TRIANGLES)]
+    tags = [np.array([4]), np.array([3]), np.array([1]), np.array([2, 2])]
+    fields = {"web": np.array([1, 2]), "flange": np.array([2, 2]), "root": np.array([3, 1]), "bolt": np.array([4, 0])}
+    data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    file = tmp_path / "plate.msh"
+    meshio.write(file, meshio.Mesh(POINTS[:6], cells, cell_data=data, field_data=fields), file_format="gmsh22")
+    mesh, zones = mesh_file(file)
+    assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2}
+    assert mesh.node("bolt") == 3
+    assert mesh.node_set("root") == (0, 5)
+    assert zones["web"].tolist() == [2]
+    assert float(mesh.nodes[mesh.quads[0]][..., 0].max()) == 1.0
+
+
+def test_what_cannot_be_read_is_refused(tmp_path):
+    with pytest.raises(InputError, match="allowed: a mesh file that exists"):
+        mesh_file(tmp_path / "none.msh")
+    with pytest.raises(InputError, match=r"scale is 0.0"):
+        mesh_file(written(tmp_path, "plate.vtk"), scale=0.0)
+    solid = meshio.Mesh(POINTS, [("triangle6", np.arange(6)[None])])
+    with pytest.raises(InputError, match=r"elements 'triangle6'; allowed: triangle, quad"):
+        mesh_of(solid)
+    with pytest.raises(InputError, match="no triangles"):
+        mesh_of(meshio.Mesh(POINTS, [("line", np.array([[0, 1]]))]))
+    (tmp_path / "bad.vtu").write_text("<VTKFile")
+    with pytest.raises(InputError, match=r"bad\.vtu: meshio cannot read it"):
+        mesh_file(tmp_path / "bad.vtu")
+    (tmp_path / "bad.xyz").write_text("nothing")
+    with pytest.raises(InputError, match=r"bad\.xyz: meshio cannot read it"):
+        mesh_file(tmp_path / "bad.xyz")
+
+
+def test_a_flat_mesh_of_two_coordinates():
+    mesh, _ = mesh_of(meshio.Mesh(POINTS[:6, :2], [("triangle", TRIANGLES)]))
+    assert torch.equal(mesh.nodes[:, 2], torch.zeros(len(mesh.nodes), dtype=torch.float64))

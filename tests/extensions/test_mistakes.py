@@ -1,0 +1,47 @@
+"""Arguments of readers that are refused: the error names the argument, its value and what is allowed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshio
+import pytest
+
+import torchmbd as mbd
+from torchmbd.errors import InputError
+
+any_: Any = mbd  # calls that a type checker would refuse as well
+LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45.0, -45.0]), 1e-3)
+CASES = [
+    *((lambda x=x: any_.read_mesh(x, "b", None), "path is .*; allowed: a mesh file") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.read_bdf(x, "b"), "path is .*; allowed: a Nastran") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.read_matrix(x), "path is .*; allowed: a matrix file") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.read_beamdyn(x), "path is .*; allowed: a BeamDyn") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.read_windio(x), "path is .*; allowed: a windIO") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25") for x in ("x", [], {})),
+    *((lambda x=x: any_.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90") for x in ("x", [], {})),
+    (lambda: any_.LaminationRules(balanced="no"), "balanced of LaminationRules is 'no'; allowed: True or False"),
+    (lambda: mbd.read_bdf("b.bdf", "b", units="inch"), "'inch'.*did you mean 'in'"),
+    (lambda: any_.read_bdf("none.bdf", "r", modes=2, units=3), "units.*allowed"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), CASES, ids=[str(k) for k in range(len(CASES))])
+def test_it_is_refused_by_name(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+@pytest.fixture
+def plate(tmp_path):
+    plate = mbd.mesh.rectangle(0.3, 0.06, (4, 2), "triangle")
+    meshio.Mesh(plate.nodes.numpy(), [("triangle", plate.triangles.numpy())]).write(tmp_path / "plate.vtk")
+    return tmp_path / "plate.vtk"
+
+
+def test_options_of_a_mesh(plate):
+    with pytest.raises(InputError, match=r"'refrence' \(= 'center'\).*did you mean 'reference'"):
+        any_.read_mesh(plate, "b", LAMINATE, refrence="center")
+    for x in (None, "x", 3, []):
+        with pytest.raises(InputError, match=r"laminate is .*; allowed: a Laminate"):
+            any_.read_mesh(plate, "b", x)

@@ -1,0 +1,44 @@
+"""Laminates for the named zones of a mesh: every cell gets exactly one.
+
+Checked in tests/extensions/meshes/test_read_mesh.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.extensions.meshes.mesh_file import MeshFile
+from torchmbd.fem.elements import Part, Plates
+from torchmbd.fem.materials import Laminate
+
+
+def zone_parts(
+    found: MeshFile, laminate: Laminate | Mapping[str, Laminate], direction: Sequence[float] | Tensor, mass: str
+) -> dict[str, Part]:
+    """Make a part of each laminate. InputError where a zone does not exist, or a cell has no laminate or two."""
+    mesh, zones = found
+    if isinstance(laminate, Laminate):
+        return {"plate": Plates(mesh, laminate, direction, mass=mass)}
+    if not isinstance(laminate, Mapping):
+        raise InputError(f"laminate is {laminate!r}; allowed: a Laminate, or one for each zone by its name")
+    count = torch.zeros(mesh.cell_count, dtype=torch.long)
+    parts: dict[str, Part] = {}
+    for name, own in laminate.items():
+        if name not in zones:
+            raise unknown("zone", name, zones)
+        if not name.isidentifier():
+            raise InputError(f"zone {name!r} becomes part of parameter names; allowed: a Python identifier")
+        count[zones[name]] += 1
+        parts[name] = Plates(mesh, own, direction, zones[name], mass)
+    wrong = torch.nonzero(count != 1)[:, 0]
+    if len(wrong):
+        k = int(wrong[0])
+        raise InputError(
+            f"{mesh.cell_name(k)} and {len(wrong) - 1} others lie in {int(count[k])} of the zones "
+            f"{', '.join(laminate)}; allowed: one zone for each cell (the mesh has {', '.join(zones)})"
+        )
+    return parts

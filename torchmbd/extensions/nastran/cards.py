@@ -1,0 +1,195 @@
+"""Nastran bulk data as cards: name, fields, line. Small, large and free field format with continuations.
+
+    small   10 fields of 8 columns           GRID    1               0.      0.      0.
+    large   names end in *, fields of 16     GRID*   1                               0.              0.
+    free    fields between commas            GRID,1,,0.,0.,0.
+
+A continuation starts with +, * or a blank first field, and stands below the line that it continues. `$` starts a comment.
+Cards stand between BEGIN BULK and ENDDATA where these exist, parameters above them, too; INCLUDE is followed; lines that
+repeat the card before (=) are written out (replication.py).
+Source: MSC Nastran Quick Reference Guide, section 8 (bulk data format).
+Checked in tests/extensions/nastran/test_cards.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.control import Control, Lines
+from torchmbd.extensions.nastran.replication import count_of, repeated, repeats
+
+EQUATION = "DEQATN"  # a card of text, which has no fields
+LINES = 5_000_000  # of a file with all that it includes: about 6 GB of memory
+WIDEST = 10_000  # characters of a line
+INCLUDES = 1_000  # files
+NESTED = 100  # files that include one another in a chain
+_BYTES = 100  # of a line, the mean of a whole file
+_PER_LINE = 8  # data fields of a line of small fields, and of a pair of lines of large fields
+
+
+class Deck(NamedTuple):
+    """The cards of a file, and its case control; None: it has bulk data alone."""
+
+    cards: list[Card]
+    control: Control | None
+
+
+def read_deck(path: str | Path) -> Deck:
+    """Read a file. InputError names the line where the format is broken."""
+    if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
+        raise InputError(f"path is {str(path)!r}; allowed: a Nastran bulk data file that exists")
+    above, bulk = _sections(list(_Files(file).read(file, ())))
+    parameters = [(where, line) for where, line in above or [] if line.lstrip().upper().startswith("PARAM")]
+    return Deck(parse_cards([*parameters, *bulk]), None if above is None else Control.of(above))
+
+
+def read_cards(path: str | Path) -> list[Card]:
+    """Read the cards of a file. InputError names the line where the format is broken."""
+    return read_deck(path).cards
+
+
+def parse_cards(lines: Lines) -> list[Card]:
+    """Make cards of (where, line) pairs."""
+    cards: list[Card] = []
+    name, fields, place = "", [], ""
+    steps: list[str] = []  # data of the last line that repeats the card before it
+    last, marks, others = "", set(), {}  # names of continuations: of the line before, of all, of those not below theirs
+    for where, line in lines:
+        if name == EQUATION and line[:8].strip()[:1] in ("", "+", "*"):
+            continue
+        head, data, mark = _split(line, where)
+        before, last = last, mark
+        marks.add(mark)
+        if head[:1] in ("", "+", "*"):
+            if not name or repeats(data):
+                wrong = "without a card" if not name else "that repeats another"
+                raise InputError(f"{where}: a continuation {wrong}: {line.strip()!r}")
+            if (own := head.lstrip("+*")) not in ("", before):
+                others[own] = where
+            fields.extend(data)
+            continue
+        if name:
+            cards.append(Card(name, tuple(_trimmed(fields)), place))
+        if (count := count_of(head, where)) is not None:
+            if not steps or len(cards) + count > LINES:
+                raise InputError(f"{where}: {head!r}; allowed: below a line that repeats a card, {LINES} cards in all")
+            for _ in range(count):
+                cards.append(repeated(cards[-1], steps, where))
+            name = ""
+            continue
+        if head == "=" or repeats(data):
+            made = repeated(cards[-1] if cards else None, data, where)
+            if head not in ("=", made.name):
+                raise InputError(f"{where}: {head} repeats {cards[-1]}; allowed: a card of the same name")
+            name, fields, place, steps = made.name, [*made.fields, *[""] * (len(data) - len(made.fields))], where, data
+        else:
+            name, fields, place, steps = head.rstrip("*"), data, where, []
+    for own in others.keys() & marks:
+        raise InputError(
+            f"{others[own]}: the continuation {own!r} is not below the line that it continues; allowed: below it"
+        )
+    if name:
+        cards.append(Card(name, tuple(_trimmed(fields)), place))
+    return cards
+
+
+class _Files:
+    """Lines of a file and of those that it includes, from its own folder only; what is read is bounded."""
+
+    def __init__(self, first: Path) -> None:
+        self.folder, self.lines, self.files = first.resolve().parent, 0, 0
+
+    def read(self, file: Path, opened: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
+        file, self.files = file.resolve(), self.files + 1
+        if file in opened:
+            raise InputError(f"{file.name}: INCLUDE runs in a circle")
+        if self.files > INCLUDES:
+            raise InputError(f"{file.name}: more than {INCLUDES} files are included; allowed: {INCLUDES}")
+        if len(opened) > NESTED:
+            raise InputError(f"{file.name}: INCLUDE in a chain of more than {NESTED} files; allowed: {NESTED}")
+        if file.stat().st_size > _BYTES * LINES:
+            raise InputError(
+                f"{file.name} has {file.stat().st_size} bytes; allowed: {LINES} lines, {_BYTES * LINES} bytes"
+            )
+        with file.open(encoding="utf-8-sig", errors="replace") as handle:
+            numbered = enumerate(iter(lambda: handle.readline(WIDEST), ""), start=1)
+            for number, raw in numbered:
+                self.lines += 1
+                where = f"{file.name}, line {number}"
+                if self.lines > LINES or len(raw) >= WIDEST:
+                    raise InputError(f"{where}: allowed: {LINES} lines of at most {WIDEST} characters")
+                line = raw.partition("$")[0].rstrip()
+                if not line.upper().lstrip().startswith("INCLUDE"):
+                    if line:
+                        yield where, line
+                    continue
+                named = line.strip()[len("INCLUDE") :].strip()
+                while named[:1] in ("'", '"') and named.count(named[0]) < 2:  # the name goes on
+                    _, more = next(numbered, (0, ""))
+                    if not more:
+                        raise InputError(f"{where}: INCLUDE of {named!r} has no closing quote")
+                    named += more.strip()
+                yield from self.read(self._target(file, named.strip("'\" "), where), (*opened, file))
+
+    def _target(self, file: Path, named: str, where: str) -> Path:
+        """The file that INCLUDE names: beside the file that includes it, or beside the first one."""
+        relative = named.replace("\\", "/")
+        for base in (file.parent, self.folder):
+            try:
+                target = (base / relative).resolve()
+                found = target.is_file()
+            except (OSError, ValueError):
+                continue
+            if found and not target.is_relative_to(self.folder):
+                raise InputError(f"{where}: INCLUDE of {named!r} is outside of {self.folder}; allowed: a file inside")
+            if found:
+                return target
+        raise InputError(f"{where}: INCLUDE of {named!r}; allowed: a file that exists")
+
+
+def _sections(lines: Lines) -> tuple[Lines | None, Lines]:
+    """The lines above BEGIN BULK, None without it, and those after it, up to ENDDATA."""
+    begin = next((k for k, (_, x) in enumerate(lines) if x.upper().split()[:2] == ["BEGIN", "BULK"]), None)
+    start = 0 if begin is None else begin + 1
+    end = next((k for k, (_, x) in enumerate(lines) if x.strip().upper().startswith("ENDDATA")), len(lines))
+    again = [(where, x) for where, x in lines[start:end] if x.upper().split()[:1] == ["BEGIN"]]
+    if again:
+        where, line = again[0]
+        raise InputError(f"{where}: {line.strip()!r} begins a superelement; allowed: one section, BEGIN BULK")
+    return None if begin is None else lines[:begin], lines[start:end]
+
+
+def _split(line: str, where: str) -> tuple[str, list[str], str]:
+    """Name and data fields of one line, and the name of its continuation, which stands in the tenth field."""
+    if line[:8].strip().upper() == EQUATION:
+        return EQUATION, [], ""
+    if line.lstrip().startswith("=("):  # it may be wider than a field
+        return line.strip().rstrip(",").upper(), [], ""
+    if "," in line:
+        words = [word.strip() for word in line.split(",")]
+        head = words[0].upper()
+        width = _PER_LINE // 2 if "*" in head else _PER_LINE
+        beyond = [word for word in words[1 + width :] if word and word[0] not in "+*"]
+        if beyond:
+            raise InputError(
+                f"{where}: {beyond[0]!r} is beyond the {width} data fields of a line; continue on the next line"
+            )
+        mark = next((word for word in words[1 + width :] if word), "")
+        return head, (words[1:] + [""] * width)[:width], mark.lstrip("+*").upper()
+    line = line.expandtabs(8)
+    head = line[:8].strip().upper()
+    if " " in head and head[0] not in "+*":
+        raise InputError(f"{where}: {head!r} is no card name; is a field of 8 columns shifted?")
+    width, count = (16, 4) if "*" in head else (8, _PER_LINE)
+    fields = [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]
+    return head, fields, line[72:80].strip().lstrip("+*").upper()
+
+
+def _trimmed(fields: list[str]) -> list[str]:
+    while fields and not fields[-1]:
+        fields = fields[:-1]
+    return fields

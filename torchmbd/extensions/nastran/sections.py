@@ -1,0 +1,173 @@
+"""Beam sections from the property cards of a Nastran model, in SI units. Plane 1 is x-y: I1 bends about z.
+
+    PBAR, PBEAM      numbers as given; K1, K2 blank are rigid in shear (PBAR) or 1 (PBEAM)
+    PBARL, PBEAML    closed forms of named sections (shapes.py)
+
+The line of a CBEAM is that of the centers of shear: N1, N2 of a PBEAM, or the shape of a PBEAML, say where the neutral axis
+lies. Of a section that changes along the bar the mean is taken (linear between stations), with a warning.
+Mass without stiffness (NSM) is spread over the section.
+Source: MSC Nastran Quick Reference Guide, section 8.
+Checked in tests/extensions/nastran/test_sections.py, tests/extensions/nastran/test_read_bdf.py.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, warn
+from torchmbd.extensions.nastran.card import Card
+from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.materials import Units, ply_of
+from torchmbd.extensions.nastran.shapes import RIGID_IN_SHEAR, SHAPES, SectionNumbers, of_shape
+from torchmbd.fem.elements import GivenSection
+from torchmbd.fem.elements.beam_section import line_transform
+from torchmbd.math.variable import number
+
+STATIONS = ("YES", "YESA", "NO")
+
+
+def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
+    """Make the section of a bar. InputError names the card and the field."""
+    material = data.material(card, card.integer(2, "MID"))
+    if material.name != "MAT1":
+        raise InputError(f"{card}: {material} is the material of a beam; allowed: MAT1")
+    ply = ply_of(material, units, data.weight_to_mass)
+    readers = {"PBAR": _bar, "PBARL": _named_bar, "PBEAM": _beam, "PBEAML": _named_beam}
+    if card.name not in readers:
+        raise InputError(f"{card}: this section cannot be read; allowed: {', '.join(readers)}")
+    numbers, extra = readers[card.name](card)
+    if not numbers.A > 0.0:
+        raise InputError(f"{card}: A is {numbers.A:g}; allowed: above 0")
+    L = units.length
+    density = ply.density + extra * units.mass / L * data.weight_to_mass / (numbers.A * L**2)
+    try:
+        return _section(numbers, L, number(ply.E1), number(ply.G12), number(density))
+    except InputError as error:
+        raise InputError(f"{card}: {error}") from None
+
+
+def _section(own: SectionNumbers, length: float, E: float, G: float, density: float) -> GivenSection:
+    """Stiffness and mass in meters; axial force and bending act at the neutral axis, shear at the center of shear."""
+    A, fourth = own.A * length**2, length**4
+    I1, I2, I12 = own.I1 * fourth, own.I2 * fourth, own.I12 * fourth
+    direct, shear, mass = (torch.zeros(6, 6, dtype=torch.float64) for _ in range(3))
+    direct[0, 0] = E * A
+    direct[4:, 4:] = E * _second(I1, I2, I12)
+    shear.diagonal()[1:4] = torch.tensor([G * A * own.K1, G * A * own.K2, G * own.J * fourth], dtype=torch.float64)
+    mass.diagonal()[:4] = density * torch.tensor([A, A, A, I1 + I2], dtype=torch.float64)
+    mass[4:, 4:] = density * _second(I1, I2, I12)
+    at = line_transform(length * torch.tensor(own.center, dtype=torch.float64), torch.zeros((), dtype=torch.float64))
+    return GivenSection(at @ direct @ at.T + shear, at @ mass @ at.T)
+
+
+def _second(I1: float, I2: float, I12: float) -> Float[Tensor, "2 2"]:
+    """Moments about y and z of curvatures about them."""
+    return torch.tensor([[I2, -I12], [-I12, I1]], dtype=torch.float64)
+
+
+def _bar(card: Card) -> tuple[SectionNumbers, float]:
+    A, I1, I2, J = (card.real(k, name) for k, name in ((3, "A"), (4, "I1"), (5, "I2"), (6, "J")))
+    K1, K2 = (card.real(k, name, 0.0) or RIGID_IN_SHEAR for k, name in ((17, "K1"), (18, "K2")))
+    return SectionNumbers(A, I1, I2, card.real(19, "I12", 0.0), J, K1, K2), card.real(7, "NSM", 0.0)
+
+
+def _named_bar(card: Card) -> tuple[SectionNumbers, float]:
+    kind = _kind(card, set(SHAPES) - {"L"})
+    count = SHAPES[kind]
+    numbers = _shape(card, kind, [card.real(9 + k, f"DIM{k + 1}") for k in range(count)])
+    return numbers._replace(center=(0.0, 0.0)), card.real(
+        9 + count, "NSM", 0.0
+    )  # the line of a CBAR is its neutral axis
+
+
+def _named_beam(card: Card) -> tuple[SectionNumbers, float]:
+    kind = _kind(card, set(SHAPES) - {"BOX1", "HAT"})
+    names = [*(f"DIM{k + 1}" for k in range(SHAPES[kind])), "NSM"]
+    first = [card.real(9 + k, name, None if name != "NSM" else 0.0) for k, name in enumerate(names)]
+    stations, step = {0.0: first}, len(names) + 2
+    for start in range(9 + len(names), len(card.fields) + 1, step):
+        word = card.text(start).upper()
+        if word not in (*STATIONS, ""):
+            raise InputError(f"{card}: SO is {word!r}; allowed: {', '.join(STATIONS)}, after each station")
+        place = _station(card, start + 1)
+        stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
+    found = {x: (*_shape(card, kind, own[:-1])._replace(center=(0.0, 0.0))[:7], own[-1]) for x, own in stations.items()}
+    centers = [_shape(card, kind, own[:-1]).center for own in stations.values()]
+    *numbers, extra = _mean(card, {x: list(own) for x, own in found.items()})
+    if any(center != centers[0] for center in centers):
+        warn(f"{card}: its center of shear moves along the bar; taken as at end A")
+    return SectionNumbers(*numbers, center=centers[0]), extra  # pyright: ignore[reportArgumentType]
+
+
+def _shape(card: Card, kind: str, d: list[float]) -> SectionNumbers:
+    try:
+        return of_shape(kind, d)
+    except ValueError as error:
+        raise InputError(f"{card}: {kind} of {d}; allowed: {error}") from None
+
+
+def _kind(card: Card, allowed: set[str]) -> str:
+    kind = card.text(4).upper()
+    if kind not in allowed:
+        raise InputError(f"{card}: TYPE is {kind!r}; allowed: {', '.join(sorted(allowed))}")
+    return kind
+
+
+def _beam(card: Card) -> tuple[SectionNumbers, float]:
+    names = ("A", "I1", "I2", "I12", "J", "NSM")
+    optional = ("I12", "J", "NSM")
+    first = [card.real(3 + k, name, 0.0 if name in optional else None) for k, name in enumerate(names)]
+    stations, start = {0.0: first}, 17
+    while (word := card.text(start).upper()) in STATIONS:
+        place = _station(card, start + 1)
+        known = place == 1.0 or all(card.text(start + 2 + k) for k in range(3))
+        if known:  # blank numbers between the ends are those of the line between them
+            stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
+        start += 8
+        # C1 to F2 follow YES only, but many programs write a blank line after NO and YESA.
+        if word == "YES" or (not any(card.text(start + k) for k in range(8)) and len(card.fields) > start + 7):
+            start += 8
+    A, I1, I2, I12, J, extra = _mean(card, stations)
+    K1, K2 = (card.real(start + k, f"K{k + 1}", 1.0) or RIGID_IN_SHEAR for k in (0, 1))
+    for k, name in ((2, "S1"), (3, "S2"), (4, "NSI(A)"), (5, "NSI(B)"), (6, "CW(A)"), (7, "CW(B)")):
+        if card.real(start + k, name, 0.0) != 0.0:
+            warn(f"{card}: {name} is {card.text(start + k)}; left out")
+    places = [card.real(start + 8 + k, f"field {start + 8 + k}", 0.0) for k in range(8)]
+    center = (_mean_of_ends(card, "N1", places[4], places[6]), _mean_of_ends(card, "N2", places[5], places[7]))
+    if any(places[:4]) and extra:
+        warn(f"{card}: its mass without stiffness lies at M1, M2; taken at the neutral axis")
+    if card.text(start + 16):
+        raise InputError(
+            f"{card}: field {start + 16} is {card.text(start + 16)}; allowed: stations, K1 to CW, M1 to N2"
+        )
+    return SectionNumbers(A, I1, I2, I12, J, K1, K2, center), extra
+
+
+def _mean_of_ends(card: Card, name: str, start: float, end: float) -> float:
+    if start != end and end != 0.0:
+        warn(f"{card}: {name} is {start:g} and {end:g} at its ends; taken as their mean")
+        return (start + end) / 2.0
+    return start
+
+
+def _station(card: Card, position: int) -> float:
+    place = card.real(position, "X/XB", 1.0)
+    if not 0.0 < place <= 1.0:
+        raise InputError(f"{card}: X/XB is {place:g}; allowed: above 0, up to 1")
+    return place
+
+
+def _mean(card: Card, stations: dict[float, list[float]]) -> list[float]:
+    """Return the mean of numbers along the bar, linear between stations; end B is like end A where it is not given."""
+    if 1.0 not in stations:
+        stations[1.0] = stations[0.0]
+    x = torch.tensor(sorted(stations), dtype=torch.float64)
+    rows = torch.tensor([stations[place] for place in sorted(stations)], dtype=torch.float64)
+    mean = torch.trapezoid(rows, x[:, None].expand_as(rows), dim=0)
+    if not torch.allclose(rows, rows[:1].expand_as(rows), rtol=1e-6, atol=0.0):
+        warn(
+            f"{card}: its section changes along the bar; taken as its mean, A {mean[0]:g}, I1 {mean[1]:g}, I2 {mean[2]:g}"
+        )
+    return mean.tolist()

@@ -1,1 +1,0 @@
-"""Nastran bulk data: cards, meshes, materials, bodies."""
