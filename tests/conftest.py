@@ -45,6 +45,8 @@ os.environ["TORCHMBD_COMPILE"] = "0"
 # Code of small tests: to compile it with -O2 takes longer than to run it as it is.
 os.environ.setdefault("TORCHMBD_CXXFLAGS", "-O0")
 torch.set_num_threads(1)
+ROOT = Path(__file__).parent
+SECOND_TIER = {"contracts", "experiments"}  # folders whose tests CI runs; in the default suite they are not
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -64,10 +66,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """`@pytest.mark.thorough("a", "b")` marks the cases "a", "a-...", "...-b" of a test; without names all of them."""
+    """`@pytest.mark.thorough("a", "b")` marks the cases "a", "a-...", "...-b" of a test; without names all of them.
+
+    All tests of contracts and experiments are thorough.
+    """
     if CORE:
         items[:] = [item for item in items if item.get_closest_marker("extensions") is None]
     for item in items:
+        if SECOND_TIER & {*item.path.relative_to(ROOT).parts}:
+            item.add_marker(pytest.mark.thorough)
         own = item.own_markers
         for mark in [m for m in own if m.name == "thorough" and m.args]:
             case = f"-{item.name.partition('[')[2][:-1]}-"

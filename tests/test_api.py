@@ -22,6 +22,7 @@ def test_nothing_else_is():
         mbd.Path  # noqa: B018
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("command", "spared"),
     [(["--help"], {"torch", "mlflow", "numpy"}), (["new", "arm.yaml"], {"torch", "mlflow"}), (["best"], {"torch"})],

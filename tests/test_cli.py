@@ -181,6 +181,7 @@ def test_the_next_command_can_be_copied(folder, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == "next: torchmbd check 'my arm.yaml'"
 
 
+@pytest.mark.thorough
 def test_new_check_and_schema(folder, capsys):
     assert cli.main(["new", "mine.yaml", "--model", "rod_model.py:build"]) == 0
     assert cli.main(["check", "mine.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=2"]) == 0
@@ -237,6 +238,7 @@ def test_ui_serves_the_store_on_loopback_and_ends_on_sigterm(folder):
         urllib.request.urlopen("http://127.0.0.1:50731/", timeout=10)
 
 
+@pytest.mark.thorough
 def test_the_module_has_the_exit_code_of_the_command():
     for module in ("torchmbd", "torchmbd.cli"):
         done = subprocess.run([sys.executable, "-m", module, "runn"], capture_output=True)

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
@@ -117,10 +119,12 @@ def test_every_module_has_its_layer():
     assert [name for name in MODULES if package(name) is None and name not in EMPTY] == []
 
 
+@pytest.mark.thorough
 def test_nobody_imports_upwards():
     assert {name: wrong for name, file in MODULES.items() if (wrong := upward(file.read_text(), name))} == {}
 
 
+@pytest.mark.thorough
 def test_no_modules_import_each_other_in_a_circle():
     """Imports for annotations included."""
     graph = {}

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import SECOND_TIER
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Modules whose distribution has another name, or that belong to another distribution's interface.
@@ -53,9 +55,18 @@ def test_packages_are_declared():
     assert packages() <= names([*PROJECT["dependencies"], *extras])
 
 
+@pytest.mark.thorough
 def test_the_tests_have_them_all():
     assert packages() <= names([*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]])
 
 
 def test_what_is_declared_is_imported():
     assert names(PROJECT["dependencies"]) <= packages()
+
+
+def test_every_folder_of_tests_is_of_a_tier():
+    tests = ROOT / "tests"
+    folders = {path.name for path in tests.iterdir() if any(path.glob("**/test_*.py"))}
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    assert {f"tests/{name}" for name in folders - SECOND_TIER} | {"tests/test_*.py"} == set(options["testpaths"])
+    assert folders > SECOND_TIER

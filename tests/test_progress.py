@@ -40,6 +40,7 @@ def test_starts_are_counted(capsys):
         assert "converged" in found._repr_html_()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "dopri5"])
 def test_a_motion_has_a_bar_on_request(method, capsys):
     mbd.simulate(mbd.examples.pendulum(), 0.05, method, steps=5, progress=True)
@@ -49,6 +50,7 @@ def test_a_motion_has_a_bar_on_request(method, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.thorough
 def test_a_short_motion_has_none_in_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(bars.sys.stderr, "isatty", lambda: True, raising=False)
     mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
@@ -58,6 +60,7 @@ def test_a_short_motion_has_none_in_a_terminal(monkeypatch, capsys):
     assert "simulate" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_the_command_line_leaves_bars_as_they_were(capsys):
     assert cli.main(["list", "no.such.folder"]) == 2
     capsys.readouterr()
@@ -65,6 +68,7 @@ def test_the_command_line_leaves_bars_as_they_were(capsys):
     assert "simulate" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_motions_of_an_optimization_have_none(monkeypatch, capsys):
     monkeypatch.setattr(bars, "DELAY", 0.0)
     monkeypatch.setattr(bars.sys.stderr, "isatty", lambda: True, raising=False)

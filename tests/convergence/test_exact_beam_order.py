@@ -36,6 +36,7 @@ CASES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_second_order(case):
     make, loads = CASES[case]

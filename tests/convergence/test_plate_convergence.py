@@ -42,6 +42,7 @@ def fall(errors, level):
     assert math.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", LEVELS)
 @pytest.mark.parametrize("slenderness", [4, 10_000])
 @pytest.mark.parametrize("stack", STACKS)
@@ -52,6 +53,7 @@ def test_deflections_have_rate_two(stack, slenderness, kind):
     fall([sine_deflection(laminate, n, exact.support, kind) / w - 1 for n in (16, 32)], LEVELS[kind][0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", LEVELS)
 @pytest.mark.parametrize(
     ("stack", "slenderness"), [("isotropic", 4), ("isotropic", 1000), ("0/90", 4), ("0/90", 1000), ("45/-45", 4)]

@@ -66,7 +66,7 @@ def errors(method: str, steps: int, **options: float) -> dict[str, float]:
     return worst
 
 
-@pytest.mark.thorough("generalized_alpha-options0", "hht_alpha-options4", "generalized_alpha-options1")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("method", "options"),
     [
@@ -109,7 +109,7 @@ STEPS = {
 LEVEL = {"euler": 2e-2, "midpoint": 2e-3, "heun2": 2e-3, "heun3": 2e-4, "rk4": 1e-7, "explicit_adams": 2e-6}
 
 
-@pytest.mark.thorough("midpoint", "heun2", "heun3", "euler")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ORDERS)
 def test_explicit_methods_have_their_orders_on_the_index_1_form(method):
     """Stabilization, the pull of |p| to one and the solve for accelerations must not cost an order."""

@@ -60,6 +60,7 @@ def test_sharpening_ends_near_the_rows_and_keeps_them():
     assert rounds[-1].aggregates[0] == pytest.approx(rounds[-1].result.value, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_sharpened_problem_is_another(motion):
     given = problem("ks", 10.0, scale=1e-3)
     [limit] = given.constraints
@@ -70,6 +71,7 @@ def test_a_sharpened_problem_is_another(motion):
     assert float(mbd.Max(LAG)(motion)) > 0.0
 
 
+@pytest.mark.thorough
 def test_scenarios_are_aggregated_by_their_largest():
     worst = mbd.Aggregate(mbd.AtTimes(LAG, count=9), "p_norm", 4.0)
     made = {"thick": {"arm.laminate.thickness": 1e-3}, "thin": {"arm.laminate.thickness": 9e-4}}

@@ -25,6 +25,7 @@ def swing(rate: float, axes: torch.Tensor) -> mbd.Trajectory:
     return mbd.simulate(mbd.System([door], joints), 1.0, steps=50).require_ok()
 
 
+@pytest.mark.thorough
 def test_angle_of_a_hinge_grows_with_time():
     """Three quarters of a turn; another center changes it by whole turns."""
     rate, axes = 1.5 * math.pi, turned(0.4, -0.7, 0.3)
@@ -76,6 +77,7 @@ def spinning(speed: float = 6.0) -> mbd.System:
     return mbd.System([crank], [mbd.Revolute(mbd.Ground().at(), crank.at(), axis="z", name="hinge")])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("steps", [10, 400])
 def test_an_angle_is_continuous_along_a_motion(steps):
     """Nearly two turns: the largest was half a turn and more, from a spline through the jump."""
@@ -100,6 +102,7 @@ def test_turns_of_a_body_seen_from_one_that_turns_and_tilts():
     assert_close(found, -7.0 * motion.t, rtol=0, atol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("first", [[], [mbd.Phase(lasting=0.9)]], ids=["at the start", "later"])
 def test_an_event_sees_the_continuous_angle(first):
     """A crank that turns forward never falls to -0.5 rad, and passes 7 rad in its second turn."""
@@ -117,6 +120,7 @@ def test_an_event_sees_the_continuous_angle(first):
         assert float(mbd.Max(angle)(found)) == pytest.approx(at, abs=1e-8)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_the_time_of_an_event_after_turns_has_its_gradient(mode):
     """theta^2 = 100 at t = 10 / w: the derivative by the speed w needs the turns of theta."""

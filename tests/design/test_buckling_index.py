@@ -51,6 +51,7 @@ def loaded(body: mbd.FlexibleBody, root: str, end: Any, force: tuple[float, floa
     return mbd.System([body], [mbd.Fixed(mbd.Ground().at(0, 0, 0), body.at(root))], [law])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("make", "root", "end", "force"),
     [
@@ -72,6 +73,7 @@ def test_a_slow_motion_has_the_factor_of_static_loads(make: Callable, root: str,
     assert_close(mbd.BucklingFactor("rod")(motion)[0], mbd.buckling(body, {end: force}).factors[0], rtol=2e-4, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_lateral_buckling_of_a_cantilever():
     """4.0126 (EI GJ)^1/2 / L^2, a force at the tip in the stiff plane (Timoshenko and Gere)."""
     motion = finished(mbd.simulate(loaded(rod(), "start", "end", (0.0, 5.0, 0.0), 2.0), 2.0, steps=40, backend="eager"))
@@ -79,6 +81,7 @@ def test_lateral_buckling_of_a_cantilever():
     assert factor == pytest.approx(4.0126 * math.sqrt(EI * GJ) / LENGTH**2, rel=3e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reference", ["start", "center"])
 def test_a_column_under_its_own_weight(reference):
     """7.837 EI / L^3 (Greenhill): the stress comes from gravity, or from a foundation that rises as fast."""
@@ -94,6 +97,7 @@ def test_a_column_under_its_own_weight(reference):
     assert not bool(hanging.any())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("where", ["start", "center"])
 def test_euler_column_on_a_slider_crank(where):
     """The rod carries F / cos(angle) between its pins; it buckles at pi^2 EI / L^2."""
@@ -122,6 +126,7 @@ def test_euler_column_on_a_slider_crank(where):
     assert peak == pytest.approx(1.0 / float(wanted.max()), rel=2e-3)
 
 
+@pytest.mark.thorough
 def test_a_frame_on_several_nodes_spreads_its_force():
     body, force = panel(), (-1e2, 0.0, 0.0)
     frame = list(body.mesh.node_sets["right_edge"])
@@ -131,6 +136,7 @@ def test_a_frame_on_several_nodes_spreads_its_force():
     assert_close(mbd.BucklingIndex("rod")(motion)[0, -1], wanted, rtol=1e-4, atol=0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("supports", [None, {"left": "all", "right": "u2 u3"}])
 def test_the_small_basis_against_the_full_eigenproblem(supports):
     """At every time of a spatial motion, several indices."""
@@ -150,6 +156,7 @@ def test_the_small_basis_against_the_full_eigenproblem(supports):
         np.testing.assert_allclose(got.numpy(), np.maximum(wanted, 0.0), rtol=0.0, atol=1e-8 * wanted.max())
 
 
+@pytest.mark.thorough
 def test_the_sparse_way_and_times_without_load(monkeypatch):
     motion = finished(
         mbd.simulate(loaded(rod(), "start", "end", (-30.0, 0.0, 0.0), 2.0), 2.0, steps=10, backend="eager")
@@ -165,6 +172,7 @@ def test_the_sparse_way_and_times_without_load(monkeypatch):
     assert bool(torch.isinf(mbd.BucklingFactor("rod")(still)))
 
 
+@pytest.mark.thorough
 def test_phases_go_on_with_the_same_forces_only():
     system = loaded(rod(), "start", "end", (-30.0, 0.0, 0.0), 2.0)
     index = mbd.BucklingIndex("rod")
@@ -191,7 +199,7 @@ def differences(f: Callable[[Tensor], Tensor], x: Tensor, step: float) -> Tensor
     return (4.0 * central(0.5 * step) - central(step)) / 3.0
 
 
-@pytest.mark.thorough("angles-0.004")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "step"), [("angles", 4e-3), ("thickness", 1e-5)])
 def test_gradients_by_torch_func_and_differences(name, step):
     system = pendulum()
@@ -236,6 +244,7 @@ def test_coinciding_indices_have_the_mean_of_their_derivatives():
     assert_close(first, wanted, rtol=1e-6, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_lanes_backends_and_a_problem():
     system = pendulum()
     designs = {"rod.laminate.angles": torch.deg2rad(torch.tensor([[20.0, -50.0], [70.0, 15.0]], dtype=torch.float64))}
@@ -263,6 +272,7 @@ def test_in_experiment_files():
     assert measure_of({"buckling_factor": "rod"}) == mbd.BucklingFactor("rod")
 
 
+@pytest.mark.thorough
 def test_what_cannot_buckle_so_is_named(tmp_path):
     body = rod()
     system = loaded(body, "start", "end", (-1.0, 0.0, 0.0), 1.0)
@@ -285,6 +295,7 @@ def test_what_cannot_buckle_so_is_named(tmp_path):
         mbd.BucklingFactor("block").check(other)
 
 
+@pytest.mark.thorough
 def test_loads_that_differ_in_the_fifth_digit_are_two_cases():
     body = rod(cells=4)
     system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))])

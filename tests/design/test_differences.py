@@ -51,6 +51,7 @@ def test_errors_are_those_of_the_taylor_series():
     np.testing.assert_allclose(backward[0, 0, 0], (3 * x**2 + 3 * x * h + h**2)[0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("scheme", "step", "tolerance"), [("central", 1e-3, 1e-5), ("forward", 1e-6, 1e-4)])
 def test_the_same_object_as_the_exact_route(problem, scheme, step, tolerance):
     exact = problem.evaluate(AT, gradients=True)
@@ -64,6 +65,7 @@ def test_the_same_object_as_the_exact_route(problem, scheme, step, tolerance):
             assert np.abs(x - y).max() < tolerance * np.abs(y).max()
 
 
+@pytest.mark.thorough
 def test_optimizers_take_it_as_they_take_the_problem(problem):
     wrapped = Differences(problem, 1e-4)
     assert (wrapped.names, wrapped.limits) == (problem.names, problem.limits)

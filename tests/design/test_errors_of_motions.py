@@ -35,6 +35,7 @@ def exact(system: mbd.System, response, duration: float = 0.05, steps: int = 200
     return response(mbd.simulate(system, duration, steps=steps, gradients="none", **options))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("modes", [2, 4, 8])
 def test_error_by_modes_of_a_cantilever(modes):
     """Against 40 modes, by the same steps."""
@@ -46,6 +47,7 @@ def test_error_by_modes_of_a_cantilever(modes):
     assert 0.5 < share.item() < 2.0
 
 
+@pytest.mark.thorough
 def test_error_by_modes_in_closed_form():
     """Statics by two modes: one in the plane of the force, 0.971 of F l^3 / 3 E I; the next mode adds 0.025."""
     motion = mbd.simulate(cantilever(2), 1e-3, steps=2, start="equilibrium", gradients="none")
@@ -54,6 +56,7 @@ def test_error_by_modes_in_closed_form():
     assert by_modes(error).item() / sag == pytest.approx(0.025, abs=0.003)
 
 
+@pytest.mark.thorough
 def test_total_and_text():
     motion = mbd.simulate(cantilever(2), 0.02, steps=100, gradients="none")
     error = motion.error_of(mbd.Integral(TIP))
@@ -69,6 +72,7 @@ def test_total_and_text():
         motion.error_of(mbd.Integral(TIP), modes="no")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.thorough
 def test_rigid_bodies_have_no_error_by_modes():
     motion = mbd.simulate(mbd.examples.pendulum(), 0.1, steps=10, gradients="none")
     error = motion.error_of(mbd.Final(mbd.Angle("bob", "z")))
@@ -202,6 +206,7 @@ def test_error_by_the_mesh_of_a_plate():
     assert 0.5 < share.item() < 2.0, share
 
 
+@pytest.mark.thorough
 def test_meshes_that_are_not_refined_have_no_estimate():
     arc = mbd.FlexibleBody.beam("beam", mbd.BeamLine.arc(0.5, 1.0, 4), SECTION, modes=3, reference="start")
     system = mbd.System([arc], [mbd.Fixed(mbd.Ground().at(), arc.at("start"))], gravity=(0.0, 0.0, -9.81))

@@ -62,6 +62,7 @@ def against_differences(p: mbd.Problem, x: np.ndarray, h: float = 2e-4, toleranc
     assert exact == pytest.approx(slopes, abs=tolerance * np.abs(slopes).max())
 
 
+@pytest.mark.thorough
 def test_min_max_by_an_extra_variable_has_the_paper_s_form():
     """(19), (20): the objective is the bound, rows are U(t_k)/U_0 - beta, the other constraints follow."""
     p = problem(AtPeaks(ENERGY, count=4), [mbd.Integral(ENERGY) <= "initial"], bound=(0.8, 1.5))
@@ -117,6 +118,7 @@ def test_time_dependent_constraints_hold_between_the_samples(held):
     assert peak >= limit * 0.85  # the most that is allowed is used
 
 
+@pytest.mark.thorough
 def test_initial_limits_of_rows_are_the_largest():
     p = problem(subject_to=[AtPeaks(ENERGY, count=4) <= "initial", mbd.Max(ENERGY) <= "initial"])
     assert p.limits[:4] == pytest.approx([p.limits[4]] * 4)
@@ -125,6 +127,7 @@ def test_initial_limits_of_rows_are_the_largest():
     assert failed.constraints.shape == (5,)
 
 
+@pytest.mark.thorough
 def test_weighted_sum_is_one_at_the_start():
     """(38), normalized by the initial design: weights 0.6 and 0.4 make one, whatever the units."""
     lag = RelativeDisplacement("rod", 0, "right", "z")
@@ -141,6 +144,7 @@ def test_weighted_sum_is_one_at_the_start():
     assert raw.evaluate(raw.start[None], gradients=False)[0].objective == pytest.approx(float(expected))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_weighted_sum_falls_with_its_measures_whatever_their_sign(sign):
     """Divided by the size of the start's value: a negative measure is not maximized."""
@@ -156,6 +160,7 @@ def test_a_weighted_sum_falls_with_its_measures_whatever_their_sign(sign):
         WeightedSum([(1.0, measure)], normalize=(-1.0,))
 
 
+@pytest.mark.thorough
 def test_equalities_are_met():
     """Least integral of energy at a given mass, over angles and thicknesses."""
     p = problem(
@@ -171,6 +176,7 @@ def test_equalities_are_met():
     assert result.value < result.history[0].objective
 
 
+@pytest.mark.thorough
 def test_lower_limits_and_scales():
     p = problem(subject_to=[mbd.Integral(ENERGY) >= 1e-6, Frequency("rod").equals(0.0, scale=10.0)])
     motion = p.motion(p.start)
@@ -184,6 +190,7 @@ def test_lower_limits_and_scales():
     against_differences(p, np.array([0.6, 0.2]))
 
 
+@pytest.mark.thorough
 def test_thickness_is_a_variable_beside_angles():
     """Gradients by both, in one vector of different units; the lightest rod within its bound on energy."""
     given = {
@@ -202,6 +209,7 @@ def test_thickness_is_a_variable_beside_angles():
     assert result.value < 0.95 * result.history[0].objective
 
 
+@pytest.mark.thorough
 def test_linked_angles_follow():
     """A balanced pair +-theta is one variable; its gradient is that of the full design along the link."""
     links = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
@@ -214,6 +222,7 @@ def test_linked_angles_follow():
     assert p.motion(np.array([0.4])).designs[ANGLES].tolist() == [[0.4, -0.4]]
 
 
+@pytest.mark.thorough
 def test_links_with_offsets_and_symmetric_laminates():
     system = mbd.System([plate("one", made_of=laminate((10.0, 20.0, 30.0)))])
     name = "one.laminate.angles"

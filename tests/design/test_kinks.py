@@ -116,6 +116,7 @@ def pushed(kind: str, values: list[float]) -> mbd.System:
     return mbd.System([ball], [slide], [push])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("steps", [20, 53, 400])
 @pytest.mark.parametrize("kind", ["linear", "hold"])
 def test_accelerations_stay_within_those_of_a_control(kind, steps):

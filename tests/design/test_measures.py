@@ -110,6 +110,7 @@ def test_a_response_of_one_s_own_must_have_the_shape_of_one(function, found):
         mbd.Max(history(function)).value(clock(5))
 
 
+@pytest.mark.thorough
 def test_few_numbers_in_reverse_and_many_in_forward_mode_have_the_same_gradients():
     """One time alone is differentiated backward, a hundred together forward."""
     system = pendulum()
@@ -147,6 +148,7 @@ def test_an_equilibrium_has_values_at_its_times():
     assert AtTime(reaction, 0.25)(path).item() == pytest.approx(-3.125)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [0, -1, 3, 1.5, True])
 def test_a_frequency_that_does_not_exist_is_named(number):
     """Also where no Problem has looked at the measure: 0 and -1 would be the last ones."""

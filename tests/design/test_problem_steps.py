@@ -35,6 +35,7 @@ def exact(duration: float = 1.0, mass: float = 1.0) -> float:
     return math.sin(omega * duration) / omega
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
 def test_chosen_steps_have_the_error_that_was_asked_for(tolerance):
     """In closed form; and a quarter of the steps would not do."""
@@ -70,6 +71,7 @@ def test_constraints_count_with_their_limits():
     assert (free.steps or 0) < (tight.steps or 0)
 
 
+@pytest.mark.thorough
 def test_given_steps_stay():
     given = problem(steps=50, tolerance=1e-6)
     assert given.steps == 50
@@ -96,6 +98,7 @@ def test_a_heavier_design_needs_no_more_steps_and_a_lighter_one_does():
     assert chosen.steps == problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=1e-4).steps
 
 
+@pytest.mark.thorough
 def test_a_tolerance_that_no_number_of_steps_reaches(monkeypatch):
     """The steps with the least error of those that were tried are taken."""
     monkeypatch.setattr(problem_steps.steps_for, "__defaults__", (None, None, 2, 0.0))

@@ -44,6 +44,7 @@ def effectivity(motion: Trajectory, exact: Trajectory, response: mbd.Measure) ->
     return error.by_steps / (response(exact) - error.value)
 
 
+@pytest.mark.thorough
 def test_error_of_a_pendulum() -> None:
     system = mbd.examples.pendulum()
     motion, exact = (mbd.simulate(system, 0.5, steps=n, gradients="none") for n in (40, 320))
@@ -128,6 +129,7 @@ def test_errors_of_a_problem() -> None:
     assert objective.by_steps.isfinite().all()
 
 
+@pytest.mark.thorough
 def test_bad_input() -> None:
     system = mbd.examples.pendulum()
     motion = mbd.simulate(system, 0.1, steps=10, gradients="none")

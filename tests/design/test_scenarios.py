@@ -58,6 +58,7 @@ def single(mass: float, x: np.ndarray) -> float:
 X = np.array([0.6, -0.4])
 
 
+@pytest.mark.thorough
 def test_they_are_the_motions_one_by_one():
     alone = np.array([single(mass, X) for mass in MASSES[::7]])
     some = {key: CASES[key] for key in list(CASES)[::7]}
@@ -74,6 +75,7 @@ def test_they_are_the_motions_one_by_one():
     )
 
 
+@pytest.mark.thorough
 def test_scenarios_of_a_design_share_its_modes(monkeypatch):
     lanes, solve = [], basis._modes
     monkeypatch.setattr(basis, "_modes", lambda pencil, n, K, M: lanes.append(len(K)) or solve(pencil, n, K, M))
@@ -84,6 +86,7 @@ def test_scenarios_of_a_design_share_its_modes(monkeypatch):
     assert lanes == [3]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("constraints", ["each", "worst", "mean"])
 @pytest.mark.parametrize("gradients", ["forward", "reverse"])
 def test_gradients_of_twenty_load_cases_are_those_of_differences(constraints, gradients):
@@ -108,6 +111,7 @@ def test_a_failing_scenario_is_named_and_the_others_designs_go_on():
     assert "scenario 'none'" in found.status
 
 
+@pytest.mark.thorough
 def test_an_optimum_of_the_mean():
     cases = {key: CASES[key] for key in list(CASES)[::9]}
     asked = problem(cases, objective="mean", subject_to=())
@@ -134,6 +138,7 @@ def test_what_is_refused(options, message):
         problem(**options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("asked", [("worst", "each"), ("mean", "worst")])
 def test_systems_of_different_topology(asked):
     """Two systems, one of them with two payloads: gradients against differences; each scenario is its own motion."""
@@ -191,6 +196,7 @@ def test_systems_of_different_topology(asked):
         mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"a": {"system": 3}}, steps=8)
 
 
+@pytest.mark.thorough
 def test_its_motion_is_that_of_a_scenario_and_not_of_the_model_as_it_is_built():
     cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}}
     asked = problem(cases, objective="mean", minimize=mbd.Max(abs(TIP)))
@@ -202,6 +208,7 @@ def test_its_motion_is_that_of_a_scenario_and_not_of_the_model_as_it_is_built():
         asked.simulate(X[None], scenario="hevy")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("constraints", ["each", "worst"])
 def test_where_the_objective_is_the_same_the_largest_is_the_scenario_nearest_to_a_limit(constraints):
     cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}, "middle": {"tool.mass": 0.3}}
@@ -211,6 +218,7 @@ def test_where_the_objective_is_the_same_the_largest_is_the_scenario_nearest_to_
     assert problem(cases, minimize=mbd.Mass("arm"), subject_to=[]).largest(X) == "light"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["at_most", "at_least"])
 def test_the_initial_design_keeps_the_worst_of_its_own_limits(kind):
     cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}}

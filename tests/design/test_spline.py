@@ -213,6 +213,7 @@ def modulated(b: Tensor, n: int = 401) -> Spline:
     return Spline.of(t, y[None])
 
 
+@pytest.mark.thorough
 def test_peaks_are_the_highest_local_maxima():
     b = torch.tensor([0.3, -0.1], dtype=torch.float64)
     curve = modulated(b)
@@ -281,6 +282,7 @@ def test_a_polynomial_at_unequal_times_is_exact(times, power):
     assert float(curve.maximum()) == pytest.approx(50.0 * times[-1] ** power)
 
 
+@pytest.mark.thorough
 def test_vmap_and_jvp_of_maxima_without_exact_rates():
     """torch.func.vmap over designs: of curves by differences, of quintics, and forward mode through both."""
     t = torch.linspace(0.0, 1.0, 41, dtype=torch.float64)

@@ -148,6 +148,7 @@ if "equivalent_load" in COMBINATORS:  # half cycles from 0 to -v, to e v, to the
     EXPECTED.append((load, (0.5 * sum(x**3 for x in ranges)) ** (1.0 / 3.0), None))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
 @pytest.mark.parametrize("steps", [100, 317])
 def test_a_ball_that_bounces(steps, mode):
@@ -163,6 +164,7 @@ def test_a_ball_that_bounces(steps, mode):
             assert_close(gradient[0, ..., 2], wanted, rtol=1e-8, atol=1e-8, msg=str(measure))
 
 
+@pytest.mark.thorough
 def test_lanes_switch_at_times_of_their_own():
     """A batch is as each design alone, and as torch.func.vmap."""
     system, measures = ball(), [measure for measure, _, _ in EXPECTED]
@@ -178,6 +180,7 @@ def test_lanes_switch_at_times_of_their_own():
     assert_close(torch.func.vmap(lambda x: values(x[None])[0])(heights), together, rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.extensions
 def test_damage_counts_the_cycles_of_both_sides():
     curve = mbd.SNCurve([(1e2, 4.0), (1e6, 0.5)])
@@ -188,6 +191,7 @@ def test_damage_counts_the_cycles_of_both_sides():
     assert_close(mbd.Damage(VZ, curve=curve)(motion)[0], wanted, rtol=1e-9, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_a_displacement_since_the_start_has_both_sides():
     """At a switch it is that of the whole motion, not of the switch alone: its integral saw zeros there."""
     system = ball()

@@ -76,6 +76,7 @@ def test_an_artifact_of_the_steps_is_not_verified() -> None:
     assert "not resolved" in found.status or "in the finer model" in found.status
 
 
+@pytest.mark.thorough
 def test_a_constraint_that_fails_in_the_finer_model() -> None:
     """Of three steps a period the mean square is too small: an upper limit that is active there fails."""
     x, square = np.array([1.0]), mbd.Integral(X * X)
@@ -102,6 +103,7 @@ def test_limits_of_the_initial_design_are_those_of_the_finer_model() -> None:
     assert same.answers[1].limit == pytest.approx(same.answers[1].best.value)
 
 
+@pytest.mark.thorough
 def test_an_order_of_starts_that_changes() -> None:
     """Among ends that lie within the error of the best one, another is better in the finer model."""
     problem, exact = vibrating(20), vibrating(320)

@@ -111,6 +111,7 @@ def test_a_round_tube(blade):
     assert float(K[0, 4].abs() + K[0, 5].abs()) < 1e-3 * float(K[0, 0])
 
 
+@pytest.mark.thorough
 def test_a_profile_with_caps_and_a_web(blade):
     """Area of every layer, and the derivative of the torsional stiffness by the fibers' orientations."""
     section = blade(wing(), FULL, WEBS).section(0.5)
@@ -135,6 +136,7 @@ def test_a_profile_with_caps_and_a_web(blade):
     assert float(slope[0]) > 0.0
 
 
+@pytest.mark.thorough
 def test_caps_carry_along_the_span(blade):
     """E A is that of the layers, each by its area and its modulus along the span."""
     section = blade(wing(), [own | {"fiber_orientation": along(0.0, 0.0)} for own in FULL], WEBS).section(0.5)
@@ -169,6 +171,7 @@ def test_what_is_refused(blade, layers, webs, words):
         made.section(0.5)
 
 
+@pytest.mark.thorough
 def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
     def area(start: float) -> float:
         cap = layer("cap", "steel", 2e-3, start_nd_arc=along(start), end_nd_arc=along(0.2))
@@ -181,6 +184,7 @@ def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
         assert area(-0.1) == pytest.approx(area(0.0), rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_blade_of_one_airfoil(blade):
     """The same airfoil at both ends, or one alone: its own contour everywhere."""
     one = [{"name": "root", "coordinates": wing(), "relative_thickness": 0.3}]
@@ -265,6 +269,7 @@ def test_linear_elements_give_nearly_the_same_section(blade):
     assert float((linear / quadratic - 1.0).abs().max()) < 2e-3
 
 
+@pytest.mark.thorough
 def test_a_layer_round_the_trailing_edge_is_two_layers(blade):
     """Its start is above its end; the wall that closes the edge has it once, of two layers both."""
     outer = skin("outer", "steel", 2e-3)
@@ -292,6 +297,7 @@ def test_layers_without_orientation_lie_along_the_blade(blade):
     torch.testing.assert_close(section.stiffness(), wanted.stiffness())
 
 
+@pytest.mark.thorough
 def test_an_anchor_may_be_defined_again(tmp_path, blade):
     """As in YAML 1.2: an alias names the definition before it, also where the blade uses them."""
     outer = skin("outer", "steel", 2e-3)
@@ -303,6 +309,7 @@ def test_an_anchor_may_be_defined_again(tmp_path, blade):
     assert _loaded(path.read_text())["c"] == [0.0, 1.0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gap", [0.002, 0.01])
 @pytest.mark.parametrize("end", [0.9955, 0.9971, 0.9976, 0.9983, 0.9992])
 @pytest.mark.parametrize("side", ["start", "end"])
@@ -320,6 +327,7 @@ def test_a_layer_that_ends_shortly_before_the_trailing_edge(side, end, gap, blad
     assert found == pytest.approx(whole - 7850.0 * 2e-3 * (1.0 - end) * length, rel=2e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("core", [0.03, 0.06, 0.09])
 @pytest.mark.parametrize("ends", [(0.43, 0.57), (0.43, 0.492), (0.502, 0.58)])
 def test_a_core_thicker_than_the_radius_of_the_nose(core, ends, blade):

@@ -33,6 +33,7 @@ def dropped(height: float = 0.1, **given: object) -> mbd.System:
     return mbd.System([ball], forces=[floor], gravity=(0.0, 0.0, -G), free=["ball"])
 
 
+@pytest.mark.thorough
 def test_the_least_of_cubics():
     gap, rate = torch.randn(2, 400, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     h = 0.7
@@ -47,7 +48,7 @@ def test_the_least_of_cubics():
     assert_close(lowest(flat[1:], torch.tensor([-0.5, -0.5]).double(), 1.0), torch.tensor([0.5]).double())
 
 
-@pytest.mark.thorough("native")
+@pytest.mark.thorough
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_a_contact_shorter_than_a_step_is_found(backend):
     """It lasts 3 ms; steps take 12 ms, and both ends of each are apart."""
@@ -66,6 +67,7 @@ def test_a_contact_shorter_than_a_step_is_found(backend):
     assert abs(z[0] - z[1]) > 1e-4
 
 
+@pytest.mark.thorough
 def test_a_contact_of_few_steps_gets_more():
     exact = 0.1
     period = 2.0 * math.sqrt(2.0 * exact / G) + _contact_time()
@@ -84,6 +86,7 @@ def _contact_time(k: float = K, height: float = 0.1) -> float:
     return 2.0 / w * (math.pi - math.atan(v * w / G))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("steps", [8, 31])
 def test_a_contact_that_the_end_cuts_off(steps):
     """Deepest after t_0 + pi / 2 w, where the motion ends: by few steps of the whole as by many, to 2 % of the depth."""
@@ -102,12 +105,14 @@ def test_a_contact_that_no_steps_show_keeps_its_status():
     assert "contact 'floor'" in motion.status[0]
 
 
+@pytest.mark.thorough
 def test_steps_are_chosen_for_contacts():
     motion = mbd.simulate(dropped(stiffness=1e6), 0.28, gradients="none").require_ok()
     assert motion.stats["steps"] > 1000
     assert not motion.stats.get("halved")
 
 
+@pytest.mark.thorough
 def test_lanes_get_what_they_need():
     system = dropped(stiffness=mbd.variable(K))
     designs = {"floor.stiffness": torch.tensor([1e2, 1e5], dtype=torch.float64)}
@@ -117,6 +122,7 @@ def test_lanes_get_what_they_need():
     assert_close(motion.q[0], alone.q[0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_derivatives_go_through_smaller_steps(gradients):
     system = dropped(stiffness=mbd.variable(2e4), damping=0.1)
@@ -135,6 +141,7 @@ def test_derivatives_go_through_smaller_steps(gradients):
     assert float(slope) == pytest.approx(float(near[0] - near[1]) / 0.04, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_outputs_of_other_methods_and_phases():
     with pytest.warns(UserWarning, match="is not seen in its outputs"):
         motion = mbd.simulate(thrown(), 0.9, "rk4", steps=80, gradients="none")
@@ -207,6 +214,7 @@ def test_responses_see_the_smaller_steps(steps):
         assert_close(load(motion), load(fine), rtol=5e-3, atol=0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_derivatives_of_responses_at_smaller_steps(gradients):
     """By the stiffness of two lanes, of which one is soft enough for the steps that were asked for."""
@@ -223,6 +231,7 @@ def test_derivatives_of_responses_at_smaller_steps(gradients):
     assert_close(slope, (up - down) / (2e-6 * k.detach()), rtol=2e-5, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_smaller_steps_under_vmap():
     system, measure = impact(mbd.variable(2e4)), mbd.Max(ACCELERATION)
 
@@ -238,6 +247,7 @@ def test_smaller_steps_under_vmap():
     assert_close(tangents, gradients, rtol=1e-7, atol=0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "law",
     [

@@ -63,7 +63,7 @@ def differences(f: Callable[[float], Tensor], x: float, share: float = 1e-3) -> 
         return (4.0 * slope(share * x) - slope(2.0 * share * x)) / 3.0
 
 
-@pytest.mark.thorough("a prescribed body", "redundant constraints", "a driven arm", "forces that depend on time")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CASES)
 def test_it_is_the_derivative_of_the_discrete_motion(name):
     build, duration = CASES[name]
@@ -123,6 +123,7 @@ def test_a_lane_that_took_half_the_step():
     assert_close(found, differences(f, 0.3, 1e-4), rtol=1e-5, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_design_of_the_duration():
     """A ball that flies for T seconds: r = v T, by one optimizer of torch."""
     ball = mbd.RigidBody("ball", 1.0, (1.0, 1.0, 1.0), velocity=(2.0, 0.0, 0.0))
@@ -143,6 +144,7 @@ def test_a_design_of_the_duration():
     assert_close(T.detach(), torch.tensor(0.5).double(), rtol=1e-6, atol=0)
 
 
+@pytest.mark.thorough
 def test_compiled_steps(native):
     system = pendulum()
     found = []
@@ -154,6 +156,7 @@ def test_compiled_steps(native):
     assert_close(*found, rtol=1e-7, atol=0)
 
 
+@pytest.mark.thorough
 def test_what_is_no_duration_or_would_be_lost_is_refused():
     system = pendulum()
     T = torch.tensor(0.01, dtype=torch.float64, requires_grad=True)

@@ -83,7 +83,7 @@ def test_forward_mode(system, slopes, way):
     assert inside(MANY)[1].tolist() == [0.0, 0.0]
 
 
-@pytest.mark.thorough("forward")
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_a_failed_lane_is_nan_under_vmap_from_its_failure_on(system, way):
     """As without vmap."""

@@ -107,6 +107,7 @@ def test_peaks_beside_a_jump_are_beyond_it_as_limits_tell():
     assert_close(curve.maximum(), 1.0 + beyond, rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_error_of_held_values_is_of_second_order():
     values, errors = tensor(1.0, -1.0), []
     for steps in (20, 40, 80):
@@ -130,12 +131,14 @@ def test_gradients_by_held_values(steps, mode):
         assert_close(found[:, 0], expected, rtol=0, atol=4e-3 if k == 0 else 1e-4)
 
 
+@pytest.mark.thorough
 def test_compiled_and_eager_steps_are_the_same():
     system = held(1.0, -1.0, 2.0)
     one, two = (mbd.simulate(system, 2.0, steps=20, backend=b, gradients="none") for b in ("auto", "eager"))
     assert_close(one.q, two.q, rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_lanes_of_divided_steps_do_not_see_each_other():
     values = torch.stack([tensor(1.0, -1.0, 2.0), tensor(0.0, 3.0, 0.5)])[..., None]
     system = held(1.0, -1.0, 2.0)
@@ -144,6 +147,7 @@ def test_lanes_of_divided_steps_do_not_see_each_other():
         assert_close(turned(both)[lane], exact(values[lane, :, 0]), rtol=0, atol=5e-3)
 
 
+@pytest.mark.thorough
 def test_steps_are_chosen_such_that_some_end_at_the_jumps():
     motion = mbd.simulate(held(1.0, -1.0, 2.0, 1.0, 0.0, 1.0, 2.0), 2.0, gradients="none")
     assert motion.stats["steps"] % 7 == 0
@@ -200,6 +204,7 @@ def sprung(law) -> mbd.System:
     return mbd.System([body], [hinge], [mbd.RotationalSpringDamper(hinge.a, hinge.b, axis="z", law=law, name="push")])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("system", "time"),
     [
@@ -219,6 +224,7 @@ def test_functions_that_jump_are_found(system, time):
         assert f"mbd.Phase(until={time.split(',')[0]}, laws={{'push': first}})" in found[0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "law",
     [
@@ -240,6 +246,7 @@ def test_jumps_are_located_to_rounding():
     assert found == pytest.approx([0.1, 1.0], abs=1e-14)
 
 
+@pytest.mark.thorough
 def test_the_remedies_of_the_warning():
     """Laws of phases, a held history, an adaptive method; each is exact, and not warned of."""
     expected = exact(tensor(1.0, -1.0))
@@ -277,6 +284,7 @@ def controlled(module: nn.Module) -> mbd.System:
     return mbd.System([body], [hinge], [control])
 
 
+@pytest.mark.thorough
 def test_a_module_that_jumps_is_found():
     (text,) = texts(lambda: mbd.simulate(controlled(Switch()), 2.0, steps=8, gradients="none", backend="eager"))
     assert "the module of the controller 'pd' jumps at t = 1.25 s" in text
@@ -324,6 +332,7 @@ def test_a_law_that_raises_is_named_with_its_line(system, words):
         mbd.simulate(system(), 2.0, steps=8, gradients="none", backend="eager")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, AssertionError])
 def test_a_law_may_end_where_the_motion_does_not_go(error):
     """As a table does that raises beyond its last point: the motion stays within 0.1 rad."""
@@ -343,6 +352,7 @@ def driven(law, **options) -> mbd.System:
     return mbd.System([body], [hinge, mbd.Drive(mbd.Ground(), body, axis="z", angle=law, name="motor", **options)])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("law", "jumps"),
     [

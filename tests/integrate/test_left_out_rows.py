@@ -31,6 +31,7 @@ def moved(system: mbd.System) -> mbd.Trajectory:
     return mbd.simulate(system, 0.1, steps=25, gradients="forward", variables=[NAME], iterations=(4, 2)).require_ok()
 
 
+@pytest.mark.thorough
 def test_a_row_that_contradicts_another_is_left_out():
     whole = moved(door())
     (name,) = whole.dynamics.redundant

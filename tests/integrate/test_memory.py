@@ -64,6 +64,7 @@ def test_a_motion_of_a_thousand_million_steps_is_refused():
             make()
 
 
+@pytest.mark.thorough
 def test_default_steps_that_do_not_fit_are_refused():
     with pytest.raises(InputError, match=r"steps is \d{10,}: .* of memory"):
         mbd.simulate(build(), 1e6)
@@ -80,6 +81,7 @@ def test_what_is_said_to_fit_fits(monkeypatch):
         memory.require_memory(system, 1, int(1.2 * most))
 
 
+@pytest.mark.thorough
 def test_lanes_that_do_not_fit_are_refused(monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 1e9)
     designs = {"rod.laminate.angles": torch.zeros(20_000, 2, dtype=torch.float64)}
@@ -87,6 +89,7 @@ def test_lanes_that_do_not_fit_are_refused(monkeypatch):
         mbd.simulate(build(), 0.01, steps=60, designs=designs)
 
 
+@pytest.mark.thorough
 def test_a_body_that_does_not_fit_is_refused(monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 1e5)
     with pytest.raises(InputError, match=r"system is too large: one design takes about .* allowed: smaller meshes"):
@@ -110,6 +113,7 @@ def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypat
         np.testing.assert_allclose(a.objective_gradient, b.objective_gradient, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_twenty_thousand_starts_are_never_one_batch(monkeypatch):
     problem = mbd.Problem(build(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), bounds=(-1.5, 1.5), steps=8)
     sizes = []

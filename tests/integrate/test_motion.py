@@ -58,6 +58,7 @@ def wanted(system, angles) -> Tensor:
     return differences(lambda x: energy(system, x), angles)[0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_backward(system, angles, wanted, way):
     x = angles.clone().requires_grad_()
@@ -65,6 +66,7 @@ def test_backward(system, angles, wanted, way):
     assert_close(x.grad, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("transform", ["grad", "jacrev", "jacfwd", "jvp", "vjp"])
 def test_transforms_of_torch_func(system, angles, wanted, transform, way):
@@ -80,6 +82,7 @@ def test_transforms_of_torch_func(system, angles, wanted, transform, way):
     assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_vmap_over_designs(system, angles, way):
     """More lanes, alone and with gradients inside; a batch of batches too."""
@@ -99,6 +102,7 @@ def test_vmap_over_designs(system, angles, way):
         assert_close(torch.vmap(inside(f))(many), slopes, rtol=0, atol=1e-8 * size)
 
 
+@pytest.mark.thorough
 def test_vmap_over_directions(system, angles):
     """One integration for all directions."""
     directions = torch.randn(5, 2, dtype=angles.dtype, generator=torch.Generator().manual_seed(3))
@@ -111,6 +115,7 @@ def test_vmap_over_directions(system, angles):
     assert_close(found, expected, rtol=1e-7, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_gradcheck(system, angles, way):
     """Reverse and forward mode; the rounding of a motion bears steps of 1e-5 only."""
@@ -124,6 +129,7 @@ def test_gradcheck(system, angles, way):
     assert torch.autograd.gradcheck(f, (x,), eps=1e-5, atol=1e-9, rtol=1e-5, nondet_tol=1e-12, check_forward_ad=forward)
 
 
+@pytest.mark.thorough
 def test_several_outputs_at_once(system, angles):
     x = angles.clone().requires_grad_()
     motion = mbd.simulate(system, 0.01, designs={ANGLES: x}, **OPTIONS)
@@ -133,6 +139,7 @@ def test_several_outputs_at_once(system, angles):
     assert_close(both, sum(parts), rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["rk4", "dopri5"])
 def test_methods_of_torchdiffeq(system, angles, method):
     def f(x: Tensor) -> Tensor:
@@ -144,6 +151,7 @@ def test_methods_of_torchdiffeq(system, angles, method):
         assert_close(found, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
 
 
+@pytest.mark.thorough
 def test_second_derivatives_are_refused_by_name(system, angles):
     def loss(x: Tensor) -> Tensor:
         return energy(system, x)[0]
@@ -165,6 +173,7 @@ def test_no_grad_integrates_values_only(system, angles):
     assert_close(motion.q, mbd.simulate(system, 0.01, designs={ANGLES: x}, **OPTIONS).q.detach(), rtol=0, atol=1e-11)
 
 
+@pytest.mark.thorough
 def test_it_can_be_said_which_way_gradients_come(system):
     assert mbd.simulate(system, 0.01, **OPTIONS).stats["gradients"] == "reverse"
     assert mbd.simulate(system, 0.01, "rk4", steps=4).stats["gradients"] == "forward"
@@ -174,6 +183,7 @@ def test_it_can_be_said_which_way_gradients_come(system):
         _ = mbd.simulate(system, 0.01, **OPTIONS).dq_db
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("optimizer", ["Adam", "LBFGS"])
 def test_optimizers_of_torch_descend(optimizer):
     system = pendulum()
@@ -222,6 +232,7 @@ def test_parameters_of_laws_and_thicknesses_have_gradients():
         assert_close(x.grad, expected, rtol=0, atol=2e-6 * float(expected.abs().max()), msg=name)
 
 
+@pytest.mark.thorough
 def test_functional_call(system, angles):
     class Loss(torch.nn.Module):
         def __init__(self):
@@ -241,6 +252,7 @@ def test_functional_call(system, angles):
         assert_close(found, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
 
 
+@pytest.mark.thorough
 def test_a_motion_can_be_copied_pickled_and_detached(system):
     motion = mbd.simulate(system, 0.01, **OPTIONS)
     for again in (copy.deepcopy(motion), pickle.loads(pickle.dumps(motion)), motion.detach()):
@@ -253,6 +265,7 @@ def test_a_motion_can_be_copied_pickled_and_detached(system):
     assert torch.equal(mbd.simulate(other, 0.01, **OPTIONS).q, motion.q)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_a_lane_that_fails_adds_nothing(monkeypatch, way):
     system = pendulum()
@@ -283,6 +296,7 @@ def test_a_number_that_depends_on_no_parameter(system, angles):
     assert nothing.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_a_look_without_gradients_takes_none_away(system, angles, way):
     """What was asked for under `no_grad` is asked for again with a gradient."""
@@ -303,6 +317,7 @@ def test_a_look_without_gradients_takes_none_away(system, angles, way):
         assert torch.equal(before, found.detach()), name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["auto", "forward", "reverse"])
 def test_a_design_that_is_no_variable_is_refused_where_it_is_differentiated(system, angles, gradients):
     name = "rod.laminate.thickness"
@@ -314,6 +329,7 @@ def test_a_design_that_is_no_variable_is_refused_where_it_is_differentiated(syst
     assert motion.ok
 
 
+@pytest.mark.thorough
 def test_vmap_without_gradients(system, angles):
     """Also of what has the design in its data."""
     many = torch.stack([angles, angles + 0.3])
@@ -327,6 +343,7 @@ def test_vmap_without_gradients(system, angles):
         torch.func.jvp(f, (angles,), (torch.ones_like(angles),))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_a_batch_of_vmap_whose_lanes_fail_has_gradients_of_its_shape(system, angles, way):
     many = torch.stack([angles, angles + 0.1, angles - 0.2])
@@ -363,6 +380,7 @@ def test_vmap_over_phases(system, angles):
         torch.vmap(lambda x: motion(x).energies.stored)(many)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_batches_of_cotangents(system, angles, way):
     """By torch.vmap; torch.autograd's own way, which knows no rules of operations, is refused by name."""
@@ -376,6 +394,7 @@ def test_batches_of_cotangents(system, angles, way):
         torch.autograd.grad(y, x, rows, is_grads_batched=True)
 
 
+@pytest.mark.thorough
 def test_dual_levels_of_autograd(system, angles):
     """Tangents through the steps; where they are integrated with the motion, a dual level is refused by name."""
     direction = torch.tensor([1.0, 0.5], dtype=torch.float64)

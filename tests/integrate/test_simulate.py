@@ -73,12 +73,14 @@ def test_bad_input_is_named_with_its_value_and_what_is_allowed(system, given, wo
         assert word in str(error.value)
 
 
+@pytest.mark.thorough
 def test_numbers_of_numpy_are_numbers(system):
     plain, given = mbd.simulate(system, 0.25, steps=40), mbd.simulate(system, np.float32(0.25), steps=np.int64(40))
     assert_close(plain.q, given.q, rtol=0, atol=0)
     assert type(given.stats["steps"]) is int
 
 
+@pytest.mark.thorough
 def test_a_system_of_other_numbers_is_refused():
     with pytest.raises(
         InputError, match=r"parameter 'rod\.laminate\.angles' is torch\.float32; allowed: torch\.float64"
@@ -91,6 +93,7 @@ def test_a_system_of_other_numbers_is_refused():
         mbd.simulate(system, 0.01, steps=1)
 
 
+@pytest.mark.thorough
 def test_designs_of_different_numbers_of_lanes_are_refused():
     system = mbd.System([plate("one"), plate("two", made_of=laminate((10.0, 80.0)))])
     designs = {"one.laminate.angles": mbd.deg(torch.ones(2, 3)), "two.laminate.angles": mbd.deg(torch.ones(3, 2))}
@@ -113,6 +116,7 @@ def test_at_most_twenty_steps_in_a_period_of_the_fastest_mode():
     assert mbd.simulate(mbd.System([box("free")]), 0.1, iterations=(1, 1)).stats["steps"] == 1000
 
 
+@pytest.mark.thorough
 def test_steps_see_every_lane():
     """The first lane is soft, the second stiff: steps chosen by the first would be too long for the second."""
     system = mbd.System([plate("rod", modes=2)])
@@ -121,6 +125,7 @@ def test_steps_see_every_lane():
     assert steps[0] == steps[1] > 2 * all_modes(system.dynamics({"rod.laminate.thickness": thickness[:1]}), 0.1)
 
 
+@pytest.mark.thorough
 def test_lanes_come_first_and_are_the_designs(system):
     angles = mbd.deg([[20.0, -50.0], [10.0, 70.0]])
     motion = mbd.simulate(system, 0.01, steps=5, designs={"rod.laminate.angles": angles}, gradients="forward")
@@ -195,6 +200,7 @@ def test_strain_energy_is_that_of_the_finite_elements(motion, system):
     assert_close(motion.body("rod").strain_energy, 0.5 * torch.einsum("lti,ij,ltj->lt", u, K, u), rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.thorough
 def test_steps_are_corrected_until_they_are_precise_and_lanes_that_fail_are_tried_again():
     """By further corrections in a step, each with a new matrix; where these do not lead there, with half the step."""
     from torchmbd.examples.slider_crank import build
@@ -220,6 +226,7 @@ def test_steps_are_corrected_until_they_are_precise_and_lanes_that_fail_are_trie
     assert_close(cured.lam, fine.lam[:, ::2], rtol=1e-6, atol=1e-6 * float(fine.lam.abs().max()))
 
 
+@pytest.mark.thorough
 def test_a_system_at_rest_stays_there():
     """Nothing but rounding moves: that is no failure of the iteration."""
     ground, left, right = mbd.Ground(), plate("left", position=(0.15, 0, 0)), plate("right", position=(0.45, 0, 0))
@@ -247,6 +254,7 @@ def test_steps_that_do_not_resolve_the_vibrations_are_reported():
     assert fine.ok
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:the steps do not resolve")
 @pytest.mark.usefixtures("compiled")
 def test_motions_that_are_not_resolved_are_no_evaluations_of_a_problem():
@@ -264,6 +272,7 @@ def test_motions_that_are_not_resolved_are_no_evaluations_of_a_problem():
     assert mbd.optimize(coarse, "slsqp", max_iterations=2).status == "failed"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.018), mbd.Phase()]])
 @pytest.mark.filterwarnings("ignore:the steps do not resolve")
 def test_after_its_failure_a_lane_has_no_numbers(phases):
@@ -307,6 +316,7 @@ def test_a_body_at_rest_on_long_arms_stays_there():
     assert float((motion.q - motion.q[:, :1]).abs().max()) < 1e-10
 
 
+@pytest.mark.thorough
 def test_a_motion_faster_than_light_has_failed():
     """A damper of the wrong sign: 1e38 m with the status ok; a body at the speed of a satellite is a motion."""
     body = mbd.RigidBody("mass", 1.0, (0.01,) * 3, position=(1e-3, 0.0, 0.0))

@@ -31,6 +31,7 @@ def sag(motion: mbd.Trajectory) -> torch.Tensor:
     return motion.body("bar").at("end").position[..., 2].detach()
 
 
+@pytest.mark.thorough
 def test_quasi_static_steps_have_the_closed_form():
     """Tip deflection F L^3 / 3 EI and the moment at the wall, at every time; energy F^2 L^3 / 6 EI."""
     times = [0.0, 0.5, 1.0]
@@ -45,6 +46,7 @@ def test_quasi_static_steps_have_the_closed_form():
     assert rest.stable
 
 
+@pytest.mark.thorough
 def test_a_path_of_values_is_followed():
     body = box("load", center=(0.0, 0.0, 0.0))
     spring = mbd.AxialSpringDamper(GROUND.at(), body.at(), axis="x", stiffness=mbd.variable(100.0), name="spring")
@@ -67,6 +69,7 @@ def test_a_motion_from_rest_stays_there():
     assert_close(sag(again), calm, rtol=0, atol=1e-9 * abs(static))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["dopri5", "hht_alpha"])
 def test_every_method_starts_at_rest(method):
     system = pendulum()
@@ -76,6 +79,7 @@ def test_every_method_starts_at_rest(method):
     assert float(motion.body("arm").omega[0, 0].detach().norm()) > 0.5  # rates are as given, as far as hinges allow
 
 
+@pytest.mark.thorough
 def test_what_is_given_is_projected():
     """Two links: a position that does not close and a rate that the hinge forbids; modal coordinates are kept."""
     system = pendulum()
@@ -97,6 +101,7 @@ def test_what_is_given_is_projected():
     assert both.body("rod").nodes.shape[0] == 2
 
 
+@pytest.mark.thorough
 def test_two_halves_make_a_whole():
     system = pendulum()
     whole = finished(mbd.simulate(system, 0.02, steps=40))
@@ -121,6 +126,7 @@ def upright() -> mbd.System:
     return mbd.System([a], [mbd.Revolute(GROUND.at(), a.at(), axis="z")], gravity=(0.0, -9.81, 0.0))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("system", "words"),
     [
@@ -150,6 +156,7 @@ def test_a_lane_without_equilibrium_leaves_the_others_alone():
     assert_close(k.grad, 7.0 / k.detach() ** 2 * tensor(1.0, 0.0, 1.0), rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_problems_start_at_rest():
     problem = mbd.Problem(pendulum(), 0.004, mbd.Mean(mbd.StrainEnergy("rod")), start="equilibrium", steps=4)
     other = mbd.Problem(pendulum(), 0.004, mbd.Mean(mbd.StrainEnergy("rod")), motion_start="equilibrium", steps=4)
@@ -158,6 +165,7 @@ def test_problems_start_at_rest():
     assert one.objective > 0.0
 
 
+@pytest.mark.thorough
 def test_bad_starts_are_named():
     system = pendulum()
     for start, words in (
@@ -184,6 +192,7 @@ def test_bad_starts_are_named():
         )
 
 
+@pytest.mark.thorough
 def test_stresses_of_an_equilibrium():
     """Plies of a plate under its own weight: the failure index is that of the motion that stays at rest."""
     body = plate("rod", 2, made_of=laminate((20.0, -50.0), 3e-3), reference="left")
@@ -194,6 +203,7 @@ def test_stresses_of_an_equilibrium():
     assert_close(one[:, 0], other[:, -1], rtol=1e-6, atol=1e-3)
 
 
+@pytest.mark.thorough
 def test_frequencies_are_refused_under_transforms():
     """They have values only: a derivative would be zero."""
     arm, angles = mbd.examples.arm(), mbd.deg([45.0, -45.0])

@@ -64,6 +64,7 @@ def pulse(t: torch.Tensor) -> torch.Tensor:
     return torch.stack([0.0 * y, 10.0 * y, 0.0 * y])
 
 
+@pytest.mark.thorough
 def test_a_short_load_is_seen():
     assert first_steps(arm(push=pulse, modes=0).dynamics(), 4.0) >= 1024
     assert first_steps(arm(push=[0.0, 10.0, 0.0], modes=0).dynamics(), 4.0) == 200
@@ -108,6 +109,7 @@ def test_phases_choose_alike():
     assert 200 < motion.integration.steps <= all_modes(system.dynamics(), 0.2)
 
 
+@pytest.mark.thorough
 def test_a_problem_keeps_the_steps_of_its_initial_design():
     """Alone, a short bar takes more than a long one; a batch has those of its fastest."""
     ball = box("ball", mass=mbd.variable(0.7))

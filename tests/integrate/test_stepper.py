@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 import torchmbd as mbd
 
 NAME = "push.z"
@@ -23,6 +25,7 @@ def arm() -> mbd.System:
     )
 
 
+@pytest.mark.thorough
 def test_tangents_that_are_nothing_but_rounding_call_for_no_corrections() -> None:
     motion = mbd.simulate(arm(), 0.2, steps=100, gradients="forward", variables=[NAME]).require_ok()
     assert motion.dv_db is not None

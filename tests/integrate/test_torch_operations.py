@@ -83,6 +83,7 @@ def test_reverse_mode_is_the_transpose_of_forward_mode(system, inputs):
         assert_close(sum(parts.values()), slopes[name], rtol=0, atol=1e-7 * size, msg=name)
 
 
+@pytest.mark.thorough
 def test_backward_fills_the_gradients_of_the_parameters_themselves(system, inputs):
     """As with the same numbers given as designs."""
     x = {name: y.clone().requires_grad_() for name, y in inputs.items()}
@@ -95,6 +96,7 @@ def test_backward_fills_the_gradients_of_the_parameters_themselves(system, input
         assert_close(own.grad, x[name].grad, rtol=1e-9, atol=0, msg=name)
 
 
+@pytest.mark.thorough
 def test_a_response_that_depends_on_no_parameter_has_a_gradient_of_zero():
     system = pendulum()
     motion = mbd.simulate(system, DURATION, steps=8)
@@ -115,6 +117,7 @@ def falls(motion: mbd.Trajectory) -> Tensor:
 HEIGHT = float(pendulum().body("rod").position[2]) - 3e-4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_motions_through_phases_are_copied_and_pickled(gradients):
     """Where a function of an event is a lambda, pickle says so; it copies as any other."""

@@ -1,5 +1,6 @@
 """A linear map and its derivatives, beside the same product written with matrices."""
 
+import pytest
 import torch
 from torch.autograd import gradcheck, gradgradcheck
 from torch.func import jacfwd, jacrev, jvp, vmap
@@ -31,6 +32,7 @@ def plain(x, y):
     return x**3 @ P + (x.sum() * y) ** 2 @ Q
 
 
+@pytest.mark.thorough
 def test_all_modes_of_derivatives():
     for way in (jacfwd, jacrev):
         for own, other in zip(way(cubes, (0, 1))(X, Y), way(plain, (0, 1))(X, Y), strict=True):

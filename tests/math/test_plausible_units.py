@@ -54,6 +54,7 @@ def test_degrees_are_refused(name):
         REFUSED[name]()
 
 
+@pytest.mark.thorough
 def test_an_optimizer_in_degrees_gets_a_warning_and_goes_on():
     """A status, not an exception: a line search without bounds may go anywhere."""
     found = problem().evaluate(np.array([[45.0, -45.0], [0.3, -0.2]]), False)
@@ -61,6 +62,7 @@ def test_an_optimizer_in_degrees_gets_a_warning_and_goes_on():
     assert found[1].ok
 
 
+@pytest.mark.thorough
 def test_whole_turns_and_bounds_that_are_none_pass():
     turn = mbd.deg([360.0, -360.0])
     assert mbd.simulate(pendulum(), 0.001, steps=2, designs={ANGLES: turn[None]}).ok

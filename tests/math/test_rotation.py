@@ -37,6 +37,7 @@ unit_quaternions = (
 )
 
 
+@pytest.mark.thorough
 @given(unit_quaternions)
 def test_matrix_is_a_rotation(p):
     A = rotation_matrix(p)
@@ -44,6 +45,7 @@ def test_matrix_is_a_rotation(p):
     assert float(torch.linalg.det(A)) == pytest.approx(1.0, abs=1e-14)
 
 
+@pytest.mark.thorough
 @given(unit_quaternions)
 def test_matrix_is_the_form_of_the_header(p):
     """A wrong sign in the table of coefficients transposes a rotation and still passes orthogonality."""
@@ -52,12 +54,14 @@ def test_matrix_is_the_form_of_the_header(p):
     assert_close(rotation_matrix(p), expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.thorough
 @given(unit_quaternions, unit_quaternions)
 def test_product_composes_rotations(p, d):
     composed = rotation_matrix(quaternion_product(p, d))
     assert_close(composed, rotation_matrix(p) @ rotation_matrix(d), rtol=0, atol=1e-14)
 
 
+@pytest.mark.thorough
 @given(vectors)
 def test_exponential_is_the_matrix_exponential(delta):
     p = exponential(delta)
@@ -65,6 +69,7 @@ def test_exponential_is_the_matrix_exponential(delta):
     assert_close(rotation_matrix(p), turned(*delta.tolist()), rtol=0, atol=1e-13)
 
 
+@pytest.mark.thorough
 @given(unit_quaternions)
 def test_euler_parameters_come_back(p):
     back = euler_parameters(rotation_matrix(p))
@@ -79,6 +84,7 @@ def test_euler_parameters_at_half_turns_and_near_none(axis, angle):
     assert_close(rotation_matrix(euler_parameters(A)), A, rtol=0, atol=1e-14)
 
 
+@pytest.mark.thorough
 @given(unit_quaternions, vectors)
 def test_rates_belong_to_body_axes(p, omega):
     """dA/dt = A ~omega; with ground axes it would be ~omega A."""
@@ -86,6 +92,7 @@ def test_rates_belong_to_body_axes(p, omega):
     assert_close(rate, rotation_matrix(p) @ cross_matrix(omega), rtol=0, atol=1e-13)
 
 
+@pytest.mark.thorough
 @given(vectors, vectors)
 def test_skew_and_axial(x, b):
     assert_close(skew(x) @ b, torch.linalg.cross(x, b), rtol=0, atol=1e-14)

@@ -54,6 +54,7 @@ def test_gather_sums_an_assembly():
     assert torch.equal(SparseMatrix(pattern, values).dense(), expected)
 
 
+@pytest.mark.thorough
 def test_derivatives_of_the_product_forward_and_reverse(matrix):
     x = torch.randn(7, 2, dtype=torch.float64, requires_grad=True)
     values = matrix.values.clone().requires_grad_()

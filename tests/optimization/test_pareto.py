@@ -114,6 +114,7 @@ FRONTS = {
 RANGES = {"two bowls": [25.0, 2500.0], "fonseca": [0.9817, 0.9817], "zdt2": [1.0, 1.0]}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", FRONTS)
 def test_known_front(name):
     make, miss = FRONTS[name]
@@ -151,6 +152,7 @@ def test_three_criteria():
     assert (shares > 0.05).all(axis=0).sum() >= 15
 
 
+@pytest.mark.thorough
 def test_a_gap_of_the_front_is_jumped():
     """f2 oscillates along f1: the front falls into pieces, and what lies behind the gaps is dropped."""
     problem = Several([0.3], lambda x: [x[0], 1 - x[0] - 0.25 * np.sin(4 * np.pi * x[0])], 2, lower=0.0, upper=1.0)
@@ -173,6 +175,7 @@ def test_weights_are_exchange_rates():
         assert point.weights[0] / point.weights[1] == pytest.approx(2 * point.criteria[0], rel=1e-2)
 
 
+@pytest.mark.thorough
 def test_points_of_a_wave_are_one_batch_and_warm():
     problem = two_bowls()
     front = pareto_front(problem, divisions=16)
@@ -184,6 +187,7 @@ def test_points_of_a_wave_are_one_batch_and_warm():
     assert all(point.result.converged for point in front.points)
 
 
+@pytest.mark.thorough
 def test_one_design_that_is_best_for_all():
     problem = Several(
         [3.0, 1.0], lambda x: [x[0] ** 2 + x[1] ** 2, 2 * x[0] ** 2 + x[1] ** 2], 2, lower=-5.0, upper=5.0
@@ -199,6 +203,7 @@ def test_failed_designs_are_passed():
     assert len(front.points) >= 6
 
 
+@pytest.mark.thorough
 def test_interruption_returns_the_points_so_far():
     problem, whole = two_bowls(), pareto_front(two_bowls(), divisions=16)
     inner, calls = problem.evaluate, []

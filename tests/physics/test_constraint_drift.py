@@ -30,7 +30,7 @@ ROUTES = {
 }
 
 
-@pytest.mark.thorough("rk4", "dopri5")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ROUTES)
 def test_joints_stay_closed(method, slider_crank):
     motion = mbd.simulate(slider_crank, method=method, **ROUTES[method]).require_ok()
@@ -43,6 +43,7 @@ def test_joints_stay_closed(method, slider_crank):
         assert float((p.norm(dim=-1) - 1.0).abs().max()) < (1e-13 if method == "generalized_alpha" else 1e-7)
 
 
+@pytest.mark.thorough
 def test_stabilization_takes_a_violation_back():
     """Started with an open joint, the index-1 equations close it: without 2 alpha Phi' + alpha^2 Phi it stays open."""
     ground, body = mbd.Ground(), mbd.RigidBody("disk", 1.0, (1e-2, 2e-2, 3e-2))

@@ -53,6 +53,7 @@ def test_the_balance_closes_to_second_order():
     assert worst[0] / worst[1] == pytest.approx(4.0, rel=0.35)
 
 
+@pytest.mark.thorough
 def test_lanes_keep_their_own_books():
     system = pendulum()
     angles = system.body("rod").laminate.angles.detach()

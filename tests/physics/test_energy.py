@@ -15,6 +15,7 @@ pytestmark = pytest.mark.usefixtures("compiled")
 TIGHT = {"dopri5": {"rtol": 1e-7, "atol": 1e-9}, "dopri8": {"rtol": 1e-8, "atol": 1e-10}}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", TIGHT)
 def test_an_undamped_free_motion_keeps_its_energy(method):
     """A spatial double pendulum with a flexible plate under gravity; exchanged are kinetic, strain and potential energy."""
@@ -26,6 +27,7 @@ def test_an_undamped_free_motion_keeps_its_energy(method):
     assert float((found.energy - found.energy[0]).abs().max()) < 1e-6 * exchanged
 
 
+@pytest.mark.thorough
 def test_generalized_alpha_without_dissipation_keeps_energy_to_second_order():
     drift = []
     for steps in (50, 100):

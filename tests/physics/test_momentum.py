@@ -45,6 +45,7 @@ def test_momentum_is_kept(build):
         assert float((x - x[0]).norm(dim=1).max()) < 1e-9 * float(x.norm(dim=1).max())
 
 
+@pytest.mark.thorough
 def test_the_center_of_mass_of_a_free_body_moves_on_a_parabola():
     """Gravity acts on every node, bent or not."""
     gravity = tensor(1.0, -2.0, -9.0)
@@ -82,7 +83,7 @@ def test_momentum_of_a_floating_chain(duration):
         assert float((x - x[0]).norm(dim=1).max()) < 1e-10 * float(x.norm(dim=1).max())
 
 
-@pytest.mark.thorough("0.0-generalized_alpha-200-1e-09", "0.0-dopri5-10-1e-09")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("method", "steps", "drift"), [("generalized_alpha", 200, 1e-9), ("dopri5", 10, 1e-9)])
 @pytest.mark.parametrize("spin", [0.0, 3.0])
 def test_the_spin_of_a_rod_between_two_ball_joints_does_not_drift(method, steps, drift, spin):

@@ -33,6 +33,7 @@ def momenta(motion: mbd.Trajectory) -> Tensor:
     return torch.cat([force.sum(1)[:, 0], about.sum(1)[:, 0]]).T
 
 
+@pytest.mark.thorough
 def test_a_free_motion_keeps_energy_and_momenta():
     """A plate on a box: terms of second order come from one kinetic energy, none is missing in force, torque or modes."""
     rod = plate("rod", made_of=laminate((20.0, -50.0), 3e-3, SOFT), reference="left", stiffening=True)

@@ -67,6 +67,7 @@ def test_an_explicit_massless_body_moves_the_same(joint, whole, elastic):
         assert float((one - other).abs().max()) < tolerance * float(scale.abs().max())
 
 
+@pytest.mark.thorough
 def test_the_node_of_the_frame_is_the_place_of_the_virtual_body():
     motion = mbd.simulate(swinging("revolute", True), 0.01, steps=50).require_ok()
     node = motion.system.body("rod").mesh.node("left")

@@ -22,6 +22,7 @@ def pushed(force: float) -> mbd.System:
     return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
 
 
+@pytest.mark.thorough
 def test_a_buckled_beam_is_named():
     with pytest.warns(UserWarning, match="body 'arm' is displaced by .* of its size"):
         motion = mbd.simulate(pushed(200.0), 0.6, steps=60, backend="eager", gradients="none")
@@ -29,6 +30,7 @@ def test_a_buckled_beam_is_named():
     assert displacement_ratios(motion)["arm"].tolist() == [pytest.approx(0.84 * end.item(), rel=0.1)]
 
 
+@pytest.mark.thorough
 def test_below_the_buckling_load_nothing_is_said():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -36,6 +38,7 @@ def test_below_the_buckling_load_nothing_is_said():
         mbd.equilibrium(pushed(50.0))
 
 
+@pytest.mark.thorough
 def test_equilibria_under_transforms():
     system = pushed(1.0)
     K = dict(system.named_parameters())["arm.section.matrix"].detach()

@@ -32,6 +32,7 @@ def held(reference: str | None, load: float, **more: Any) -> mbd.System:
     return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part", [-0.3, 0.1, 0.3])
 def test_a_cantilever_has_the_share_of_its_euler_load(part):
     with pytest.warns(UserWarning, match=WARNED.format(f"{abs(part):g}")):
@@ -39,12 +40,14 @@ def test_a_cantilever_has_the_share_of_its_euler_load(part):
     assert rest.stats["load_share"]["rod"] == pytest.approx(abs(part), rel=3e-3)  # 16 elements
 
 
+@pytest.mark.thorough
 def test_beside_its_middle_a_rod_turns_less():
     """Each half is a cantilever under the whole load: a quarter of the share."""
     rest = mbd.equilibrium(held(None, 0.16 * EULER))
     assert rest.stats["load_share"]["rod"] == pytest.approx(0.04, rel=2e-2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("more", [{"stiffening": True}, {}])
 def test_small_loads_and_stiffened_bodies_are_silent(more):
     with warnings.catch_warnings():
@@ -66,6 +69,7 @@ def carried(acceleration: float, tip: float, reference: str = "start") -> mbd.Sy
     return mbd.System([body, foot, head], joints, truncation=None)
 
 
+@pytest.mark.thorough
 def test_a_load_of_inertia_counts_along_the_motion():
     """The same system again, more slowly and faster: the share follows the loads."""
     with pytest.warns(UserWarning, match=WARNED.format("0.2")):
@@ -73,6 +77,7 @@ def test_a_load_of_inertia_counts_along_the_motion():
     assert motion.stats["load_share"]["rod"] == pytest.approx(0.2, rel=1e-2)
 
 
+@pytest.mark.thorough
 def test_loads_that_grow_are_looked_at_again():
     body = rod("start")
     load = mbd.variable(0.001 * EULER)

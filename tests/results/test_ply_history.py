@@ -46,6 +46,7 @@ def motions() -> tuple[Trajectory, Trajectory]:
     )
 
 
+@pytest.mark.thorough
 def test_the_basis_gives_the_plies_of_the_displacements(motions):
     """Stress by the modal basis is the stress of the deformed mesh, in a lane with its own angles."""
     motion, lane, time = motions[0], 1, 17
@@ -72,6 +73,7 @@ def test_the_failure_index_is_the_largest_of_all_points(criterion, motions):
     assert float(everywhere.amax()) > 1e-3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_gradient_of_the_history_against_differences(criterion, motions):
     """Where the critical point is the same on both sides; elsewhere the index has a kink."""
@@ -143,6 +145,7 @@ def test_the_door_names_what_is_missing(motions):
         plies.extreme(0, layer=2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("layers", "thickness"), [(2, 8e-3), (4, 8e-3), (4, 1e-3)])
 def test_shear_between_layers_of_a_cantilever(layers, thickness):
     """tau = 3 V / (2 w t) in the middle, three quarters of it at a quarter of the thickness, nothing at the faces."""
@@ -171,6 +174,7 @@ def test_shear_between_layers_of_a_cantilever(layers, thickness):
     assert float(index_of(rest)) == pytest.approx(float(index.max()), rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_interlaminar_needs_a_strength_of_shear():
     system = mbd.examples.arm()
     motion = mbd.simulate(system, 0.01, steps=4)
@@ -180,6 +184,7 @@ def test_interlaminar_needs_a_strength_of_shear():
     assert float(mbd.Max(mbd.PlyFailure("arm", "puck"))(motion)) > 0.0
 
 
+@pytest.mark.thorough
 def test_long_triangles_are_warned_of():
     strength = mbd.Strength(1.5e9, 1.2e9, 50e6, 250e6, 70e6, S13=60e6)
     ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength=strength)

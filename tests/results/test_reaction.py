@@ -95,6 +95,7 @@ def test_reactions_lie_where_the_joint_resists(boxes):
     assert float(pusher.force[..., :2].abs().max()) < 1e-10 * float(pusher.force.abs().max())
 
 
+@pytest.mark.thorough
 def test_a_plate_at_rest_on_an_arm_weighs_on_its_joint():
     """A clamped panel that has come to rest: force m g, torque m c x g, with the bent center of mass, on a set of nodes."""
     body = plate("panel", modes=3, cells=(4, 2), axes=turned(0.3, 0.2, 0.4), damping=0.02)
@@ -113,6 +114,7 @@ def test_a_plate_at_rest_on_an_arm_weighs_on_its_joint():
     assert_close(m, -mass * cross(center - ground.point, GRAVITY), rtol=0, atol=2e-6 * float(mass * 9.7))
 
 
+@pytest.mark.thorough
 def test_the_other_body_feels_the_opposite():
     motion = mbd.simulate(pendulum(), 0.02, steps=40).require_ok()
     (first, second) = motion.system.joints
@@ -132,6 +134,7 @@ def test_a_joint_that_does_not_exist(boxes):
         boxes.reaction("higne")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["none", "reverse", "forward"])
 def test_a_locked_joint_transmits_the_moment_of_the_lock(gradients):
     """m g c about the axis while the phase locks the hinge, then none; about the other body the opposite."""
@@ -153,6 +156,7 @@ def test_a_locked_joint_transmits_the_moment_of_the_lock(gradients):
         assert float(measure.value_and_gradient(motion)[1]) == pytest.approx(5.0, rel=1e-8)
 
 
+@pytest.mark.thorough
 def test_axes_on_a_bent_body_turn_with_its_nodes():
     """A load on the end of a soft plate: its joint keeps both frames parallel, but for squares of the angle by which the end
     turns, since attached axes turn to first order; those of the rigid load are known."""

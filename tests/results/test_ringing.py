@@ -30,6 +30,7 @@ def torque(steps: int, **options: float) -> torch.Tensor:
         return motion.reaction("motor").torque.detach()
 
 
+@pytest.mark.thorough
 def test_amplitude_is_the_error_of_the_first_steps() -> None:
     coarse, fine = torque(40), torque(1280)[:, ::32]
     error = (coarse - fine).norm(dim=-1)[0, :20].max()
@@ -37,6 +38,7 @@ def test_amplitude_is_the_error_of_the_first_steps() -> None:
     assert error > 0.3 * fine.norm(dim=-1).max()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "read", [lambda m: m.reaction("motor"), lambda m: mbd.Max(mbd.Reaction("motor", "z", "torque"))(m)]
 )
@@ -46,6 +48,7 @@ def test_a_torque_that_rings_is_told(read) -> None:
         read(motion)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("steps", "options"), [(640, {}), (40, {"spectral_radius": 0.0})])
 def test_what_helps_is_not_told(steps: int, options: dict[str, float]) -> None:
     motion = mbd.simulate(driven(), DURATION, steps=steps, **options)
@@ -54,6 +57,7 @@ def test_what_helps_is_not_told(steps: int, options: dict[str, float]) -> None:
         mbd.Max(mbd.Reaction("motor", "z", "torque"), window=(0.1, DURATION))(motion)
 
 
+@pytest.mark.thorough
 def test_a_jump_of_a_reaction_at_a_switch_is_no_ringing() -> None:
     arm = box("arm", position=(0.3, 0.0, 0.0), angular_velocity=(0.0, 0.0, 5.0))
     hinge = mbd.Revolute(mbd.Ground().at(), arm.at(-0.3, 0.0, 0.0), axis="z", name="hinge")
@@ -66,6 +70,7 @@ def test_a_jump_of_a_reaction_at_a_switch_is_no_ringing() -> None:
         motion.reaction("hinge")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [{"steps": 200, "checkpoint": 20}, {"steps": 10, "method": "dopri5"}])
 def test_few_states_of_a_resolved_motion_are_no_ringing(options: dict) -> None:
     """Two states to a period of an accurate vibration alternate, but are no errors of steps."""

@@ -55,6 +55,7 @@ def motions() -> tuple[Trajectory, Trajectory]:
     )
 
 
+@pytest.mark.thorough
 def test_a_cantilever_under_its_weight_has_the_stress_of_the_book():
     """Come to rest after many damped periods: M z / I with M = m g (l - x)^2 / 2, at both ends of every element."""
     b, h, length, n = 0.02, 0.03, 0.8, 4
@@ -110,6 +111,7 @@ def test_the_failure_index_is_the_largest_of_all_points(criterion, motions):
     assert float(everywhere.amax()) > 0.05
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_gradient_of_the_history_against_differences(criterion, motions):
     """Where the critical point is the same on both sides; elsewhere the index has a kink."""
@@ -125,6 +127,7 @@ def test_gradient_of_the_history_against_differences(criterion, motions):
     assert value.shape == (2, 41)
 
 
+@pytest.mark.thorough
 def test_the_door_names_what_is_missing(motions):
     history = mbd.SectionHistory(motions[0], "arm")
     with pytest.raises(InputError, match=r"part of 'arm' 'section1' does not exist.*did you mean 'section0'"):

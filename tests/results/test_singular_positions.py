@@ -43,6 +43,7 @@ def test_a_motion_that_failed_says_where(folding):
     assert status.startswith("failed: the motion is not finite from t = 0.76 s on; singular position near t = 0.71")
 
 
+@pytest.mark.thorough
 def test_a_regular_motion_has_none():
     motion = mbd.simulate(pendulum(), 0.02, steps=40).require_ok()
     assert motion.singular_positions() == []

@@ -64,11 +64,13 @@ def test_given_rows():
     assert signals.tangents("q", [3, 1]) is None
 
 
+@pytest.mark.thorough
 def test_a_motion_without_sensitivities_has_no_tangents():
     motion = mbd.simulate(build(2, modes=3, cells=(6, 2)), 0.02 * DURATION, steps=4, gradients="none")
     assert motion.dq_db is motion.dv_db is motion.da_db is motion.dlam_db is None
 
 
+@pytest.mark.thorough
 def test_a_motion_stays_what_it_was(motion):
     """Laws and designs that change afterwards change nothing that has not been looked at yet."""
     speed = torch.tensor(300.0, dtype=torch.float64)
@@ -91,6 +93,7 @@ def test_a_motion_stays_what_it_was(motion):
     assert_close(second.modes("rod"), shapes, rtol=0, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_motion_with_an_adjoint_has_no_tangents_and_says_so():
     motion = mbd.simulate(build(2, modes=3, cells=(6, 2)), 0.02 * DURATION, steps=4, gradients="reverse")
     with pytest.raises(mbd.InputError, match=r"dq_db: .* come by the adjoint.*; allowed: simulate\(..., gradients='f"):

@@ -38,7 +38,7 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
-@pytest.mark.thorough("laws of forces", "spatial", "redundant", "driven", "kink", "laws of drives")
+@pytest.mark.thorough
 @pytest.mark.parametrize(  # "kink" is the mechanism of "forces" with a law of its own
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "forces" else []) for name in CASES]
 )
@@ -59,7 +59,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("laws of forces", "many bodies")]  # long compilations
 
 
-@pytest.mark.thorough("laws of drives", "all held")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["laws of drives", "redundant", "all held", *SLOW])
 def test_compiled_and_eager_agree(name, native):
     make, duration, steps = CASES[name]
@@ -94,6 +94,7 @@ def test_segments_change_nothing(backend, native, monkeypatch):
     assert_close(found[1], found[0], rtol=1e-11, atol=1e-13 * float(found[0].abs().max()))
 
 
+@pytest.mark.thorough
 def test_laws_of_the_design_over_many_segments(monkeypatch):
     """Segments go back from the last one: what drives prescribe is put together in order of time."""
     hub, bob = mbd.RigidBody("hub", 1.0, (1e-3, 1e-3, 1e-3)), box("bob", position=(0.2, 0.0, 0.0))
@@ -111,6 +112,7 @@ def test_laws_of_the_design_over_many_segments(monkeypatch):
     assert_close(found, wanted, rtol=1e-8, atol=1e-8 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_the_compiled_error_is_the_largest_of_all_steps(native):
     """What one correction leaves differs by thousands from step to step; the adjoint comes to the first step last."""
     make, duration, steps = CASES["redundant"]
@@ -144,7 +146,7 @@ def test_against_differences_of_the_same_discrete_map(slider_crank):
     assert_close(found, (plus - minus) / (2 * step), rtol=0, atol=1e-6 * float(found.abs().max()))
 
 
-@pytest.mark.thorough("1")
+@pytest.mark.thorough
 @pytest.mark.parametrize("lanes", [1, 11])
 def test_lanes_do_not_depend_on_each_other(lanes, native):
     """More than a block of them, and less than one."""
@@ -175,7 +177,7 @@ def test_lanes_with_smaller_steps():
         assert_close(found, wanted, rtol=0, atol=1e-4 * float(wanted.abs().max()))
 
 
-@pytest.mark.thorough("False")
+@pytest.mark.thorough
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     if fast:
@@ -193,6 +195,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     assert_close(found[[0, 2]], wanted[[0, 2]], rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 def test_many_responses_go_back_in_parts(monkeypatch):
     monkeypatch.setattr("torchmbd.design.differentiate.ROWS", 2)
     system = pendulum()
@@ -204,6 +207,7 @@ def test_many_responses_go_back_in_parts(monkeypatch):
     assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_gradients_that_did_not_converge_say_so(monkeypatch):
     motion = mbd.simulate(sprung(), 0.02, steps=15, gradients="reverse")
     monkeypatch.setattr(pullback, "MOST", 1)
@@ -214,6 +218,7 @@ def test_gradients_that_did_not_converge_say_so(monkeypatch):
         mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)
 
 
+@pytest.mark.thorough
 def test_a_number_that_does_not_depend_on_the_motion():
     motion = mbd.simulate(pendulum(), 0.01, steps=5, gradients="reverse")
     assert float(mbd.Frequency("rod").value_and_gradient(motion)[1].abs().max()) > 0
@@ -221,6 +226,7 @@ def test_a_number_that_does_not_depend_on_the_motion():
     assert constant.gradient.tolist() == [[0.0, 0.0]]
 
 
+@pytest.mark.thorough
 def test_a_variable_that_nothing_depends_on():
     system = pendulum()
     system.register_parameter("loose", torch.nn.Parameter(torch.zeros(2, dtype=torch.float64)))
@@ -254,7 +260,7 @@ def test_a_problem_refuses_an_adjoint_that_is_not_there():
         energies(2, gradients="reverse", method="rk4")
 
 
-@pytest.mark.thorough("eager")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("length", "backend"), [(2000, "native"), (15, "eager")])
 def test_states_between_checkpoints_are_made_again(backend, length, native, monkeypatch):
     """Values are those of all steps at the kept times, to the bit; so are gradients of what these times have."""
@@ -279,6 +285,7 @@ def test_states_between_checkpoints_are_made_again(backend, length, native, monk
     assert_close(differentiate(kept, forward).gradient, wanted, rtol=1e-6, atol=1e-8 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_steps_with_further_corrections_are_made_again_as_they_were(native):
     """Lanes of which the quick iteration is imprecise, between checkpoints."""
     system = build(3, cells=(6, 2), modes=3)

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("compiled")
 ANGLES = "rod.laminate.angles"
 
 
-@pytest.mark.thorough("0.01-10")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("duration", "steps"), [(0.01, 10), (0.004, 12)])
 def test_gradients_alone_and_in_a_batch(duration, steps):
     """Coarse steps: some designs call for more corrections of their tangents than others."""

@@ -104,7 +104,7 @@ def test_gradients(system, start, slopes, way):
         assert_close(x[name].grad, wanted, rtol=0, atol=2e-6 * float(wanted.abs().max()), msg=name)
 
 
-@pytest.mark.thorough("reverse")
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_lanes_are_designs_of_their_own(system, start, way):
     many = {name: torch.stack([y, 1.01 * y]).requires_grad_() for name, y in start.items()}
@@ -115,6 +115,7 @@ def test_lanes_are_designs_of_their_own(system, start, way):
         assert_close(many[name].grad[1], x.grad, rtol=0, atol=1e-8 * float(x.grad.abs().max()), msg=name)
 
 
+@pytest.mark.thorough
 def test_transforms_of_torch_func(system, start, slopes):
     for name in ("ball.velocity", "ball.mass", "rod.position"):
 
@@ -126,6 +127,7 @@ def test_transforms_of_torch_func(system, start, slopes):
             assert_close(transform(f)(start[name]), slopes[name], rtol=0, atol=2e-6 * size, msg=name)
 
 
+@pytest.mark.thorough
 def test_compiled_steps_have_the_same_gradients(system, start, native):
     found = []
     for backend in ("eager", "native"):
@@ -173,6 +175,7 @@ def test_a_mass_that_falls_and_a_ball_that_flies():
         assert_close(by, (e, 0.5 * e), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_they_are_trained_saved_and_copied(system):
     again = copy.deepcopy(system)
     values = {name: x + 0.01 for name, x in system.state_dict().items() if name in ("ball.mass", "ball.velocity")}

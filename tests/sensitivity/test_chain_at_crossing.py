@@ -67,6 +67,7 @@ def gradient_by_differences(
     return (f[0] - f[3] + 8 * (f[2] - f[1])) / (12 * h)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DESIGNS)
 def test_gradients_through_the_motion_where_two_retained_frequencies_are_equal(name):
     others, bracket, first, options = DESIGNS[name]

@@ -60,6 +60,7 @@ def ours(family: Family) -> Callable[[Tensor], Tensor]:
     return function
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [24, 180], ids=["dense", "krylov"])
 @pytest.mark.parametrize(
     "family", [f for f in FAMILIES if f.name != "free body"], ids=lambda f: f.name + (" M(b)" if f.with_mass else "")
@@ -71,6 +72,7 @@ def test_derivatives_are_exact_in_every_family(family, size):
     assert torch.linalg.norm(found - truth) < 1e-9 * torch.linalg.norm(truth)
 
 
+@pytest.mark.thorough
 def test_forward_reverse_and_backward_agree():
     b = torch.zeros(2, dtype=torch.float64, requires_grad=True)
     truth = jacfwd(exact(CROSSING))(b.detach())
@@ -81,6 +83,7 @@ def test_forward_reverse_and_backward_agree():
     torch.testing.assert_close(b.grad, truth.T @ weight, rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ["dense", "sparse"])
 def test_lanes_and_directions_nest_in_any_order(form):
     designs = torch.tensor([[0.0, 0.0], [0.1, -0.05], [-0.1, 0.02]], dtype=torch.float64)
@@ -140,6 +143,7 @@ def test_fixed_modes_leave_only_the_derivative_of_the_stiffness():
     assert (jvp(lambda b: reduced(b, True), (b,), (d,))[1].stiffness - change.stiffness).abs().max() > 0.1
 
 
+@pytest.mark.thorough
 def test_second_derivatives_are_refused_by_name():
     b = torch.zeros(2, dtype=torch.float64)
     for n in (0, CROSSING.n):

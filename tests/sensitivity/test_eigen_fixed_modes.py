@@ -34,6 +34,7 @@ def stage(reduction: str, updated: bool):
     return body, lambda angles: functional_call(module, {"body.laminate.angles": angles}, ())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reduction", INTERFACE)
 def test_fixed_modes_have_the_values_of_updated_ones_and_only_psi_dK_psi(reduction):
     body, fixed = stage(reduction, False)
@@ -65,6 +66,7 @@ class _Entries(torch.nn.Module):
         return self.of.entries()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reduction", INTERFACE)
 def test_derivatives_of_the_updated_stage_are_differences(reduction):
     """Invariants under turns of the basis: the compliance at two nodes, and the modal mass that shakes with the frame."""
@@ -86,6 +88,7 @@ def test_derivatives_of_the_updated_stage_are_differences(reduction):
     assert torch.linalg.norm(found - expected) < 1e-7 * torch.linalg.norm(expected)
 
 
+@pytest.mark.thorough
 def test_craig_bampton_answers_interface_loads_exactly():
     """No fixed-interface mode at all: the static answer of the whole mesh to loads at both ends."""
     body = plate("plate", modes=0, reduction="craig-bampton", interface=("left", "right"))
@@ -122,6 +125,7 @@ def test_bad_input_is_named(given, words):
         assert word in str(error.value)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("overrides", "reduction"),
     [

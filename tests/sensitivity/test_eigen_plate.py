@@ -62,6 +62,7 @@ def one_sided(function, h: float) -> torch.Tensor:
     return table[0]
 
 
+@pytest.mark.thorough
 def test_the_pair_is_repeated_and_its_slopes_are_one_sided_differences(plate):
     def values(theta):
         return eigenpairs(*plate(theta), N_MODES).values
@@ -78,6 +79,7 @@ def test_the_pair_is_repeated_and_its_slopes_are_one_sided_differences(plate):
     torch.testing.assert_close(found.value_slopes, slopes, rtol=1e-7, atol=1e-7 * at[2].item())
 
 
+@pytest.mark.thorough
 def test_branches_continue_the_modes_across_the_crossing(plate):
     found = eigenpair_branches(plate, AT, ONE, N_MODES)
     M = plate(AT)[1]
@@ -94,6 +96,7 @@ def test_branches_continue_the_modes_across_the_crossing(plate):
         assert error.norm() < 1e-4 * (difference * M.sqrt()).norm()
 
 
+@pytest.mark.thorough
 def test_forward_and_reverse_agree_on_sparse_values_in_lanes(plate):
     load = torch.cos(torch.arange(len(plate(AT)[1]), dtype=torch.float64))
 
@@ -113,6 +116,7 @@ def test_forward_and_reverse_agree_on_sparse_values_in_lanes(plate):
         torch.testing.assert_close(together[lane], alone, rtol=1e-8, atol=1e-8 * alone.abs().max().item())
 
 
+@pytest.mark.thorough
 def test_responses_of_the_reduced_plate_do_not_notice_the_crossing(plate):
     load = torch.sin(torch.arange(len(plate(AT)[1]), dtype=torch.float64))
 

@@ -76,6 +76,7 @@ def test_slopes_next_to_rounding_add_up(gap):
     assert float(slopes[:2].sum()) == pytest.approx(-1.0, abs=1e-10)
 
 
+@pytest.mark.thorough
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(spectra(), st.booleans(), st.integers(0, 1000))
 def test_reverse_mode_is_forward_mode(spectrum, with_mass, seed):
@@ -102,6 +103,7 @@ def _separated(K: Tensor, M: Tensor, n: int) -> bool:
     return bool(values[n] - values[n - 1] > 1e-2)
 
 
+@pytest.mark.thorough
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(spectra(), st.booleans(), st.integers(0, 1000))
 def test_slopes_of_eigenvalues_are_exact_or_those_of_their_cluster(spectrum, with_mass, seed):

@@ -12,6 +12,7 @@ from torchmbd.fem.reduction import modal_basis
 CROSSING = next(f for f in FAMILIES if f.name == "not commuting" and f.with_mass)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [24, 180], ids=["dense", "krylov"])
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda f: f.name + (" M(b)" if f.with_mass else ""))
 def test_gauge_free_derivatives_are_exact_in_every_family(family, size):
@@ -80,6 +81,7 @@ def test_lanes_and_directions_nest_in_any_order():
             torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-11, msg=name)
 
 
+@pytest.mark.thorough
 def test_a_mass_shared_by_all_lanes_and_one_that_alone_varies():
     K, M, dK, dM = lanes_of_matrices()
     n = CROSSING.n
@@ -119,6 +121,7 @@ def test_fixed_modes_leave_only_the_derivative_of_the_stiffness():
     assert (updated.stiffness - change.stiffness).abs().max() > 0.1
 
 
+@pytest.mark.thorough
 def test_second_derivatives_are_refused_by_name():
     b = torch.zeros(2, dtype=torch.float64)
 

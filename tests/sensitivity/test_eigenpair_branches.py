@@ -33,6 +33,7 @@ def branches(family: Family, **options):
     return eigenpair_branches(lambda b: family.exact(b)[:2], ZERO, ONE, family.n, **options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SPLIT)
 @pytest.mark.parametrize("with_mass", [False, True], ids=["", "M(b)"])
 def test_every_branch_that_exists_has_its_exact_derivatives(name, with_mass):
@@ -57,6 +58,7 @@ def test_every_branch_that_exists_has_its_exact_derivatives(name, with_mass):
         torch.testing.assert_close(found.vector_slopes[:, i] * sign, d_psi[:, j], rtol=0, atol=tolerance)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["always repeated", "partly splitting triple"])
 def test_what_stays_together_moves_as_a_span(name):
     family = next(f for f in FAMILIES if f.name == name and f.with_mass)
@@ -70,6 +72,7 @@ def test_what_stays_together_moves_as_a_span(name):
     torch.testing.assert_close(found.value_slopes[together], torch.ones(2, dtype=torch.float64), rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 def test_more_orders_split_what_two_derivatives_leave_together():
     def matrices(b):
         t = b[0]

@@ -188,6 +188,7 @@ def root_by_spectrum(gap: float, b: torch.Tensor) -> torch.Tensor:
     return spectral_function(modal_basis(pair(gap, b), torch.ones(4, dtype=torch.float64), 3), torch.sqrt)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gap", [0.0, 1e-13, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-3])
 def test_functions_of_values_and_vectors_are_exact_or_refused_in_every_mode(gap):
     """Forward mode is exact; reverse mode where rounding leaves anything of single pairs."""
@@ -223,6 +224,7 @@ def test_a_pair_along_the_axes_is_refused_too():
         jvp(lambda b: vmap(root)(b[None]), (b,), (torch.ones_like(b),))
 
 
+@pytest.mark.thorough
 def test_gradients_of_torch_func():
     """grad, vjp and vmap of grad, of the span and of single vectors."""
     K = torch.tensor([[2.0, 1, 0], [1, 3, 0.5], [0, 0.5, 7]], dtype=torch.float64)

@@ -51,7 +51,7 @@ def rebound(motion: Trajectory) -> Tensor:
     return motion.v * flip
 
 
-@pytest.mark.thorough("rebound", "rk4-0.8")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("method", "impact"), [("generalized_alpha", RESTITUTION), ("generalized_alpha", rebound), ("rk4", RESTITUTION)]
 )

@@ -53,6 +53,7 @@ def test_reverse_mode_through_plain_torchdiffeq_is_the_forward_sensitivity(name)
     assert_close(angles.grad, forward, rtol=1e-8, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_batch_in_forward_mode_is_each_design_in_reverse_mode():
     """Lanes do not leak into each other's gradients."""
     system = pendulum()

@@ -44,7 +44,7 @@ PIECES = [
 ]
 
 
-@pytest.mark.thorough("rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_a_jump_located_has_its_closed_form(method):
     fields = tensor(1.0, 0.4, 2.3)

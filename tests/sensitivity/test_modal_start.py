@@ -22,6 +22,7 @@ def rod(modes: int = 3, **options) -> mbd.FlexibleBody:
     return plate("rod", modes, made_of=laminate((20.0, -50.0), 3e-3, SOFT), **options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rate", [None, RATE])
 def test_gradients_of_a_bent_start(rate):
     check(hung(rod().bent(W, rate)), [ANGLES])
@@ -34,6 +35,7 @@ def test_gradients_of_a_bent_start_of_both_reductions_and_backends(native):
     check(hung(body.bent(1e-3 * torch.cos(torch.arange(body.modes, dtype=torch.float64)))), [ANGLES])
 
 
+@pytest.mark.thorough
 def test_gradients_of_a_start_by_numbers():
     """One for all designs, and one for each."""
     check(hung(rod()), [ANGLES], partial(number, start={"rod.modal": W, "rod.modal_velocity": RATE}))
@@ -45,6 +47,7 @@ def test_gradients_of_a_start_by_numbers():
         assert_close(both[lane], alone[0], rtol=1e-8, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_the_energy_at_the_start_is_that_of_single_modes(gradients):
     """sum lambda_i w_i^2 / 2, whose derivative is that of the eigenvalues."""
@@ -58,6 +61,7 @@ def test_the_energy_at_the_start_is_that_of_single_modes(gradients):
     assert_close(by[0], wanted, rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_motion_that_starts_where_another_ends():
     """Of numbers, and of a function of the same design; both are what differences of the two motions say."""
     system = hung(rod().bent(W))
@@ -74,6 +78,7 @@ def test_a_motion_that_starts_where_another_ends():
         assert_close(by[0], wanted, rtol=0, atol=1e-6 * float(by.abs().max()))
 
 
+@pytest.mark.thorough
 def test_modes_of_equal_frequency_have_no_gradient():
     """Bending of a round tube in two planes; where they are at rest, the others have one."""
     tube = mbd.sections.tube(radius=0.02, ply=ply(1.0, **CARBON), angles=mbd.deg([20.0, -20.0]), thickness=1e-3)

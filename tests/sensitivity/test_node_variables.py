@@ -65,6 +65,7 @@ def test_both_backends(native):
     check_native(arm(LINES["module"]()), ["rod.line.length", "rod.line.height"])
 
 
+@pytest.mark.thorough
 def test_a_design_is_a_body_of_its_own():
     """A lane moves as the body that is built with its length; places, mass and section forces with it."""
     system, own = arm(LINES["length"]()), arm(mbd.BeamLine.straight(0.33, elements=4))
@@ -93,6 +94,7 @@ def test_closed_forms_of_a_cantilever():
     assert_close(by, -2.0 * first[0].detach(), rtol=2e-3, atol=0)
 
 
+@pytest.mark.thorough
 def test_one_length_serves_the_body_and_a_joint_beside_it():
     """A closed loop follows: the shared parameter is one variable."""
     L = V(0.3)
@@ -107,6 +109,7 @@ def test_one_length_serves_the_body_and_a_joint_beside_it():
     check(system, ["rod.line.length"])
 
 
+@pytest.mark.thorough
 def test_a_system_is_copied_and_pickled():
     system = arm(LINES["length"]())
     for again in (copy.deepcopy(system), pickle.loads(pickle.dumps(system))):

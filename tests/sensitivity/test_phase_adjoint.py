@@ -105,7 +105,7 @@ def test_the_gradient_is_that_of_forward_tangents(name, method):
     assert float(((found.gradient - wanted.gradient).abs().amax((0, 2)) / size).max()) < 1e-8
 
 
-@pytest.mark.thorough("an event of the design")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["a map of velocities", "an event of the design"])
 def test_against_differences_of_the_same_discrete_map(name):
     """Richardson's extrapolation of central differences; of locks, drives and forces test_events.py has the tangents'."""
@@ -119,7 +119,7 @@ def test_against_differences_of_the_same_discrete_map(name):
     assert_close(found[0] @ way, (4.0 * near - far) / 3.0, rtol=1e-6, atol=0)
 
 
-@pytest.mark.thorough("0.8")
+@pytest.mark.thorough
 @pytest.mark.parametrize("impact", [0.8, lambda motion: motion.v * tensor(1.0, 1.0, -0.8, 1.0, 1.0, 1.0)])
 def test_a_bouncing_mass_has_the_gradients_of_its_closed_form(impact):
     fields = tensor(9.81, 7.0, 20.0)[:, None].requires_grad_()
@@ -188,6 +188,7 @@ def test_native_and_eager_agree(native):
     assert float(((one - other).abs().amax((0, 2)) / other.abs().amax((0, 2))).max()) < 1e-8
 
 
+@pytest.mark.thorough
 def test_backward_reaches_the_parameters_and_a_motion_can_be_pickled():
     system = pendulum(damping=1e-4)
     motion = mbd.simulate(system, 0.06, steps=30, phases=falling(0.4)).require_ok()

@@ -79,6 +79,7 @@ def test_native_gradients_are_eager_ones(system):
     )
 
 
+@pytest.mark.thorough
 def test_the_time_of_a_switch_is_the_tensor():
     bob = mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, 0, -1))
     hook = mbd.Fixed(mbd.Ground().at(0, 0, -1), bob.at(), name="hook")
@@ -98,6 +99,7 @@ def test_modes_that_do_not_reach_a_time_refuse_it_by_name(system, options):
         mbd.simulate(system, 0.075, steps=30, phases=phases(times), **options)
 
 
+@pytest.mark.thorough
 def test_values_alone_have_no_gradient_by_a_time(system):
     times = TIMES.clone().requires_grad_()
     assert not mbd.simulate(system, 0.075, steps=30, phases=phases(times), gradients="none").q.requires_grad

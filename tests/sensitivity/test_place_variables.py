@@ -52,6 +52,7 @@ def test_gradients():
     check(mechanism(), [*POINTS, "spring.stiffness"], reacting)
 
 
+@pytest.mark.thorough
 def test_gradients_of_initial_modal_coordinates():
     check(bent(), ["rod.modal", "rod.modal_velocity"])
 
@@ -62,6 +63,7 @@ def test_both_backends(native):
     check_native(bent(), ["rod.modal", "rod.modal_velocity"])
 
 
+@pytest.mark.thorough
 def test_transforms_of_torch_func():
     system = mechanism()
     x = system.get_parameter("tip_a.y").detach()
@@ -72,6 +74,7 @@ def test_transforms_of_torch_func():
     assert_close(torch.func.jacfwd(f)(x), torch.func.jacrev(f)(x), rtol=1e-8, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_design_is_a_system_of_its_own_and_a_point_has_one_place():
     """Of lanes, and of what was loaded; a body whose joint to the ground varies is not condensed."""
     system, own = mechanism(), mechanism()

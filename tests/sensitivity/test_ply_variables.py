@@ -61,6 +61,7 @@ def test_their_names():
     assert names_of(metal(), "section")[:2] == ["rod.section.E", "rod.section.nu"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_gradients(case):
     system = CASES[case]()
@@ -68,7 +69,7 @@ def test_gradients(case):
     check(system, names, steps=dict.fromkeys([name for name in names if "nu" in name], 2e-2))
 
 
-@pytest.mark.thorough("laminate")
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["laminate", "section"])
 def test_gradients_of_the_failure_index(case):
     system = CASES[case]()
@@ -76,6 +77,7 @@ def test_gradients_of_the_failure_index(case):
     check(system, names, failing, steps=dict.fromkeys(names, 1e-4))  # the point nearest to failure stays what it is
 
 
+@pytest.mark.thorough
 def test_both_backends(native):
     system = laminated()
     check_native(system, [name for name in names_of(system, "ply") if "strength" not in name])
@@ -94,6 +96,7 @@ def test_closed_forms():
     assert_close(by[1] * density, -0.5 * first[0], rtol=1e-8, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_shared_ply_is_one_variable_and_zones_with_it_stay_apart():
     one = ply(E1=V(1e8))
     two = [mbd.Laminate(one, mbd.deg([angle]), 3e-3) for angle in (0, 40)]
@@ -107,6 +110,7 @@ def test_a_shared_ply_is_one_variable_and_zones_with_it_stay_apart():
     check(system, ["rod.a.ply.E1", "rod.b.angles"])
 
 
+@pytest.mark.thorough
 def test_a_problem_with_bounds():
     system = laminated()
     name = "rod.laminate.ply0.E1"

@@ -43,7 +43,7 @@ def dimensions(section: Section) -> list[str]:
     return [name for name, _ in section.named_parameters() if name != "angles"]
 
 
-@pytest.mark.thorough("rectangle", "tube", "circle", "box")
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", SECTIONS)
 def test_a_section_of_other_dimensions_is_that_section(case):
     """Forward and reverse by every dimension against differences; numbers are those of a section that is made anew."""
@@ -105,7 +105,7 @@ def test_closed_forms_of_a_tube():
     assert_close(torch.stack(by), wanted, rtol=5e-3, atol=0)
 
 
-@pytest.mark.thorough("box")
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["box", "tube"])
 def test_gradients_of_a_motion(case):
     line = mbd.BeamLine(BENT)
@@ -124,11 +124,13 @@ def test_gradients_of_the_failure_index():
     check(system, names, failing, steps=dict.fromkeys(names, 1e-4))
 
 
+@pytest.mark.thorough
 def test_both_backends(native):
     system = hung(beam(SECTIONS["tube"](), line=mbd.BeamLine(BENT)), "start")
     check_native(system, ["rod.section.radius", "rod.section.thickness"])
 
 
+@pytest.mark.thorough
 def test_a_problem_with_bounds_on_the_wall():
     system = hung(beam(SECTIONS["tube"](), line=mbd.BeamLine(BENT)), "start")
     name = "rod.section.thickness"

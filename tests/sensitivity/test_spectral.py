@@ -43,7 +43,7 @@ def at_meeting(family: Family) -> torch.Tensor:
     return torch.zeros(family.variables, dtype=torch.float64)
 
 
-@pytest.mark.thorough(*[family.name for family in MEETING if not family.with_mass])
+@pytest.mark.thorough
 @pytest.mark.parametrize("family", MEETING, ids=label)
 def test_a_function_of_the_span_has_its_exact_derivative_in_forward_and_reverse_mode(family):
     b = at_meeting(family)
@@ -176,6 +176,7 @@ def _gauge_free(basis):
     return basis.vectors @ basis.stiffness @ basis.vectors.mT
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("at", [0.0, 0.1])
 @pytest.mark.parametrize("name", BATCHED)
 def test_batched_gradcheck_where_a_pair_repeats_and_where_none_does(name, at):
@@ -190,6 +191,7 @@ def test_batched_gradcheck_where_a_pair_repeats_and_where_none_does(name, at):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("at", [0.0, 0.1])
 def test_batched_gradcheck_of_a_large_sparse_problem(at):
     """By Lanczos iteration and conjugate gradients, with pairs of waves in the span."""
@@ -204,6 +206,7 @@ def test_batched_gradcheck_of_a_large_sparse_problem(at):
     )
 
 
+@pytest.mark.thorough
 def test_batched_gradcheck_of_single_pairs_where_none_repeats():
     x = torch.tensor([0.1, -0.15], dtype=torch.float64, requires_grad=True)
 

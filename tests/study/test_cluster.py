@@ -133,6 +133,7 @@ def test_what_is_wrong_is_named(slurm, keys, message):
     assert message in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_workers_must_be_asked_for(slurm, folder, monkeypatch, capsys):
     (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())
     monkeypatch.chdir(folder)
@@ -145,6 +146,7 @@ def test_workers_must_be_asked_for(slurm, folder, monkeypatch, capsys):
     assert not (folder / "mlflow.db").exists()
 
 
+@pytest.mark.thorough
 def test_a_cluster_that_cannot_be_used_ends_a_study_at_once(slurm, folder, monkeypatch, capsys):
     """With exit code 2, what is wrong, and nothing left behind that would wait to be sent."""
     (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())

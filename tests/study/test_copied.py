@@ -23,6 +23,7 @@ def copied(finished, tmp_path, monkeypatch):
     hidden.rename(finished.folder)
 
 
+@pytest.mark.thorough
 def test_all_commands_that_look_at_studies_work_in_a_copy(copied, finished, capsys):
     first, second = (run[:8] for run in finished.runs)
     assert cli.main(["list", "."]) == 0

@@ -36,12 +36,14 @@ def same(found, expected):
         np.testing.assert_allclose(one.objective_gradient, other.objective_gradient, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_piece_is_what_the_problem_itself_gives(write):
     plan = load_study(write(simulate=SHORT))
     pool = study_workers(plan, problem_key(plan.simulated), 1, 2)
     same(evaluate_piece(*pool.factory, X[:2], True), plan.simulated.evaluate(X[:2], True))
 
 
+@pytest.mark.thorough
 def test_another_model_file_on_a_worker_is_refused(write, folder):
     plan = load_study(write(simulate=SHORT))
     pool = study_workers(plan, problem_key(plan.simulated), 1, 2)

@@ -54,6 +54,7 @@ def test_the_time_is_that_of_a_batch(write, monkeypatch):
     assert cost.memory > 3 * 2 * bytes_of_a_motion
 
 
+@pytest.mark.thorough
 def test_the_cost_of_a_valid_file(write):
     output = io.StringIO()
     print_estimate(load_study(write(simulate={"duration": 1e-3, "steps": 4})), Console(file=output, width=200))

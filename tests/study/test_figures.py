@@ -53,6 +53,7 @@ def run(file: Path, tracker) -> tuple[int, str]:
     return run_figures(plan, Console(file=output, width=100), tracker), output.getvalue()
 
 
+@pytest.mark.thorough
 def test_pictures_numbers_and_the_sentence_are_in_the_store(write, tmp_path, empty_store):
     tracker = MlflowTracker("draw", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
     code, output = run(write("figures: figures.py:figures\noptions: {angle: 2.5}\n"), tracker)
@@ -76,6 +77,7 @@ def test_a_function_that_fails_leaves_a_failed_run(write, tmp_path, empty_store)
     assert [r.info.status for r in open_store(tracker.uri).search_runs([tracker.record.experiment_id])] == ["FAILED"]
 
 
+@pytest.mark.thorough
 def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, empty_store, monkeypatch):
     uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
     for name, value in (("TORCHMBD_STORE", tmp_path / "place"), ("MLFLOW_TRACKING_URI", uri), ("TMPDIR", tmp_path)):

@@ -45,6 +45,7 @@ def test_the_resolved_file_is_a_file_again(write):
     assert again.resolved() == resolved
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", ["forward", "reverse"])
 def test_which_way_gradients_come_can_be_chosen(write, way):
     simulate = {"duration": 0.002, "steps": 20}
@@ -66,6 +67,7 @@ def test_steps_that_are_left_out_have_a_tolerance(write):
         assert fault.path == ("simulate", "tolerance")
 
 
+@pytest.mark.thorough
 def test_motions_start_where_the_file_says(write):
     simulate = {"duration": 0.002, "steps": 20}
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}

@@ -114,6 +114,7 @@ def test_a_file_that_multiplies_itself_is_refused():
         parse_yaml(bomb)
 
 
+@pytest.mark.thorough
 def test_a_deep_file_is_refused():
     with pytest.raises(StudyError, match="nested more than"):
         parse_yaml("a: " + "[" * 5000)

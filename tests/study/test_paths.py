@@ -25,6 +25,7 @@ def keys(file, *overrides):
     return problem_key(plan.simulated), study_key(plan, "sqlite:///runs.db")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("override", "problem", "study"),
     [
@@ -45,6 +46,7 @@ def test_which_keys_change(write, override, problem, study):
     assert (before[0] != after[0], before[1] != after[1]) == (problem, study)
 
 
+@pytest.mark.thorough
 def test_another_model_in_the_same_file_is_another_problem(write, folder):
     before = keys(write())
     model = folder / "rod_model.py"
@@ -99,6 +101,7 @@ def known(file: Path, tracker) -> tuple[int, str]:
     return int(found[1]) if found else 0, re.findall(r"^ +0 +([\d.e-]+)", output.getvalue(), re.MULTILINE)[-1]
 
 
+@pytest.mark.thorough
 @pytest.mark.extensions
 @pytest.mark.parametrize(
     ("name", "old", "new", "same"),
@@ -178,6 +181,7 @@ def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
         file.write_text(text)
 
 
+@pytest.mark.thorough
 def test_the_sources_count_in_both_keys(write, copied, monkeypatch):
     before = keys(write())
     file = copied / "design" / "measures.py"
@@ -192,6 +196,7 @@ def test_the_sources_count_in_both_keys(write, copied, monkeypatch):
     assert before[1] != after[1]
 
 
+@pytest.mark.thorough
 def test_another_torch_is_another_problem(write, monkeypatch):
     before = keys(write())
     monkeypatch.setattr(torch, "__version__", "2.0.0")
@@ -200,6 +205,7 @@ def test_another_torch_is_another_problem(write, monkeypatch):
     assert before[1] != after[1]
 
 
+@pytest.mark.thorough
 def test_an_evaluation_leaves_the_key_as_it_is(write):
     """What a system works out when it is first used is no change of it."""
     plan = load_study(write(), ["simulate.duration=0.001", "simulate.steps=4"])

@@ -10,6 +10,7 @@ import torchmbd as mbd
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
+@pytest.mark.thorough
 def test_the_problem_of_a_file_is_that_of_its_study(write):
     problem = mbd.problem_of(write(), "simulate.steps=60", "design.rod.laminate.angles.start=[30, -60]")
     assert problem.names == ["rod.laminate.angles[0]", "rod.laminate.angles[1]"]
@@ -29,6 +30,7 @@ def test_the_problem_of_a_file_is_that_of_its_study(write):
         assert np.array_equal(one.constraints, other.constraints)
 
 
+@pytest.mark.thorough
 def test_it_serves_steps_and_tolerances(write):
     problem = mbd.problem_of(write(subject_to=None), "simulate.duration=0.002", "simulate.steps=8")
     laid = mbd.optimize_discrete(problem, mbd.deg(15), max_iterations=2, max_boxes=2, max_neighbors=4)

@@ -190,6 +190,7 @@ def test_the_peak_of_a_sweep_is_normalized_as_well(sweep):
     assert [float(line.split(",")[2]) for line in text[1:]] == pytest.approx([1 + c for c in constraint])
 
 
+@pytest.mark.thorough
 def test_a_study_whose_simulations_fail_says_so(run):
     """Three steps for 60 ms do not converge: failed evaluations, no exception, exit code 1."""
     failed = run("failed", simulate={"duration": 0.06, "steps": 3}, subject_to=[])
@@ -202,6 +203,7 @@ def test_a_study_whose_simulations_fail_says_so(run):
     assert "failed evaluations" in failed.output
 
 
+@pytest.mark.thorough
 def test_an_exception_leaves_failed_runs(run):
     """The limit "initial" needs the start design, which cannot be simulated: that ends the study."""
     broken = run("broken", raises=SimulationFailure, simulate={"duration": 0.06, "steps": 3})

@@ -82,6 +82,7 @@ def test_links_of_numbers_in_units(write):
     same(file, problem(links=si, variables=list(design), bounds={ANGLES: BOX[ANGLES]}, start=[np.pi / 4]))
 
 
+@pytest.mark.thorough
 def test_a_front(write):
     criteria = {"energy": {"integral": {"strain_energy": "rod"}}, "mass": {"mass": "rod"}}
     design = {ANGLES: DEGREES, "rod.laminate.thickness": PLIES}
@@ -112,6 +113,7 @@ def test_a_front(write):
     assert study.options == {"divisions": 3, "everywhere": False}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["expected", "worst"])
 def test_tolerances(write, kind):
     design = {ANGLES: {**DEGREES, "tolerance": [2.5, 0]}}

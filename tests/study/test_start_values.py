@@ -27,6 +27,7 @@ def text(asked: mbd.Problem) -> str:
     return output.getvalue()
 
 
+@pytest.mark.thorough
 def test_values_are_those_of_the_motion():
     asked = problem(mbd.Mass("arm") >= 0.5, mbd.Max(ENERGY) <= "initial", mbd.Max(mbd.Angle("arm", "z")) <= 0.1)
     motion = asked.motion(asked.start)
@@ -41,6 +42,7 @@ def test_values_are_those_of_the_motion():
     assert found[1].note == ("violated" if mass < 0.5 else "")
 
 
+@pytest.mark.thorough
 def test_wrong_units_and_idle_constraints_are_pointed_at():
     mass = float(mbd.Mass("arm")(problem().motion(problem().start))[0])
     grams, few = mbd.Mass("arm") <= 5e3 * mass, mbd.Mass("arm") <= 1e-4 * mass
@@ -50,6 +52,7 @@ def test_wrong_units_and_idle_constraints_are_pointed_at():
     assert [one.note for one in found] == notes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("objective", ["mean", "worst"])
 def test_of_scenarios_the_nearest_to_the_limit_is_shown(objective):
     cases = {"thin": {"arm.laminate.thickness": 1e-3}, "thick": {"arm.laminate.thickness": 2e-3}}
@@ -63,6 +66,7 @@ def test_of_scenarios_the_nearest_to_the_limit_is_shown(objective):
     assert found[1].value == pytest.approx(max(masses), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_lines_fit_a_terminal():
     lines = text(problem(mbd.Max(ENERGY) <= 1e-9, mbd.Mass("arm") <= 1.0)).splitlines()
     assert lines[0] == "at the start design:"

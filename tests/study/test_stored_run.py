@@ -17,6 +17,7 @@ from torchmbd.tracking.catalog import find
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
+@pytest.mark.thorough
 def test_system_and_motion_are_rebuilt(finished):
     study = mbd.load(finished.runs[0][:10], finished.uri, finished.folder / "rod_model.py")
     metrics = find(finished.uri, finished.runs[0]).metrics
@@ -32,6 +33,7 @@ def test_system_and_motion_are_rebuilt(finished):
     assert_allclose(motion.q, study.motion.q, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_name_is_its_latest_run(finished):
     assert mbd.load("short", finished.uri, finished.folder / "rod_model.py").entry.run_id == finished.runs[1]
 
@@ -84,6 +86,7 @@ def test_a_store_that_was_changed_cannot_name_what_is_executed(finished, monkeyp
     assert not proof.exists()
 
 
+@pytest.mark.thorough
 def test_a_model_that_has_changed_is_reported(finished, tmp_path):
     model = shutil.copy(finished.folder / "rod_model.py", tmp_path)
     Path(model).write_text(Path(model).read_text().replace("modes=4", "modes=3"))
@@ -103,6 +106,7 @@ class Touch:
         return open, (str(self.path), "w")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("design", "message"),
     [

@@ -91,6 +91,7 @@ def test_it_is_tracked_and_reported(own, small):
     assert copied.read_text() == page
 
 
+@pytest.mark.thorough
 def test_designs_are_feasible_by_the_tolerance_of_the_study(own):
     """On the terminal, among the results and in the tracking store."""
     corner = Analytic("corner", [2.0, 2.0], lambda x: x[0] + x[1], lambda x: [1 - x[0] * x[1]], lower=0.1, upper=5.0)
@@ -105,6 +106,7 @@ def test_designs_are_feasible_by_the_tolerance_of_the_study(own):
     assert all(1e-6 < child.metrics["violation"] <= 1e-2 for child in found)
 
 
+@pytest.mark.thorough
 def test_the_best_is_feasible_or_none_also_on_steps(own):
     narrow = Analytic("narrow", [0.5], lambda x: x[0], lambda x: [x[0] - 0.6, 0.4 - x[0]], lower=0.0, upper=2.0)
     study = mbd.Study(narrow, name="narrow", increments={"x1": 1.0}, max_iterations=5).run(console=QUIET)

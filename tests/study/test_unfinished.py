@@ -99,6 +99,7 @@ def test_a_finished_study_makes_no_second_run(file, folder, capsys):
     assert len(runs(folder)) == 2 * len(first)
 
 
+@pytest.mark.thorough
 def test_a_file_that_has_changed_since_is_not_sent(file, folder, capsys):
     hide(folder)
     assert cli.main(["run", str(file)]) == 1

@@ -129,6 +129,7 @@ trees = st.recursive(
 )
 
 
+@pytest.mark.thorough
 @settings(max_examples=150, deadline=None)
 @given(trees)
 def test_what_json_writes_is_read_back(tree):
@@ -136,6 +137,7 @@ def test_what_json_writes_is_read_back(tree):
     assert parse_yaml(json.dumps(tree, ensure_ascii=False)).data == tree
 
 
+@pytest.mark.thorough
 @settings(max_examples=150, deadline=None)
 @given(st.dictionaries(st.sampled_from(["a", "b.c", "d"]), trees, max_size=3))
 def test_what_pyyaml_writes_is_read_back(tree):

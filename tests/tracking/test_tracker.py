@@ -46,6 +46,7 @@ def runs(uri: str) -> list:
     return client.search_runs([e.experiment_id for e in client.search_experiments()])
 
 
+@pytest.mark.thorough
 def test_what_is_logged_is_read_back(uri, tmp_path):
     picture = tmp_path / "a.txt"
     picture.write_text("picture")
@@ -96,6 +97,7 @@ def test_what_is_left_open_is_killed(uri):
     assert client.get_run(record.runs["start_1"]).data.metrics == {"objective": 2.0}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
@@ -112,6 +114,7 @@ def test_what_cannot_be_logged_is_an_error(uri, bad, message):
     tracker.close()
 
 
+@pytest.mark.thorough
 def test_what_the_store_refuses_is_named_and_holds_nothing_up(uri):
     tracker = MlflowTracker("refused", uri)
     tracker.begin("study", "s")
@@ -128,6 +131,7 @@ def test_what_the_store_refuses_is_named_and_holds_nothing_up(uri):
     assert any(run.data.metrics == {"objective": 2.0} for run in found)
 
 
+@pytest.mark.thorough
 def test_a_store_that_cannot_be_opened_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("TORCHMBD_PATIENCE", "0.2")
     (tmp_path / "file").write_text("")
@@ -137,6 +141,7 @@ def test_a_store_that_cannot_be_opened_is_named(tmp_path, monkeypatch):
         tracker.close()
 
 
+@pytest.mark.thorough
 def test_a_deleted_experiment_is_named(uri, monkeypatch):
     monkeypatch.setenv("TORCHMBD_PATIENCE", "0")
     for life in range(2):
@@ -243,6 +248,7 @@ def test_runs_beyond_one_page_are_found(uri, monkeypatch):
     assert records[2].runs == records[3].runs
 
 
+@pytest.mark.thorough
 def test_two_studies_open_a_fresh_store_at_once(tmp_path):
     """Without the lock MLflow's migration crashes one of them, or the experiment is made twice."""
     uri = f"sqlite:///{tmp_path / 'runs.db'}"
@@ -259,6 +265,7 @@ def test_a_study_that_says_nothing_creates_no_store(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_stores_leave_one_lock_for_all(tmp_path, empty_store, monkeypatch):
     for name in ("TMPDIR", "TORCHMBD_CACHE"):
         monkeypatch.setenv(name, str(tmp_path / name))

@@ -27,6 +27,7 @@ def parts(degrees: list[float], cells: tuple[int, int]) -> tuple[mbd.Mesh, Plate
     return mesh, Plates(mesh, mbd.Laminate(PLY, mbd.deg(degrees), t), mass="consistent"), line, Beams(line, section)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("degrees", [[30.0], [20.0, -50.0, 75.0]])
 def test_frequencies_of_a_free_strip(degrees):
     """Free: a clamped edge would hold the plate's anticlastic bending and shear, which a beam cannot."""
@@ -40,6 +41,7 @@ def test_frequencies_of_a_free_strip(degrees):
     assert np.abs(found[1] / found[0] - 1).max() < 0.01
 
 
+@pytest.mark.thorough
 def test_bending_twists_to_the_same_side():
     """Rotations between a quarter of the length, beyond the reach of the clamped edge, and the tip under a force there."""
     mesh, plates, line, beams = parts([30.0], (80, 4))

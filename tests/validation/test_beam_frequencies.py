@@ -34,6 +34,7 @@ def frequencies(
     return np.sqrt(eigh(K[np.ix_(free, free)], M[np.ix_(free, free)], subset_by_index=[0, count - 1])[0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_simply_supported_timoshenko_beam(mass):
     """Both bending planes, extension and torsion; thick (length over height 8)."""
@@ -57,6 +58,7 @@ def test_simply_supported_timoshenko_beam(mass):
     assert rates == pytest.approx(np.full(6, 2.0), abs=0.1)
 
 
+@pytest.mark.thorough
 def test_coupled_cantilever():
     """Every stiffness and inertia coupling at work, the center of mass off the line."""
     section, length = coupled_section(), 0.6

@@ -92,6 +92,7 @@ def test_gradients_of_the_height_after_a_bounce():
     assert_close(found[0] * values, differences * values, rtol=0, atol=1e-6 * float((expected * values).abs().max()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("exponent", "error"), [(1.5, 4e-3), (2.0, 5e-4)])
 def test_gradients_of_a_force_without_a_kink(exponent, error):
     """By drop height after a bounce, 150 steps in contact; with the exponent 1 it is 9 % off (docs/how-to/contact.md)."""

@@ -44,6 +44,7 @@ def uniaxial(a: float, b: float, D: torch.Tensor, m: int, n: int) -> float:
     return float(D[0, 0] * p**4 + 2 * (D[0, 1] + 2 * D[2, 2]) * p**2 * q**2 + D[1, 1] * q**4) / p**2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["quad", "triangle"])
 def test_simply_supported_orthotropic_plate(kind):
     a, b = 1.2, 0.8
@@ -56,6 +57,7 @@ def test_simply_supported_orthotropic_plate(kind):
     assert found.tolist() == pytest.approx(wanted, rel=1e-2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["quad", "triangle"])
 def test_antisymmetric_angle_ply_plate(kind):
     """Edges of the second kind of simple support: normal displacement free, tangential held."""
@@ -118,6 +120,7 @@ def lateral(EI: float, GJ: float, EW: float, L: float) -> float:
     return float(1.0 / scipy.linalg.eigh(pull.numpy(), stiff.numpy(), eigvals_only=True)[-1]) ** 0.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "cells"), [("quad", (40, 4)), ("triangle", (80, 8))])
 def test_lateral_buckling_of_a_strip(kind, cells):
     """A cantilever strip under a force at its tip, in its plane; its clamped end keeps plane, which is worth 2 %."""
@@ -132,6 +135,7 @@ def test_lateral_buckling_of_a_strip(kind, cells):
     assert found == pytest.approx(lateral(EI, GJ, EW, L), rel=1e-2)
 
 
+@pytest.mark.thorough
 def test_plate_of_tacs():
     """4 x 3 m, 20 mm, E = 205 GPa, 20 kN/m along the 3 m: TACS has 20.1836, 48.9392, 82.3268 on 8 x 6 cells."""
     E = 205e9
@@ -167,6 +171,7 @@ def clamped(size: tuple[float, float], t: float, E: float, nu: float, N: list[li
     return float(1.0 / scipy.linalg.eigh(-Kg, K, eigvals_only=True)[-1])
 
 
+@pytest.mark.thorough
 def test_clamped_plate_under_compression_and_shear():
     """1 x 0.7 m, 70 mm, strains -1e-3, 0 and 2e-3: TACS has 52.6164, 58.4871 on 5 x 5 cells, Ritz's method 41.6."""
     E, nu, t = 70e9, 0.33, 0.07
@@ -213,6 +218,7 @@ def transfer(factor: float, load: np.ndarray, C: np.ndarray, twist: float, steps
     return float(np.linalg.det(free))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "load",
     [

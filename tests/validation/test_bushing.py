@@ -49,6 +49,7 @@ def turning(axis: str, largest: float, stiffness: Tensor, damping: Tensor) -> tu
     return motion, torch.stack([angle, largest * torch.exp(-d * t) * torch.sin(wd * t)])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_all_three_springs_about_one_axis(axis):
     """Up to 1.2 rad: those of the other two axes do not see it."""

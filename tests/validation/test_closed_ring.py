@@ -35,6 +35,7 @@ def pulled(elements: int) -> mbd.integrate.Equilibrium:
     return mbd.equilibrium(mbd.System(beams, [wall, *joints], [mbd.Force(beams[2].at("start"), (0.0, PULL, 0.0))]))
 
 
+@pytest.mark.thorough
 def test_diameters_and_moments():
     """They grow by (pi/4 - 2/pi) and fall by (2/pi - 1/2) of P R^3 / E I, extrapolated; P R / pi under the force."""
     found = []

@@ -34,6 +34,7 @@ def compliance(nx: int, ny: int) -> tuple[float, float, float]:
     return float(assembly.masses().mass.sum()), tension, shear
 
 
+@pytest.mark.thorough
 def test_mass_and_compliance():
     mass, tension, shear = compliance(8, 32)
     assert mass == pytest.approx(1.1625, rel=1e-12)

@@ -38,5 +38,6 @@ def test_printed_values_of_the_optimal_triangle(n, printed):
     assert tip(n) == pytest.approx(printed, abs=0.006)
 
 
+@pytest.mark.thorough
 def test_converged_value():
     assert tip(32) == pytest.approx(23.96, rel=0.005)

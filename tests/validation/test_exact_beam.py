@@ -21,6 +21,7 @@ from tests.fem.exact_beam.cosserat import cantilever
 BEND = np.array([47.15044, 15.68480, 53.47486])  # by the differential equation
 
 
+@pytest.mark.thorough
 def test_roll_up_to_a_circle():
     """Any number of elements; twice around as well."""
     EI = 0.5
@@ -34,6 +35,7 @@ def test_roll_up_to_a_circle():
         torch.testing.assert_close(state.nodes, wanted, rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_bend_of_45_degrees():
     """8 linear elements of Simo and Vu-Quoc: 47.23, 15.79, 53.37."""
     state = bend(8).equilibrium({"end": (0.0, 0.0, 600.0)})
@@ -43,6 +45,7 @@ def test_bend_of_45_degrees():
     assert less.nodes[-1].tolist() == pytest.approx([58.84, 22.33, 40.08], rel=1e-2)
 
 
+@pytest.mark.thorough
 def test_bend_by_the_differential_equation():
     K = np.diag([1e7, 5e6, 5e6, 5e6 / 6.0, 1e7 / 12.0, 1e7 / 12.0])
     found = cantilever(25.0 * math.pi, K, np.array([0.0, 0.0, 0.01]), np.array([0.0, 0.0, 600.0]), levels=3)
@@ -60,6 +63,7 @@ def test_twisted_beam_of_beamdyn():
     assert moved == pytest.approx([-1.132727, -1.715123, -3.578671], rel=8e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("load", "down", "out"),
     [

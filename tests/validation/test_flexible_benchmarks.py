@@ -207,6 +207,7 @@ def test_spin_up_at_low_speed():
     assert float(motion.stats["spin_ratio"]["part_0"]) == pytest.approx(0.3 / 3.803, rel=5e-3)
 
 
+@pytest.mark.thorough
 def test_faster_a_warning_gives_the_ratio():
     """At 2 rad/s the deflection is off by far more; the exact beam is checked by its published stretch."""
     with pytest.warns(UserWarning, match=r"body 'part_0' turns at 0\.5 of its first frequency: centrifugal stiffening"):

@@ -22,6 +22,7 @@ def stable(push: float, elements: int) -> bool:
     return mbd.equilibrium(mbd.System([column], [clamp], [follower])).stable
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("elements", "above"), [(10, 0.0238), (20, 0.0059)])
 def test_a_column_flutters_under_a_force_that_follows(elements, above):
     """The limit of a mesh lies above by an error of second order: 2.4 % with 10 elements, 0.6 % with 20."""

@@ -53,6 +53,7 @@ def skew_center(n):
     return w * 10.92e-6 / 12 / 0.91 * 1000
 
 
+@pytest.mark.thorough
 def test_morley_skew_plate():
     """The obtuse corners make this slow for every element: 16 x 16 cells are within 2 %, 32 x 32 within 1 %."""
     found = [skew_center(n) for n in (8, 16, 32)]
@@ -73,6 +74,7 @@ def clamped_center(n, kind):
     return solved(stiffness(plate, laminate), load, held)[6 * mesh.node("center") + 2]
 
 
+@pytest.mark.thorough
 def test_slanted_quadrilaterals_bend_as_fine_triangles_say():
     """Errors fall as the square of the size: triangles at 24 and 36 cells tell the limit. Published DKMQ with 8 x 8: 1.38."""
     coarse, fine = clamped_center(24, "triangle"), clamped_center(36, "triangle")

@@ -56,7 +56,7 @@ def test_energy_is_that_which_the_drive_gives(native: None):
     assert float((energies.strain - motion.body("rod").strain_energy).abs().max()) < 1e-9
 
 
-@pytest.mark.thorough("eager")
+@pytest.mark.thorough
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_gradients_pass_the_quadratic_stiffness(backend: str, native: None):
     def loss(w: torch.Tensor) -> torch.Tensor:

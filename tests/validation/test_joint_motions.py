@@ -29,7 +29,7 @@ def run(system: mbd.System, duration: float, steps: int = 100, **given) -> mbd.T
     return mbd.simulate(system, duration, steps=steps, **({"iterations": (5, 1)} | given)).require_ok()
 
 
-@pytest.mark.thorough("45.0")
+@pytest.mark.thorough
 @pytest.mark.parametrize("bend", [20.0, 45.0])
 def test_hookes_joint_turns_unevenly(bend):
     """tan phi = cos(bend) tan th; speeds between cos(bend) and 1 / cos(bend) of the driving shaft's, twice in a turn."""
@@ -68,6 +68,7 @@ def test_a_skewed_cross_is_told(axes: str, skew: str | None):
     assert all(f"is {skew} rad from" in x for x in texts)
 
 
+@pytest.mark.thorough
 def test_a_cylindrical_joint_lets_a_body_screw_down():
     """Free along a leaning guide and about it: an even spin on an accelerated helix."""
     e = LEAN[:, 2]
@@ -86,6 +87,7 @@ def test_a_cylindrical_joint_lets_a_body_screw_down():
     assert_close(motion.reaction("guide").force[0].norm(dim=1), torch.full_like(t, across), rtol=1e-6, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["planar", "point"])
 def test_pucks_slide_down_an_incline(kind):
     """In the plane they fall with what gravity has along it; the plane carries the rest. A ball turns as it likes."""
@@ -104,6 +106,7 @@ def test_pucks_slide_down_an_incline(kind):
     assert_close(carried, tensor(0.0, 0.0, -2.0 * float(g @ n)).expand_as(carried), rtol=0, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_link_carries_a_conical_pendulum():
     """rate^2 = g / (L cos al), force m g / cos al."""
     L, al = 0.5, math.radians(40.0)

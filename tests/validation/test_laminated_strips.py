@@ -20,6 +20,7 @@ def deflection(angles, cells):
     return found["v"], found["w"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("angle", "modulus"), [(0, CARBON.E1), (90, CARBON.E2)])
 def test_fibers_along_and_across(angle, modulus):
     """6 x 1 cells see less of the shear of a clamped end than is there."""
@@ -28,6 +29,7 @@ def test_fibers_along_and_across(angle, modulus):
     assert deflection([angle], (12, 2))[0] == pytest.approx(exact, rel=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("angles", [(30,), (45, -45), (0, 45, 90, -45), (20, 70)])
 def test_slanted_fibers(angles):
     """In the plane and out of it."""

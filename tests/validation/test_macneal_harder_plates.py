@@ -70,6 +70,7 @@ def test_beams(place, laminate, cells, direction, reference, tolerance):
     assert tip_displacement(place, cells, laminate, direction) == pytest.approx(reference, rel=tolerance)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("lean", "in_plane"), [((1, 1), (0.53, 0.80, 0.96)), ((1, -1), (0.70, 0.91, 0.99))])
 def test_slanted_cells(lean, in_plane):
     """The straight beam with parallelograms and trapezoids of 45 degrees: only bending in the plane feels them.
@@ -130,6 +131,7 @@ def quarter_plate(b, clamped, point_load, n):
     return solved(stiffness(plate, laminate), load, np.unique(np.concatenate(held)))[center]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("b", "clamped", "point_load", "reference", "errors"),
     [

@@ -76,6 +76,7 @@ def test_shear_stress_of_the_first_interface(solution):
     assert float(lower) == pytest.approx(-float(upper), rel=1e-9)
 
 
+@pytest.mark.thorough
 @BOTH
 def test_wrapped_thick_cylinder(kind):
     """Means of the layers 5 and 8 % off: a thin shell knows no decay along the radius, here 2 : 25 in each layer.
@@ -114,6 +115,7 @@ def test_wrapped_thick_cylinder(kind):
     assert found[1] == pytest.approx((874.7 + 759.1) / 2, rel=0.08)
 
 
+@pytest.mark.thorough
 @BOTH
 def test_sandwich_plate(kind):
     """Deflection within 1 %; stresses of the stiff faces within 4 % of the targets, where the theory's own limit lies."""

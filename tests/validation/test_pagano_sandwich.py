@@ -45,6 +45,7 @@ def test_cross_ply(slenderness, exact, error):
     assert scaled(laminate, slenderness) == pytest.approx(exact, rel=error)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["triangle", "quad"])
 @pytest.mark.parametrize("slenderness", [4, 10, 100])
 def test_the_elements_on_a_sandwich(slenderness, kind):

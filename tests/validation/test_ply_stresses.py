@@ -43,6 +43,7 @@ def test_printed_stresses(slenderness, xx, yy, xy):
     assert abs(stress[3, 1, 2]) == pytest.approx(xy, rel=5e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["triangle", "quad"])
 @pytest.mark.parametrize("slenderness", [4, 20])
 def test_ply_stresses_of_the_elements_converge_to_the_series(slenderness, kind):

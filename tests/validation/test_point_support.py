@@ -24,6 +24,7 @@ def first_in_plane(cells, radius):
     return float(frequency[flat][0]), float(frequency[~flat][0])
 
 
+@pytest.mark.thorough
 def test_a_node_is_no_support_in_the_plane_but_a_patch_is():
     node, patch = ([first_in_plane(cells, r) for cells in ((24, 4), (48, 8))] for r in (0.0, 0.0135))
     assert node[-1][0] / node[0][0] < 0.6

@@ -25,6 +25,7 @@ def noor(E1=40.0):
 KINDS = ("triangle", "quad")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("slenderness", "printed"), [(4, 1.7100), (10, 0.6628), (20, 0.4912), (100, 0.4337)])
 def test_deflection_of_0_90_90_0_under_a_sine(slenderness, printed, kind):
@@ -35,6 +36,7 @@ def test_deflection_of_0_90_90_0_under_a_sine(slenderness, printed, kind):
     assert center_deflection(laminate, (16, 16), "SS-1", load="sine", kind=kind) == pytest.approx(series, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_three_dimensional_solution_is_stiffness_away():
     """Pagano's 3-D 1.954 at a/h = 4: first-order theory lacks 12 % there, and no mesh brings it back; 0.7 % at 100."""
     for slenderness, exact, missing in ((4, 1.954, 0.125), (10, 0.743, 0.108), (100, 0.4347, 0.0024)):
@@ -43,6 +45,7 @@ def test_three_dimensional_solution_is_stiffness_away():
         assert 1 - found / exact == pytest.approx(missing, abs=5e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("E1", "printed"), [(3, 6.5695), (10, 8.2982), (20, 9.5671), (30, 10.326), (40, 10.854)])
 def test_first_frequency_of_0_90_90_0(E1, printed, kind):
@@ -60,6 +63,7 @@ STACKS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("slenderness", [5, 10, 100])
@@ -79,6 +83,7 @@ def test_coupled_stacks(stack, slenderness, kind):
     np.testing.assert_allclose(found, exact.frequencies(4), rtol=0.01)
 
 
+@pytest.mark.thorough
 def test_sign_of_the_coupling_changes_nothing_in_frequencies_but_everything_in_the_stack():
     """45/-45 and -45/45 are mirror images; 45/45 is not, and has no B."""
     one, two, three = (Laminate(noor(), deg(a), 0.05) for a in ([45, -45], [-45, 45], [45, 45]))

@@ -31,6 +31,7 @@ def rod(degrees, cells, held, count, kind="quad"):
     return frequencies(PlateMatrices(mesh, laminate), laminate, freedoms(mesh.node_set(held)), count)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("degrees", [0, 90])
 def test_cantilever_is_the_beam_of_the_free_strip(degrees):
     """Along or across the fibres nothing twists; shear takes 0.3 % at 0 degrees (E1 / G13 = 24), next to none at 90."""
@@ -39,6 +40,7 @@ def test_cantilever_is_the_beam_of_the_free_strip(degrees):
     assert rod([degrees], (24, 4), "left_edge", 1)[0][0] == pytest.approx(beam, rel=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("degrees", "reference"),
     [
@@ -54,6 +56,7 @@ def test_cantilever_agrees_with_an_independent_triangle(degrees, reference):
         assert other is None or f == pytest.approx(other, rel=0.007)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "most"), [("triangle", 0.03), ("quad", 0.045)])
 @pytest.mark.parametrize("degrees", [[0], [45], [30], [45, -45, 45]])
 def test_cantilever_frequencies_on_the_mesh_in_use(degrees, kind, most):
@@ -67,6 +70,7 @@ def test_cantilever_frequencies_on_the_mesh_in_use(degrees, kind, most):
     assert coarse[0] == pytest.approx(fine[0], rel=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "times"), [("triangle", 3), ("quad", 2)])
 def test_center_clamp_has_no_spurious_soft_mode(kind, times):
     """A penalty drilling spring would leave an in-plane spin at 15 Hz; here bending comes first, as it must.
@@ -80,6 +84,7 @@ def test_center_clamp_has_no_spurious_soft_mode(kind, times):
         assert f[in_plane > 0.5].min() > times * f[0]
 
 
+@pytest.mark.thorough
 def test_point_clamp_spin_falls_with_the_element_size():
     """The law of a point support in plane stress: frequency ~ size, because its spring is a ring of elements."""
     spin = []
@@ -91,12 +96,14 @@ def test_point_clamp_spin_falls_with_the_element_size():
     assert spin[2] / spin[1] == pytest.approx(0.5, abs=0.03)
 
 
+@pytest.mark.thorough
 def test_modes_with_a_center_at_rest_converge():
     """45 degrees: the symmetric bending of both halves, 155.3 Hz on every mesh."""
     coarse, fine = (rod([45], cells, "center", 3)[0] for cells in ((24, 4), (48, 8)))
     assert coarse[1] == pytest.approx(fine[1], rel=2e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("held", ["left_edge", "center"])
 def test_derivatives_of_frequencies_by_every_angle(held):
     """Squared frequencies of an unsymmetric rod: psi' dK psi with the tangent of K, against differences."""

@@ -37,12 +37,14 @@ def twist(mesh: mbd.Mesh) -> float:
     return (angle(ROD / 4) - angle(-ROD / 4)) / (ROD / 2) * CARBON["G12"] * J
 
 
+@pytest.mark.thorough
 def test_the_shipped_rod():
     """4 % too stiff with 24 x 4 quadrilaterals; 8 % with triangles."""
     assert twist(build(1, [0.0]).body("rod").mesh) == pytest.approx(0.965, abs=2e-3)  # pyright: ignore
     assert twist(build(1, [0.0], kind="triangle").body("rod").mesh) == pytest.approx(0.923, abs=2e-3)  # pyright: ignore
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cells", [(12, 2), (24, 4), (48, 8)])
 def test_quadrilaterals_are_nearer_at_every_mesh(cells):
     made = {kind: 1.0 - twist(mbd.mesh.rectangle(ROD, DEPTH, cells, kind)) for kind in ("quad", "triangle")}

@@ -133,6 +133,7 @@ def test_thin_box_twists_by_bredts_formula():
     assert np.log2(np.divide(excess[:-1], excess[1:])) == pytest.approx([1.0, 1.0], abs=0.1)
 
 
+@pytest.mark.thorough
 def test_i_section():
     width, height, t = 0.06, 0.1, 4e-3
     walls: dict[str, tuple[float]] = dict.fromkeys(("top", "web", "bottom"), (0.0,))

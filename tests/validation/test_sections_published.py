@@ -171,6 +171,7 @@ def test_anba4_square():
     assert cases.largest_error(K, printed) < 2e-4  # its mesh: 200 quadratic triangles
 
 
+@pytest.mark.thorough
 def test_anba4_sixteen_plies_on_its_mesh():
     K = becas(cases.sixteen_plies())
     printed = {
@@ -187,6 +188,7 @@ def test_anba4_sixteen_plies_on_its_mesh():
     assert cases.largest_error(K, printed) < 1e-7
 
 
+@pytest.mark.thorough
 def test_anba4_turned_plies_with_a_soft_one_on_its_mesh():
     """All 21 entries are different from zero."""
     printed = torch.tensor(

@@ -27,6 +27,7 @@ LEVELS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_level(name):
     for n, allowed in zip((1, 2), LEVELS[name], strict=True):
@@ -45,6 +46,7 @@ def test_fine_meshes_are_within_two_percent(name):
     assert found["v"] == pytest.approx(exact, abs=0.005)
 
 
+@pytest.mark.thorough
 def test_slender_slanted_cells_bend_in_their_plane():
     """What triangles (0.53, 0.71) and membranes without drilling freedoms cannot: 6 x 1 cells of 45 degrees."""
     assert PROBLEMS["with parallelograms"]("quad", 1)["v"] > 0.98

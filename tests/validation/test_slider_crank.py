@@ -47,12 +47,13 @@ def figures(motion: Trajectory) -> tuple[float, float]:
     return float(mbd.Max(ENERGY).value(motion)[0]), float(mbd.Integral(ENERGY).value(motion)[0])
 
 
-@pytest.mark.thorough("(45.0,)", "(45.0, -45.0)")
+@pytest.mark.thorough
 @pytest.mark.parametrize("angles", REFERENCE, ids=str)
 def test_energies_of_independent_codes(angles):
     assert figures(motion(angles)) == pytest.approx(REFERENCE[angles], rel=0.02)
 
 
+@pytest.mark.thorough
 def test_the_books_of_energy_balance():
     """What the drive gives is where it went, to a ten-thousandth of the kinetic energy."""
     energies = motion((45.0, -45.0, 45.0)).energies
@@ -60,6 +61,7 @@ def test_the_books_of_energy_balance():
     assert float(energies.balance.abs().max()) < 1e-4 * float(energies.kinetic.max())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("angles", PRINTED, ids=str)
 def test_energies_of_the_paper(angles):
     peak, integral, tolerance = PRINTED[angles]
@@ -73,6 +75,7 @@ def test_turning_the_plies_to_zero_takes_nine_tenths_of_the_energy():
         assert 1.0 - best / figures(motion(angles))[1] == pytest.approx(reduction, abs=0.003)
 
 
+@pytest.mark.thorough
 def test_equal_plies_are_one_ply():
     """A laminate of equal angles is one layer: any difference is an error of the lamination."""
     one, three = (
@@ -81,6 +84,7 @@ def test_equal_plies_are_one_ply():
     assert figures(three) == pytest.approx(figures(one), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_mirrored_rod_moves_mirrored():
     """Angles of the other sign are the same rod seen from behind; the motion is planar but for the coupling."""
     one, other = (

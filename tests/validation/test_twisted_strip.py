@@ -35,6 +35,7 @@ def torsional_stiffness(across: int, slenderness: float, kind: str) -> float:
     return u @ K @ u / LENGTH
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "slenderness", "errors"),
     [

@@ -39,6 +39,7 @@ def curves(axes: Any) -> list[np.ndarray]:
     return [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines]
 
 
+@pytest.mark.thorough
 def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     figure = mbd.viz.criteria_over_time(problem, motion, LABELS, "What is best?")
     energy, angle, failure, window = figure.axes
@@ -61,6 +62,7 @@ def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     assert mbd.viz.save(figure, tmp_path / "time.png").stat().st_size > 5000
 
 
+@pytest.mark.thorough
 def test_long_labels_stay_inside_the_figure(problem, motion):
     values = ", ".join(f"thickness {k} 0.275682 mm" for k in range(6))
     labels = [f"start design ({values})", f"best design ({values})"]
@@ -74,6 +76,7 @@ def test_long_labels_stay_inside_the_figure(problem, motion):
         assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in texts)
 
 
+@pytest.mark.thorough
 def test_a_failed_lane_ends_where_it_fails(problem):
     motion = problem.simulate(np.array([problem.start]))
     values = ENERGY(motion).detach().clone()
@@ -96,6 +99,7 @@ def test_designs_without_histories_have_no_curves_over_time(motion):
     assert mbd.viz.weighted_parts(problem, motion, LABELS) is None
 
 
+@pytest.mark.thorough
 def test_responses_over_the_iterations_are_in_their_units(problem, motion):
     evaluations = problem.evaluate(np.array([problem.start, [0.3, -0.2]]), False)
     history = [
@@ -120,6 +124,7 @@ def test_responses_over_the_iterations_are_in_their_units(problem, motion):
         mbd.viz.criteria_over_iterations(problem, {"start 0": []})
 
 
+@pytest.mark.thorough
 def test_min_max_problems_draw_their_constraints(motion):
     peaks = mbd.AtPeaks(ENERGY, count=2)
     problem = mbd.Problem(mbd.examples.arm(), 0.05, peaks, mbd.Max(ENERGY) <= 1.0, steps=40)
@@ -129,6 +134,7 @@ def test_min_max_problems_draw_their_constraints(motion):
     assert_allclose(curves(figure.axes[1])[0], float(mbd.Max(ENERGY)(motion)[0].detach()))
 
 
+@pytest.mark.thorough
 def test_parts_of_a_sum_add_up(problem, motion):
     figure = mbd.viz.weighted_parts(problem, motion, LABELS)
     (axes,) = figure.axes
@@ -147,6 +153,7 @@ def test_the_failure_map_holds_the_largest_index(motion):
         mbd.viz.failure_map(motion, "arm", ["start"])
 
 
+@pytest.mark.thorough
 def test_the_failure_map_of_a_beam():
     tube = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3, cells=(12, 1))
     rod = mbd.FlexibleBody.beam("rod", mbd.BeamLine.straight(0.5, 3), tube, modes=2, reference="start")
@@ -159,6 +166,7 @@ def test_the_failure_map_of_a_beam():
     assert_allclose(np.max(y), mbd.SectionHistory(motion, "rod").failure().amax().item(), rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_beams_of_a_failure_map_have_the_lengths_of_their_designs():
     tube = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3, cells=(12, 1))
     line = mbd.BeamLine.straight(mbd.variable(0.5), 3)

@@ -18,6 +18,7 @@ def lines(axes) -> list[np.ndarray]:
     return [line.get_xydata() for line in axes.lines]
 
 
+@pytest.mark.thorough
 def test_two_variables(tmp_path):
     X, y = RNG.normal(size=(30, 2)), RNG.random(30)
     y[3] = np.nan
@@ -45,6 +46,7 @@ def test_one_variable():
     assert figure.axes[0].get_ylabel() == "energy"
 
 
+@pytest.mark.thorough
 def test_more_variables_are_seen_in_the_plane_in_which_they_spread_most(tmp_path):
     turn = np.linalg.qr(RNG.normal(size=(4, 4)))[0]
     flat = {name: np.c_[path, np.zeros((len(path), 2))] for name, path in PATHS.items()}
@@ -72,6 +74,7 @@ def test_headings_must_fit(count):
         design_map(PATHS, OBJECTIVES, ["x"] * count)
 
 
+@pytest.mark.thorough
 def test_five_hundred_minima_leave_the_axes_their_room():
     """The legend names the best minima only."""
     paths = {f"start {k}": np.array([[float(k), 0.0], [float(k), 1.0]]) for k in range(500)}

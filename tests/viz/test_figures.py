@@ -9,6 +9,7 @@ from torchmbd.errors import InputError
 from torchmbd.viz import convergence, criterion, energy_over_time, save
 
 
+@pytest.mark.thorough
 def test_every_start_is_drawn_and_the_best_on_top():
     objectives = {"start 0": [1.0, 0.5, 0.2], "start 1": [2.0, 0.1], "start 2": [3.0]}
     figure = convergence(objectives, {name: [0.0] * len(v) for name, v in objectives.items()}, best="start 1")
@@ -39,6 +40,7 @@ def test_a_failed_evaluation_is_a_marked_gap():
     assert labels == ["integral", "failed evaluation", "start design"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("ending", "magic"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
 def test_figures_are_written_by_their_ending(tmp_path, ending, magic):
     path = save(energy_over_time([0, 1], {"a": [0, 1]}), tmp_path / f"f.{ending}")

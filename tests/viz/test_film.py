@@ -45,6 +45,7 @@ def test_beams_are_lines_of_the_animation(beam_motion, tmp_path):
     assert "function beams" in page
 
 
+@pytest.mark.thorough
 def test_a_film_has_its_frames(beam_motion, slider_crank_motion, tmp_path):
     for motion in (beam_motion, slider_crank_motion):
         path = film(motion, tmp_path / "m.gif", seconds=0.5, frames_per_second=10)
@@ -55,6 +56,7 @@ def test_a_film_has_its_frames(beam_motion, slider_crank_motion, tmp_path):
         assert np.abs(np.asarray(picture.convert("L"), dtype=float) - first).max() > 100  # it moves
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [{"steps": 10}, {"steps": 200}, {"method": "dopri5"}])
 def test_a_film_lasts_as_long_as_asked_and_its_time_runs_evenly(tmp_path, monkeypatch, options):
     """Also of a motion with fewer or more times than frames, or with times that are not equally spaced."""

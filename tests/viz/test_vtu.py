@@ -75,6 +75,7 @@ def test_a_mesh_with_lines(tmp_path):
     assert_array_equal(found["types"], [5, 3])
 
 
+@pytest.mark.thorough
 def test_the_modes(tmp_path):
     """Each field is a mode: K u = omega^2 M u on the free freedoms; its name tells the frequency."""
     body = plate("rod", modes=3)
@@ -138,6 +139,7 @@ def test_bad_arguments(tmp_path, motion, given, words):
         save_motion(motion, path, **given)
 
 
+@pytest.mark.thorough
 def test_a_failed_lane_has_nothing_to_show(tmp_path, motion):
     failed = dataclasses.replace(motion, status=["failed: no reason"])
     with pytest.raises(InputError, match="lane 0 has no motion to show: failed: no reason"):

@@ -80,7 +80,7 @@ class DesignSpace:
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
                 raise InputError(
-                    f"lower bound of {name} = {shown(name, low)}: must be below upper = {shown(name, high)}, or the same"
+                    f"lower bound of {name} = {shown(name, low)}: must be below upper = {shown(name, high)}; allowed: equal"
                 )
         self.start = self.point("start", start, values)
 

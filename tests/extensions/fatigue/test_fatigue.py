@@ -49,6 +49,7 @@ def test_the_example_of_the_standard(y):
     assert float(cycles.count.sum()) == 4.0
 
 
+@pytest.mark.thorough
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.lists(st.integers(-6, 6), min_size=12, max_size=12), min_size=1, max_size=4))
 def test_stacked_as_one_by_one(rows):
@@ -113,6 +114,7 @@ def sine(amplitude: float, mean: float, cycles: float) -> tuple[mbd.System, dict
     return mbd.System([clock], []), {"stress": stress}
 
 
+@pytest.mark.thorough
 def test_equivalent_load_and_damage_of_a_sine_in_closed_form():
     system, made = sine(30e6, 10e6, 4.0)
     motion = mbd.simulate(system, 1.0, steps=400)
@@ -256,6 +258,7 @@ def test_no_damage_is_above_the_bound_of_the_screening():
     assert bool((bounds >= damages).all())
 
 
+@pytest.mark.thorough
 def test_the_screening_finds_the_worst_point(monkeypatch):
     """Where one history at a time is counted: the one with the largest bound has not the largest damage."""
     monkeypatch.setattr(damage, "_HISTORIES", 1)
@@ -272,6 +275,7 @@ def test_the_screening_finds_the_worst_point(monkeypatch):
         assert worst != first[lane]
 
 
+@pytest.mark.thorough
 def test_repeats_and_curves(swinging):
     once, often = (float(FatigueDamage("arm", repeats=n)(swinging)) for n in (1.0, 1e5))
     assert often == pytest.approx(1e5 * once, rel=1e-12)
@@ -282,6 +286,7 @@ def test_repeats_and_curves(swinging):
     assert same[0] == pytest.approx(same[1], rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_beams_are_judged_as_well():
     """A clamped strip that swings: the damage at the root by the bending stress of its section."""
     section = mbd.sections.strip(0.02, mbd.examples.carbon(), mbd.deg([0.0, 0.0]), thickness=1e-3, cells=(8, 1))

@@ -82,6 +82,7 @@ def same():
     return bodies
 
 
+@pytest.mark.thorough
 def test_a_laminate_for_each_cell_is_the_same(same):
     """But for the constants of shape functions, which are of the mean stack here and of the cell's own there."""
     one, other = (body.structure() for body in same)
@@ -95,6 +96,7 @@ def motion_of(body):
     return mbd.simulate(system, 0.05, steps=40)
 
 
+@pytest.mark.thorough
 def test_ply_stresses_of_cells(same):
     """Points of the steered body are those of its cells, in the same order, with the same stress."""
     found = [mbd.PlyHistory(motion_of(body), "plate") for body in same]

@@ -12,6 +12,7 @@ import torchmbd as mbd
 from tests.extensions.fibers.steered_arm import steered_arm
 
 
+@pytest.mark.thorough
 def test_lines_follow_the_fibers():
     """Straight fibers at 30 degrees are straight lines at 30 degrees."""
     body = steered_arm().body("arm")

@@ -28,6 +28,7 @@ def test_norms_bound_the_largest(motion, kind):
         assert exact[0] <= smooth[0] <= values ** (1.0 / power) * exact[0]
 
 
+@pytest.mark.thorough
 def test_straight_fibers_have_gradients(motion):
     """Finite ones, where nothing turns."""
     straight = mbd.simulate(steered_arm(), 0.01, steps=4)
@@ -35,6 +36,7 @@ def test_straight_fibers_have_gradients(motion):
         assert mbd.FiberCurvature("arm", power).value_and_gradient(straight)[1].isfinite().all()
 
 
+@pytest.mark.thorough
 def test_refused():
     straight = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     with pytest.raises(

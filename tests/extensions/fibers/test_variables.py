@@ -28,6 +28,7 @@ def test_motion() -> None:
     check(system(), NAMES)
 
 
+@pytest.mark.thorough
 def test_native(native) -> None:
     check_native(system(), NAMES)
 

@@ -24,6 +24,7 @@ def half(angles: list[float]) -> list[float]:
     return angles[: (len(angles) + 1) // 2]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "stacks",
     [
@@ -41,6 +42,7 @@ def test_stacks_that_exist_are_found(stacks):
         assert float(found[name].laminate.total_thickness) == pytest.approx(1.25e-4 * len(degrees))
 
 
+@pytest.mark.thorough
 def test_all_stacks_of_a_small_case():
     """Three zones of 6, 4 and 2 plies from three angles, parameters of no such stacks: no blend is nearer."""
     allowed = mbd.deg([0, 45, 90])
@@ -69,6 +71,7 @@ def test_all_stacks_of_a_small_case():
     assert sum(areas[n] / total * found[n].distance ** 2 for n in areas) == pytest.approx(best, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_rules_of_every_zone():
     zones = {
         name: mbd.LaminationParameters(mbd.examples.carbon(), n * 1e-4, [0.3, 0.2, 0, 0])

@@ -20,6 +20,7 @@ def parameters(angles: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
     return weights @ directions(angles)
 
 
+@pytest.mark.thorough
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(0.01, 1)), min_size=1, max_size=8))
 def test_all_stacks_keep_the_conditions(plies):
     angles, t = torch.tensor(plies, dtype=torch.float64).T

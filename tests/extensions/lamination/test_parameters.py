@@ -49,6 +49,7 @@ def squares(body: mbd.FlexibleBody) -> torch.Tensor:
     return body.structure()["Kr"].diagonal().detach()
 
 
+@pytest.mark.thorough
 def test_frequencies_are_those_of_the_stack_also_by_fields():
     mesh = mbd.mesh.rectangle(0.4, 0.2, cells=(6, 3))
     angles, t = mbd.deg([30.0, -50.0, -50.0, 30.0]), torch.full((4,), 5e-4, dtype=torch.float64)

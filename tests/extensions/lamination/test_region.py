@@ -25,6 +25,7 @@ def system() -> mbd.System:
     return hung(mbd.FlexibleBody.plate("rod", MESH, laminate, modes=2, reference="left_edge"))
 
 
+@pytest.mark.thorough
 def test_forward_reverse_and_differences() -> None:
     """Of the motion with the smooth conditions; of the exact ones over steps that cross no kink."""
     names = [f"rod.laminate.{name}" for name in ("membrane", "coupling", "bending", "thickness")]
@@ -40,6 +41,7 @@ def test_forward_reverse_and_differences() -> None:
     check(system(), names[:3], exact, dict.fromkeys(names, 1e-6))
 
 
+@pytest.mark.thorough
 def test_norms_bound_the_largest():
     motion = mbd.simulate(system(), 0.01, steps=4)
     exact, smooth = (mbd.LaminationRegion("rod", p)(motion) for p in (None, 50.0))

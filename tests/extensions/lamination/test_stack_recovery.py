@@ -29,6 +29,7 @@ def test_a_stack_that_exists_is_found(degrees):
     torch.testing.assert_close(two.D, one.D, rtol=1e-9, atol=1e-9 * float(one.D.abs().max()))
 
 
+@pytest.mark.thorough
 def test_rules_come_first_and_several_are_sorted():
     laminate = asked([30, 0, 0, 60, 60, 0, 0, 30])
     rules = mbd.LaminationRules(symmetric=True, balanced=True)

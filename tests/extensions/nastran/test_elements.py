@@ -218,6 +218,7 @@ def test_a_tube_is_a_rod_of_its_area(stiffness):
         stiffness(*GRIDS[:2], material, "CTUBE,7,9,1,2", "PTUBE,9,1,.02,.02")
 
 
+@pytest.mark.thorough
 def test_hostile_files_are_refused(tmp_path):
     """Trees of includes and lines without end: an InputError, not memory."""
     for k in range(40):

@@ -22,7 +22,7 @@ def large(n: int = 157) -> list[str]:
     return lines
 
 
-@pytest.mark.thorough("CQUAD4,20000,1,-CQUAD4,20000,7,-words2")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -66,7 +66,7 @@ def spoilt(text: str, seed: int) -> str:
     return text
 
 
-@pytest.mark.thorough("100", "150", "0")
+@pytest.mark.thorough
 @pytest.mark.parametrize("start", [0, 50, 100, 150])
 def test_spoilt_decks(start, tmp_path):
     path = tmp_path / "model.bdf"

@@ -54,6 +54,7 @@ def test_the_model_itself(mass):
     assert mass() == pytest.approx(OWN, rel=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("cards", "extra"),
     [
@@ -84,6 +85,7 @@ def test_cards_of_mass(cards, extra, mass):
     assert mass(*cards, control=("PARAM,WTMASS,.5", "NSM=5")) == pytest.approx(0.5 * (OWN + extra), rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_what_the_case_control_chooses(mass):
     """Not chosen: left out, with a word; no case control: the only set is taken, with a word; several sets: refused."""
     with pytest.warns(UserWarning, match=r"NSM that the case control does not choose \(1\)"):
@@ -113,6 +115,7 @@ def test_what_is_refused(card, words, mass):
     assert all(word in str(error.value) for word in [*words, "model.bdf, line"]), str(error.value)
 
 
+@pytest.mark.thorough
 def test_mass_lies_where_the_laminate_lies(tmp_path):
     """NSM of a card and that of a PSHELL give the same mass matrix of rigid motions, also with an offset and in millimeters."""
     above = "SOL 103\nCEND\nNSM = 5\nBEGIN BULK\nGRID,1,,0.,0.,0.\nGRID,2,,900.,0.,0.\nGRID,3,,900.,500.,0.\n"

@@ -67,6 +67,7 @@ def test_a_tube_of_thickness_zero_is_solid(read):
     assert torch.equal(solid.values(), blank.values())
 
 
+@pytest.mark.thorough
 def test_many_scalar_points(read):
     """8,000 single SPOINT and as many springs between grids are read in seconds: their numbers are searched, not scanned."""
     n = 8_000

@@ -61,6 +61,7 @@ def turned_shear(angle: float) -> torch.Tensor:
     return R @ stack((20.0, -50.0, 75.0)).stiffness().As.detach() @ R.T
 
 
+@pytest.mark.thorough
 def test_a_laminated_model_is_the_body_made_by_hand(body):
     """Same mesh, laminate and clamp: the same modes; PCOMP angles are the parameters."""
     made = body(model())
@@ -71,6 +72,7 @@ def test_a_laminated_model_is_the_body_made_by_hand(body):
     assert_close(values(made), by_hand(), rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "given",
     [
@@ -96,6 +98,7 @@ def test_units_elements_and_material_directions(given, body):
     assert_close(values(made), by_hand(kind=kind), rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 def test_theta_turns_the_laminate(body):
     """THETA 30 is 30 degrees on every ply, but for As of equal energy, which looks along the laminate's axes.
 
@@ -110,6 +113,7 @@ def test_theta_turns_the_laminate(body):
 RIGID_END = ["GRID,900,,.2,0.,.03", "RBE2,30,900,123456,601,602,603", "CONM2,31,900,0,.7,,,,", ",1.-4,,1.-4,,,1.-4"]
 
 
+@pytest.mark.thorough
 def test_rbe2_and_conm2(body):
     """A rigid end with a mass on an arm: its motion is rigid, mass and center are right, and a frame may sit there."""
     made = body(model(extra=RIGID_END), modes=2)
@@ -128,6 +132,7 @@ def test_rbe2_and_conm2(body):
     assert float(values(made)[0]) < 0.1 * float(values(body(model()))[0])
 
 
+@pytest.mark.thorough
 def test_rbe3_is_the_mean_and_adds_no_stiffness(body):
     extra = ["GRID,901,,.1,0.,0.", "RBE3,40,,901,123456,1.,123,401,403", ",501,503"]
     made = body(model(extra=extra))
@@ -140,6 +145,7 @@ def test_rbe3_is_the_mean_and_adds_no_stiffness(body):
     assert_close(at, psi[grids, :3].mean(0), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_shell_of_metal_with_a_stack_beside_it(body):
     """Two properties are two parts; the angle of the metal is no design variable, and its extra mass counts."""
     text = model().replace("CQUAD4,1,7", "CQUAD4,1,8").replace("CQUAD4,2,7", "CQUAD4,2,8")
@@ -151,6 +157,7 @@ def test_a_shell_of_metal_with_a_stack_beside_it(body):
     assert both == pytest.approx(0.03 * 10 / 12 * 1586 * 4.5e-3 + 0.03 * 2 / 12 * (2700 * 4e-3 + 1.5))
 
 
+@pytest.mark.thorough
 def test_first_ply_failure_of_a_model_of_two_stacks(body):
     """Points run over both parts, by the cells of the mesh; the index is the largest of all."""
     text = model(support="").replace("CQUAD4,1,7", "CQUAD4,1,8").replace("CQUAD4,2,7", "CQUAD4,2,8")
@@ -166,6 +173,7 @@ def test_first_ply_failure_of_a_model_of_two_stacks(body):
     assert float(everywhere.detach().max()) > 0
 
 
+@pytest.mark.thorough
 def test_materials_without_density(body):
     """`density` is that of materials without RHO, in SI units whatever the file has; others keep theirs."""
     text = model(millimeters=True)
@@ -180,11 +188,13 @@ def test_materials_without_density(body):
         body(text, units="mm", density=-1)
 
 
+@pytest.mark.thorough
 def test_shells_with_drilling(body):
     """CQUADR is the same element: every shell has drilling freedoms here."""
     assert_close(values(body(model().replace("CQUAD4", "CQUADR"))), by_hand(), rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 def test_a_stack_of_numbered_plies(body):
     """A PCOMPG has a line for each ply, with its number."""
     own = "PCOMP,7,,,,TSAI\n,1,0.001,20.,YES,1,0.002,-50.,YES\n,1,0.0015,75.,YES"
@@ -262,6 +272,7 @@ def test_what_is_wrong_with_beams_is_named(old, new, words, body):
     assert all(word in str(error.value) for word in words), str(error.value)
 
 
+@pytest.mark.thorough
 def test_a_stiffened_plate(body):
     """Bars along the middle of the plate make it stiffer, and the body has both parts."""
     extra = [f"CBAR,{100 + i},5,{100 * i + 2},{100 * i + 102},0.,0.,1." for i in range(6)]
@@ -271,6 +282,7 @@ def test_a_stiffened_plate(body):
     assert float(made.structure()["mass"]) == pytest.approx(0.03 * 1586 * 4.5e-3 + 0.3 * 1e-4 * 2700)
 
 
+@pytest.mark.thorough
 def test_an_eccentric_stiffener(body):
     """A bar in its place by offsets, or on grids of its own there that rigid elements carry: the same modes."""
     section = ["PBARL,5,2,,BAR", ",.004,.02", "MAT1,2,70.+9,,.3,2700."]
@@ -286,6 +298,7 @@ def test_an_eccentric_stiffener(body):
     assert float(found[0]) > 1.5 * float(values(body(model(extra=[*section, *middle])))[0])
 
 
+@pytest.mark.thorough
 def test_a_mechanism_from_a_file_has_gradients(body):
     """One line of an analyst's model moves and has sensitivities by its PCOMP angles."""
     rod = body(model(extra=RIGID_END, support=""), modes=2)
@@ -334,6 +347,7 @@ def test_an_inverted_element_is_named_by_its_card(body):
         body(text.replace(",".join(grids), ",".join(grids[::-1]), 1))
 
 
+@pytest.mark.thorough
 def test_what_is_left_out_is_said(body):
     with pytest.warns(UserWarning, match=r"left out: FORCE \(2\), LOAD \(1\)"):
         body(model(extra=["FORCE,1,601,0,1.,0.,0.,1.", "FORCE,1,602,0,1.,0.,0.,1.", "LOAD,2,1.,1.,1"]))
@@ -346,6 +360,7 @@ def test_what_is_left_out_is_said(body):
         body(model(extra=["PARAM,POST,-1"]))
 
 
+@pytest.mark.thorough
 def test_weight_in_place_of_mass(body):
     heavy = float(body(model()).structure()["mass"])
     assert float(body(model(extra=["PARAM,WTMASS,.5"])).structure()["mass"]) == pytest.approx(0.5 * heavy)

@@ -129,6 +129,7 @@ def test_scalar_points_and_springs_to_the_ground_are_left_out(parts):
         parts(*shell, *scalar, "RBE2,8,91,123,1")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["angles", "thickness"])
 def test_derivatives_by_property(name, tmp_path):
     """Mass and frequency by the angles and thicknesses of two properties, against differences."""

@@ -79,6 +79,7 @@ def test_broken_files_are_named(old, new, words, file):
     assert "arm.xml" in str(error.value)
 
 
+@pytest.mark.thorough
 def test_spoilt_files(file):
     """Each of 150 makes a system, or an InputError."""
     refused = 0

@@ -87,6 +87,7 @@ def turned(axis, angle):
     return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
 
 
+@pytest.mark.thorough
 def test_an_arm_of_three_joints_follows_the_recursion(file):
     """Angular accelerations of all links at 1e-10, at the start and along a motion; links fixed to others are parts of them."""
     path = file(*ARM)
@@ -181,6 +182,7 @@ def test_starts_beyond_limits_are_refused(file):
     assert not mbd.read_urdf(effort).forces  # a <limit> without lower and upper
 
 
+@pytest.mark.thorough
 def test_locked_joints_are_fixed_at_their_positions(file):
     """As if the position stood in the file; a joint that mimics another must be."""
     lines = [line.replace('"continuous"', '"revolute"') for line in ARM]
@@ -199,6 +201,7 @@ def test_locked_joints_are_fixed_at_their_positions(file):
     np.testing.assert_allclose(motion.body("link2").omega_rate[0, 0], wanted["link2"][1], rtol=1e-10)
 
 
+@pytest.mark.thorough
 def test_drives_move_joints_from_their_positions(file):
     system = mbd.read_urdf(
         file(*PENDULUM, hinge()), positions={"hinge": 0.3}, drives={"hinge": mbd.SmoothStep(0.5, 0.2)}, gravity=None
@@ -239,6 +242,7 @@ def test_slides_and_free_bases(file):
     assert float(motion.body("world").r[0, -1, 2]) == pytest.approx(-0.5 * 9.81 * 0.01, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_link_is_replaced_by_a_plate(file):
     """Link 2 as a laminated plate in its frame: joints sit on its edges, and its angles are design variables."""
     mesh = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 1))

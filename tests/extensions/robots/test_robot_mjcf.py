@@ -61,6 +61,7 @@ def file(tmp_path):
     return written
 
 
+@pytest.mark.thorough
 def test_bodies_accelerate_as_in_mujoco(file):
     given = {"positions": Q, "velocities": RATE, "controls": CONTROLS}
     with pytest.warns(UserWarning, match="left out: contact between geoms$"):
@@ -117,6 +118,7 @@ def test_springs_limits_and_references(file):
         mbd.read_mjcf(path, positions={"hinge": 2.0})
 
 
+@pytest.mark.thorough
 def test_connections_close_loops_where_the_file_has_its_bodies(file):
     """A bar held at its tip by another: both stay; so does a welded one."""
     foot = '<joint name="foot" axis="0 1 0"/>'
@@ -136,6 +138,7 @@ def test_connections_close_loops_where_the_file_has_its_bodies(file):
     assert [body.name for body in locked.bodies] == ["strut"]
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error")
 def test_controls_and_drives(file):
     """A position actuator whose control is zero holds the bar near zero; its control may be a function of time."""
@@ -157,6 +160,7 @@ def test_controls_and_drives(file):
             mbd.read_mjcf(path, controls=given)
 
 
+@pytest.mark.thorough
 def test_bodies_may_be_flexible(file):
     """Its mass is at the nodes: of 16 elements 0.2 % too much inertia about the end."""
     steel = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=4e-4, Iyy=1.3e-8, Izz=1.3e-8, J=2.2e-8)

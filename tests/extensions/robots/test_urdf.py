@@ -83,6 +83,7 @@ def test_joints_of_one_name(tmp_path):
         mbd.read_urdf(path, stop_stiffness=None)
 
 
+@pytest.mark.thorough
 def test_spoilt_files(tmp_path):
     """Each of 200 makes a system, or an InputError."""
     path, refused = tmp_path / "arm.urdf", 0

@@ -68,6 +68,7 @@ def test_invariants_of_a_consistent_mass_are_its_quadratic_forms():
     assert_close(kinetic, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "closer"), [("triangle", 0.1), ("quad", 0.25)])
 def test_frequencies_of_both_masses_converge_to_the_series(kind, closer):
     """0/90/90/0, simply supported: consistent from above and of second order, lumped closer at every mesh."""

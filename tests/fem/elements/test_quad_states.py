@@ -1,5 +1,6 @@
 """Linear stress states: equilibrium, their displacements in any material, their work on sides, bending along medians."""
 
+import pytest
 import torch
 from torch.func import jacfwd
 from torch.testing import assert_close
@@ -35,6 +36,7 @@ def test_displacements_have_the_strains_of_the_material():
     assert_close(moved(PLACE)[2], 0.5 * (slope[1, :, 0] - slope[0, :, 1]))
 
 
+@pytest.mark.thorough
 def test_work_is_that_of_the_tractions_on_sides_that_bend_as_parabolas():
     generator = torch.Generator().manual_seed(5)
     u = torch.randn(4, 3, generator=generator, dtype=torch.float64)

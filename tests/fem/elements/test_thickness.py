@@ -84,6 +84,7 @@ def test_a_design_is_a_body_made_anew(mesh, options, core):
         assert_close(f(given.body), f(anew.body), rtol=1e-9, atol=1e-9 * float(f(anew.body).detach().abs().max()))
 
 
+@pytest.mark.thorough
 def test_moduli_that_move():
     """A core whose shear moduli fall to a tenth."""
 
@@ -99,6 +100,7 @@ def test_moduli_that_move():
     assert_close(found, wanted, rtol=1e-9, atol=0)
 
 
+@pytest.mark.thorough
 def test_zones_that_were_equal_at_the_start_move_apart():
     """Parts of one body are joined where their plies are equal; each keeps the elements of its own thickness."""
     mesh = MESHES["quads"]()

@@ -28,6 +28,7 @@ def inward(load: float) -> dict:
     return {"center": (-load * math.sin(0.2), load * math.cos(0.2), 0.0)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("times", [2.0, 40.0])
 def test_a_straight_column_ends_at_its_buckling_load(times):
     euler = math.pi**2 * 100.0 / 16.0
@@ -57,6 +58,7 @@ def test_beyond_buckling_with_an_imperfection():
     assert state.nodes[-1, 0].item() / 2.0 == pytest.approx(0.560, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_lateral_buckling():
     beam = mbd.ExactBeam("strip", mbd.BeamLine.straight(1.0, 16), given(1e8, 1e8, 1e8, 0.5, 1e4, 1.0))
     state = beam.equilibrium({"end": (0.0, 0.0, 2.0 * 4.0126 * math.sqrt(0.5))})
@@ -74,6 +76,7 @@ def test_a_limit_point_is_found_and_named():
     assert arch().equilibrium(inward(1000.0), supports=PINNED).status == "ok"
 
 
+@pytest.mark.thorough
 def test_the_limit_point_by_displacements_of_the_apex():
     """Its largest reaction is the limit load of the test above."""
     reactions = []
@@ -86,6 +89,7 @@ def test_the_limit_point_by_displacements_of_the_apex():
     assert max(reactions) == pytest.approx(1018.0, rel=3e-3)
 
 
+@pytest.mark.thorough
 def test_an_element_that_turns_too_far_is_named():
     beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 3), given(1e6, 1e6, 1e6, 1.0, 1.0, 1.0))
     state = beam.equilibrium({"end": (0.0, 0.0, 0.0, 0.0, 0.0, 100.0)})
@@ -93,6 +97,7 @@ def test_an_element_that_turns_too_far_is_named():
     assert 100.0 * state.factor.item() / 3.0 == pytest.approx(2.6, rel=0.25)
 
 
+@pytest.mark.thorough
 def test_no_convergence_is_a_status():
     """An end that is pressed in by half of the length, straight: the beam buckles at 1e-6 of that."""
     state = column().equilibrium(supports={"start": "all", "end": (-1.0, 0.0, 0.0, 0.0, 0.0, 0.0)})

@@ -71,6 +71,7 @@ def test_all_derivatives_are_those_of_differences(point):
         assert float((gradient * way).sum()) == pytest.approx(difference(moved, h), rel=1e-6), name
 
 
+@pytest.mark.thorough
 def test_forward_and_reverse_agree(point):
     reverse = torch.func.jacrev(response, argnums=(1, 3))(*point)
     forward = torch.func.jacfwd(response, argnums=(1, 3))(*point)
@@ -78,6 +79,7 @@ def test_forward_and_reverse_agree(point):
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_batch_of_designs_is_each_of_them(point):
     K, twist, nodes, load, *rest = point
     twists, loads = torch.stack([twist, 0.5 * twist]), torch.stack([load, -load])
@@ -90,6 +92,7 @@ def test_a_batch_of_designs_is_each_of_them(point):
     torch.testing.assert_close(gradients[1], torch.func.grad(one)(twists[1], loads[1]), rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_lanes_of_a_parameter(point):
     """Parameters may lead with lanes, as everywhere: a state for each."""
     section = given(1e4, 1e4, 1e4, 1.0, 1.0, 1.0)
@@ -106,6 +109,7 @@ def test_lanes_of_a_parameter(point):
     assert bool(failed.nodes[1].isfinite().all())
 
 
+@pytest.mark.thorough
 def test_ply_angles():
     """Of a thin-walled composite box, bent far."""
     carbon = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
@@ -130,6 +134,7 @@ def test_ply_angles():
     assert gradient[0].item() == pytest.approx(difference(moved, 1e-3), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_loads_in_lists_keep_the_gradients_of_their_tensors():
     beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 4), given(*[1e3] * 3, *[1.0] * 3))
     force, gravity = mbd.variable(0.1), mbd.variable(-9.81)

@@ -35,6 +35,7 @@ def test_follower_loads_are_those_of_the_differential_equation():
     assert np.abs(state.nodes[-1].numpy() - wanted).max() < 5e-4
 
 
+@pytest.mark.thorough
 def test_a_dead_and_a_follower_moment_bend_alike_in_a_plane():
     moment = (0.0, 0.0, 0.0, 0.0, 0.0, 3.0)
     dead, follower = rod(4).equilibrium({"end": moment}), rod(4).equilibrium(follower_loads={"end": moment})
@@ -80,6 +81,7 @@ def test_an_eccentric_mass_twists_the_beam():
     )  # m g y L^2 / 2 / (G J)
 
 
+@pytest.mark.thorough
 def test_imposed_ends():
     """A rod whose end is turned by half a turn and free to come along x bends to a half circle."""
     state = rod(8).equilibrium(supports={"start": "all", "end": (None, None, None, 0.0, 0.0, math.pi)})

@@ -22,6 +22,7 @@ def test_a_table_is_linear_between_its_stations():
     assert [name for name, _ in table.named_parameters()] == ["0.matrix", "2.matrix"]
 
 
+@pytest.mark.thorough
 def test_a_tapered_twisted_coupled_beam_is_that_of_the_differential_equation():
     K = coupled()
     table = mbd.SectionTable([0.0, 1.0], [(K, PLANE), (0.5 * K, PLANE)])

@@ -62,6 +62,7 @@ def rod(elements: int = 16, K: Tensor | None = None) -> mbd.ExactBeam:
     return mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, elements), section)
 
 
+@pytest.mark.thorough
 def test_cantilever_at_rest():
     """3.516 sqrt(E I / (m L^4)) in two planes, of second order in the elements' length."""
     found = [2.0 * math.pi * rod(n).frequencies(2)[0] for n in (10, 20, 40)]
@@ -70,6 +71,7 @@ def test_cantilever_at_rest():
     assert (first[1] - first[0]) / (first[2] - first[1]) == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("spin", "wanted"), [(4.0, [5.5850, 24.2734]), (12.0, [13.1702, 37.6031])])
 def test_flapping_of_a_rotating_cantilever(spin, wanted):
     """A. D. Wright et al., J. Appl. Mech. 49 (1982), spin and frequencies in sqrt(E I / (m L^4)); lagging: w^2 - spin^2."""
@@ -80,6 +82,7 @@ def test_flapping_of_a_rotating_cantilever(spin, wanted):
         assert float((found / w - 1.0).abs().min()) < 3e-3, found.tolist()
 
 
+@pytest.mark.thorough
 def test_tension_and_compression():
     """A hinged beam: w^2 = (pi / L)^4 E I / m (1 + N / N_cr)."""
     hinged = {"start": "u1 u2 u3 phi1 phi3", "end": "u2 u3 phi1 phi3"}
@@ -89,6 +92,7 @@ def test_tension_and_compression():
         assert (2.0 * math.pi * found[0]).item() == pytest.approx(math.pi**2 * math.sqrt(1.0 + load), rel=5e-3)
 
 
+@pytest.mark.thorough
 def test_a_buckled_beam_has_no_frequencies():
     found, state = rod().frequencies(2, {"end": (-10.0, 0.0, 0.0)})
     assert bool(found.isnan().all())
@@ -104,6 +108,7 @@ def test_a_rotor_with_coriolis_forces():
     assert spun.tolist() == pytest.approx([rest[0].item() - 2.0, rest[0].item() + 2.0], rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_sparse_and_dense_methods_agree(monkeypatch):
     loads = {"loads": {"end": (0.5, 1.0, 0.3)}, "spin": (0.3, 0.2, 1.0)}
     dense, _ = rod(30, coupled()).frequencies(4, **loads)
@@ -112,6 +117,7 @@ def test_sparse_and_dense_methods_agree(monkeypatch):
     torch.testing.assert_close(dense, sparse, rtol=1e-8, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_derivatives():
     """By section, load and spin, of a bent and turning coupled beam: differences, forward and reverse."""
     beam = rod(6, coupled())

@@ -22,6 +22,7 @@ def test_isotropic_plate_is_its_own_mean():
     assert mean.layer_length == pytest.approx(2e-3 / math.sqrt(10.0), rel=1e-12)  # of Mindlin's plate: h / sqrt 10
 
 
+@pytest.mark.thorough
 @given(one=ANGLES, two=ANGLES)
 @settings(max_examples=30, deadline=None)
 def test_ply_angles_do_not_enter(one, two):

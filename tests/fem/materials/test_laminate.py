@@ -39,6 +39,7 @@ def energy_per_area(laminate, eps, kappa, gamma):
     return total
 
 
+@pytest.mark.thorough
 @given(angles=st.lists(ANGLES, min_size=3, max_size=3), state=st.lists(st.floats(-1, 1), min_size=8, max_size=8))
 @settings(max_examples=40, deadline=None)
 def test_energy_is_the_integral_over_the_plies(angles, state):
@@ -69,6 +70,7 @@ def test_symmetric_stack_mirrors_the_lower_half():
     assert_close(half.rotary_inertia_per_area, full.rotary_inertia_per_area)
 
 
+@pytest.mark.thorough
 @given(angles=st.lists(ANGLES, min_size=1, max_size=4))
 @settings(max_examples=30, deadline=None)
 def test_turning_the_stack_over_reverses_only_the_coupling(angles):
@@ -78,6 +80,7 @@ def test_turning_the_stack_over_reverses_only_the_coupling(angles):
         assert_close(x, sign * y, rtol=1e-11, atol=1e-11 * 128e9 * 1e-3)
 
 
+@pytest.mark.thorough
 @given(angles=st.lists(ANGLES, min_size=1, max_size=3), turn=ANGLES)
 @settings(max_examples=30, deadline=None)
 def test_turning_every_ply_turns_the_stiffness_tensor(angles, turn):

@@ -102,6 +102,7 @@ def test_stresses_of_rounding_break_nothing():
         mbd.progressive_failure(laminate, (0, 0, 1e6), criterion="puck")
 
 
+@pytest.mark.thorough
 def test_gradients_by_forces():
     """Loads are homogeneous of degree -1 in the forces (Euler)."""
     force = torch.tensor([1e6, 2e5, -1e5], dtype=torch.float64, requires_grad=True)

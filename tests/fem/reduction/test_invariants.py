@@ -64,6 +64,7 @@ def test_every_invariant_is_its_nodal_sum(body):
             torch.testing.assert_close(single[name], value, rtol=1e-12, atol=1e-13, msg=name)
 
 
+@pytest.mark.thorough
 def test_derivatives_forward_and_reverse(body):
     x, mass, rotary, psi = (a.requires_grad_() for a in body)
     assert torch.autograd.gradcheck(

@@ -49,6 +49,7 @@ BODIES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BODIES)
 def test_a_design_alone_and_in_a_batch_has_the_same_modes(name):
     body, designs = plate(**BODIES[name]), along(11)
@@ -110,7 +111,7 @@ def test_two_components_of_nearly_the_same_size_do_not_decide():
         torch.testing.assert_close(one, found[1], rtol=0, atol=1e-4)
 
 
-@pytest.mark.thorough("lanczos", "held at the center", "craig-bampton")
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BODIES)
 def test_signs_hold_across_the_space_of_designs(name):
     """Of neighbors 3 degrees apart two in a hundred at most differ in sign: no rule has none, for modes may turn round."""

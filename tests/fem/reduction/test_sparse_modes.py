@@ -50,6 +50,7 @@ def problem(shuffled: bool, free: bool, mass: str):
     return Sparse(pattern), K.values, Sparse(pattern), M.values
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mass", ["diagonal", "sparse"])
 @pytest.mark.parametrize("free", [False, True])
 @pytest.mark.parametrize("shuffled", [False, True])
@@ -104,6 +105,7 @@ class _LargestTensor(TorchDispatchMode):
         return result
 
 
+@pytest.mark.thorough
 def test_nothing_of_the_size_of_a_dense_matrix_is_ever_made():
     size, n = 3000, 5
     rows = torch.cat([torch.arange(size), torch.arange(size - 1), torch.arange(1, size)])

@@ -34,6 +34,7 @@ def differences(f, x, h):
     return torch.stack(columns, dim=-1)
 
 
+@pytest.mark.thorough
 def test_against_differences(made):
     """Each entry relative to the largest derivative of its kind (forces, couplings, moments)."""
     angles = made.angles.detach()
@@ -78,6 +79,7 @@ def test_backward_fills_the_gradient_of_the_parameter(made):
     assert_close(made.angles.grad, exact, rtol=1e-9, atol=1e-9 * float(exact.abs().max()))
 
 
+@pytest.mark.thorough
 def test_lanes(made):
     """Leading lanes, vmap, and derivatives under vmap are the loop over designs."""
     make = torch.Generator().manual_seed(5)
@@ -92,6 +94,7 @@ def test_lanes(made):
     assert_close(moved, slopes.sum(-1), rtol=1e-9, atol=1e-5)
 
 
+@pytest.mark.thorough
 def test_centers_and_stresses_have_derivatives():
     section = sections.box(0.05, 0.03, AS4, {w: [0.3 + k, -0.5] for k, w in enumerate(("top", "right", "bottom", "left"))},
                            1e-3, cells=(3, 2, 1))  # fmt: skip

@@ -94,6 +94,7 @@ def test_right_hand_sides_of_torchdiffeq(native: None) -> None:
         assert_close(a, b, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_lane_that_is_not_finite_fails_alone_and_is_named(native: None) -> None:
     gains = tensor(0.1, 2.0).requires_grad_()
     motion = mbd.simulate(arm(Steep()), 0.02, steps=8, designs={"controller.gain": gains}, backend="native")
@@ -116,6 +117,7 @@ class Late(nn.Module):
         return self.wrong(u) if float(x[0, -1].detach()) > 0.01 else u
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
@@ -130,6 +132,7 @@ def test_a_module_that_goes_wrong_later(native: None, wrong: Any, said: str) -> 
         mbd.simulate(arm(Late(wrong)), 0.02, steps=8, backend="native").q.sum().backward()
 
 
+@pytest.mark.thorough
 def test_a_law_that_goes_wrong_later(native: None) -> None:
     def law(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         return -s if float(t) < 0.01 else -s[0]
@@ -138,6 +141,7 @@ def test_a_law_that_goes_wrong_later(native: None) -> None:
         mbd.simulate(sprung(law), 0.02, steps=8, backend="native", gradients="none")
 
 
+@pytest.mark.thorough
 def test_many_steps_in_one_segment_after_another(native: None) -> None:
     """Reverse mode makes the steps between two states that are kept again."""
     system, found = arm(), []

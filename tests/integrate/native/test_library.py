@@ -38,6 +38,7 @@ def dynamics(modes: int = 3, tangents: bool = True, layers: int = 3) -> Dynamics
     return system.dynamics({NAME: ANGLES[:, :layers]}, tangents=[NAME] if tangents else []).condensed()
 
 
+@pytest.mark.thorough
 def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     before = library.key(dynamics())
     monkeypatch.setattr(library, "toolchain_digest", lambda sources: "another source")
@@ -101,6 +102,7 @@ def test_the_first_call_gives_the_numbers_of_the_tenth(cache: Path) -> None:
         assert torch.equal(x, z)
 
 
+@pytest.mark.thorough
 def test_eager_and_switched_off(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert library.with_backend(dynamics(), "eager").backend == "eager"
     monkeypatch.setenv("TORCHMBD_COMPILE", "0")
@@ -124,11 +126,13 @@ def refused(d: Dynamics, words: str) -> None:
         library.with_backend(d, "native")
 
 
+@pytest.mark.thorough
 def test_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     refused(dynamics(), r"no C\+\+ compiler")
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_folder_that_others_can_write(cache: Path) -> None:
     cache.chmod(0o777)
@@ -152,12 +156,14 @@ def test_a_compiler_that_fails_is_reported(cache: Path, monkeypatch: pytest.Monk
     assert list(cache.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_a_build_that_fails_is_said_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "false")
     refused(dynamics(modes=1), "false failed on the step of rod")
     assert list(cache.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(**_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -166,6 +172,7 @@ def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) 
     refused(dynamics(modes=1), "No space left on device")
 
 
+@pytest.mark.thorough
 def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
     """Two laws of one form have two libraries, whatever they take their numbers from."""
     held = {"stiffness": 3.0}
@@ -181,6 +188,7 @@ def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
     assert keys[0] == keys[2] != keys[1]
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_varied_law_with_branches_in_python_stays_uncompiled(cache: Path) -> None:
     def law(s: torch.Tensor, rate: torch.Tensor, t: torch.Tensor) -> torch.Tensor:

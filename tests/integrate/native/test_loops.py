@@ -44,7 +44,7 @@ def gradients(system: mbd.System, backend: str) -> dict[str, torch.Tensor]:
     return dict(zip(wanted, torch.autograd.grad(total, list(wanted.values())), strict=True))
 
 
-@pytest.mark.thorough("Spherical-2", "Universal-3", "Universal-7", "Spherical-3", "Spherical-7")
+@pytest.mark.thorough
 @pytest.mark.parametrize("links", [2, 3, 7])
 @pytest.mark.parametrize("joint", [mbd.Spherical, mbd.Universal])
 def test_chains(links: int, joint: type) -> None:

@@ -53,7 +53,7 @@ def same(eager: mbd.Trajectory, fast: mbd.Trajectory, q: float = 1e-10, dq: floa
         assert float((fast.dq_db - eager.dq_db).abs().max()) < dq * float(eager.dq_db.abs().max())
 
 
-@pytest.mark.thorough("iterations1-1", "iterations1-3")
+@pytest.mark.thorough
 @pytest.mark.parametrize("lanes", [1, 3])
 @pytest.mark.parametrize("iterations", [(3, 1), (1, 1), (2, 2)])
 def test_compiled_and_eager_agree(both: Both, lanes: int, iterations: tuple[int, int]) -> None:
@@ -64,6 +64,7 @@ def test_compiled_and_eager_agree(both: Both, lanes: int, iterations: tuple[int,
         torch.testing.assert_close(fast.stats[name], eager.stats[name], rtol=0.1, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_values_alone_and_more_lanes_than_a_block(both: Both) -> None:
     designs = {NAME: ANGLES[:1] + torch.linspace(0.0, 0.5, 11, dtype=torch.float64)[:, None]}
     same(*both(build(3, cells=(6, 2), modes=3), 0.002, steps=30, designs=designs, refresh=3))
@@ -106,6 +107,7 @@ def test_laws_of_the_user_are_compiled(both: Both) -> None:
     same(*both(system, 0.01, steps=20, gradients="forward", designs=designs))
 
 
+@pytest.mark.thorough
 def test_redundant_rows_are_compiled(both: Both) -> None:
     system = four_bar()
     assert system.dynamics().condensed().redundant
@@ -129,6 +131,7 @@ def test_the_right_hand_side_is_compiled(both: Both, gradients: bool) -> None:
     same(*both(system, 2e-4, "rk4", 20, **options))
 
 
+@pytest.mark.thorough
 def test_the_right_hand_side_of_a_driven_mechanism(both: Both) -> None:
     system = build(3, cells=(6, 2), modes=2)
     eager, fast = both(system, 5e-4, "dopri5", 4, rtol=1e-6, atol=1e-8, designs={NAME: ANGLES})
@@ -136,10 +139,12 @@ def test_the_right_hand_side_of_a_driven_mechanism(both: Both) -> None:
     assert fast.stats["evaluations"] == eager.stats["evaluations"]
 
 
+@pytest.mark.thorough
 def test_a_right_hand_side_without_inertia_stays_eager(both: Both) -> None:
     same(*both(weightless(), 1e-3, "rk4", 5))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_rigid_systems_are_compiled(both: Both, method: str) -> None:
     same(*both(rigid_pendulum(), 0.002, method, 10))

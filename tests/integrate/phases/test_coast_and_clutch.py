@@ -15,6 +15,7 @@ from tests.mechanisms import tensor
 SPEED, DRIVER, WHEEL, ANGLE, END = 2.0, 0.02, 0.03, 0.2, 0.4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["none", "forward", "reverse"])
 def test_the_angle_after_the_clutch(gradients):
     ground, inertia = mbd.Ground(), torch.nn.Parameter(tensor(DRIVER, DRIVER, DRIVER))

@@ -54,7 +54,7 @@ def momentum(motion: Trajectory, state: tuple[Tensor, Tensor]) -> Tensor:
     return total
 
 
-@pytest.mark.thorough("dopri5")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("method", "hinges"), [("generalized_alpha", 1), ("generalized_alpha", 2), ("dopri5", 1)])
 def test_a_lock_keeps_momentum_and_position(method, hinges):
     phases = [mbd.Phase(until=0.0325), mbd.Phase(lock=["hinge"])]
@@ -74,6 +74,7 @@ def test_a_lock_keeps_momentum_and_position(method, hinges):
     assert float(switch.before.v.abs().max()) > 6.0
 
 
+@pytest.mark.thorough
 def test_a_lock_from_the_start_holds_the_initial_position():
     motion = mbd.simulate(rotors(), 0.05, steps=10, phases=[mbd.Phase(lock=["hinge"])]).require_ok()
     relative = motion.body("first").A[0].mT @ motion.body("second").A[0]
@@ -83,6 +84,7 @@ def test_a_lock_from_the_start_holds_the_initial_position():
     assert float(motion.lam[0, :, torch.tensor(rows)].abs().min()) > 1e-3
 
 
+@pytest.mark.thorough
 def test_the_frames_of_a_locked_sliding_joint_stay_where_they_are():
     """A lock of a translation, on a flexible body: the marked point moves with its node."""
     system = pendulum()
@@ -112,7 +114,7 @@ def pushed(angle: float) -> mbd.System:
     )
 
 
-@pytest.mark.thorough("dopri5")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "dopri5"])
 def test_laws_go_on_through_phases(method):
     """Phases without locks are the motion without phases; the drive's law is a function of absolute time."""
@@ -127,6 +129,7 @@ def test_laws_go_on_through_phases(method):
     assert [float(s.t) for s in found.switches] == pytest.approx([0.023, 0.043])
 
 
+@pytest.mark.thorough
 def test_a_released_drive_leaves_the_arm_its_velocity():
     phases = [mbd.Phase(until=0.02), mbd.Phase(release=["motor"])]
     motion = mbd.simulate(pushed(0.7), 0.06, steps=60, phases=phases, iterations=(5, 1)).require_ok()
@@ -201,7 +204,7 @@ def test_a_phase_that_never_ends_is_the_status_of_its_lane():
     ]
 
 
-@pytest.mark.thorough("eager")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("restitution", "backend"), [(0.0, "eager"), (0.6, "native")])
 def test_a_jointed_body_rebounds_from_a_wall(restitution, backend, native):
     """A pendulum that hits a wall turns back with its own restitution; the joint takes an impulse as well."""
@@ -217,7 +220,7 @@ def test_a_jointed_body_rebounds_from_a_wall(restitution, backend, native):
     assert_close(after, torch.zeros_like(after), rtol=0, atol=1e-10)
 
 
-@pytest.mark.thorough("rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_velocities_follow_a_drive_whose_rate_jumps_at_a_switch(method):
     """A bob hangs on a driven arm: the jump of the arm is an impulse at the pin, about which the bob keeps its momentum."""
@@ -332,6 +335,7 @@ def test_energy_lost_at_switches():
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.3)
 
 
+@pytest.mark.thorough
 def test_a_lock_on_a_bent_body_is_closed():
     """Axes of a frame on a bent body are not quite perpendicular to each other; the lock holds what is there."""
     system = pendulum()
@@ -362,6 +366,7 @@ def test_marks_of_a_lock_are_closed_on_a_bent_body(bent):
     assert float(phi.detach().abs().max()) < 1e-14
 
 
+@pytest.mark.thorough
 def test_a_motion_that_is_not_finite_is_the_status_of_its_lane():
     body = box("block")
     push = mbd.Force(body.at(), lambda t: torch.stack([torch.where(t > 0.03, torch.nan, 1.0)] * 3))
@@ -388,6 +393,7 @@ def test_lanes_that_do_not_reach_a_lock_leave_the_others_alone():
             assert_close(motion.q[1], alone.q[0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_steps_that_are_too_long_are_unresolved_with_phases_as_without():
     """Three steps for half a second of an arm that vibrates at 30 Hz: the status says so, whether there is a phase or not."""
     plain = mbd.simulate(mbd.examples.arm(modes=4), 0.5, steps=3, gradients="none")

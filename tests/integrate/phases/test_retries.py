@@ -22,6 +22,7 @@ STIFFNESS = "floor.stiffness"
 PHASES = [mbd.Phase(until=0.1), mbd.Phase()]
 
 
+@pytest.mark.thorough
 def test_a_contact_shorter_than_a_step_is_found_in_a_phase():
     """The apex of a throw after an elastic contact is that of the motion without phases, whose steps are as small."""
     options: dict[str, Any] = {"steps": 80, "gradients": "none"}
@@ -37,6 +38,7 @@ def test_a_contact_shorter_than_a_step_is_found_in_a_phase():
     assert float(energy.balance.abs().max()) < 1e-3 * float(energy.stored[:, 0].abs())
 
 
+@pytest.mark.thorough
 def test_lanes_get_what_they_need():
     """A lane that needs smaller steps has them alone, with its switch; the other keeps its motion."""
     system, phases = dropped(stiffness=mbd.variable(1e5)), [mbd.Phase(until=0.05), mbd.Phase()]
@@ -50,6 +52,7 @@ def test_lanes_get_what_they_need():
             assert_close(x[lane], y[0], rtol=0, atol=1e-10)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_derivatives_go_through_smaller_steps(gradients):
     """By the stiffness, of a batch in which one lane has the steps that were asked for; an event ends the first phase."""
@@ -78,6 +81,7 @@ def test_derivatives_go_through_smaller_steps(gradients):
     assert_close(slopes, (4.0 * near - far) / 3.0, rtol=1e-6, atol=0)
 
 
+@pytest.mark.thorough
 def test_held_values_that_change_within_a_phase():
     """Steps of both phases are divided until some end where the values change."""
     phases = [mbd.Phase(until=0.55), mbd.Phase()]
@@ -112,6 +116,7 @@ def test_checkpoints_keep_fewer_states_of_the_same_motion(name, backend):
     assert_close(slopes_of_few, slopes, rtol=1e-6, atol=1e-7 * float(slopes.abs().max()))
 
 
+@pytest.mark.thorough
 def test_a_lane_that_fails_in_an_early_phase_leaves_statistics_and_gradients_of_the_others():
     """Its phase never ends, with smaller steps as well: it is not tried again. By the duration all outputs move at once."""
     system = dropped(stiffness=mbd.variable(2e3), damping=0.1, height=0.005)

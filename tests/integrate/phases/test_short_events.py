@@ -28,6 +28,7 @@ def passes(level: float, pull: Tensor, sign: float) -> Tensor:
     return (SPEED + sign * torch.sqrt(SPEED * SPEED - 2.0 * g * level)) / g
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 @pytest.mark.parametrize(("direction", "sign"), [("rising", -1.0), ("falling", 1.0), ("either", -1.0)])
 def test_a_point_that_passes_a_plane_twice_in_one_step(method, direction, sign):
@@ -39,6 +40,7 @@ def test_a_point_that_passes_a_plane_twice_in_one_step(method, direction, sign):
     assert_close(motion.switches[0].t.detach(), time, rtol=0, atol=1e-10)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["forward", "reverse"])
 def test_its_time_has_the_gradient_of_the_closed_form(gradients):
     """Lanes of which one passes in one step, one in two, and one never."""
@@ -72,6 +74,7 @@ def test_a_plane_just_above_the_highest_point_is_not_reached():
     assert "phase 'up' never ends" in motion.status[0]
 
 
+@pytest.mark.thorough
 def test_bounces_that_are_shorter_than_a_step():
     """A point dropped from 0.2 m, restitution 0.1: it is in the air for 0.0404 s, then for 0.004 s."""
     body = mbd.RigidBody("mass", mass=2.0, inertia=(0.1, 0.2, 0.2), position=(0.0, 0.0, 0.2))
@@ -83,6 +86,7 @@ def test_bounces_that_are_shorter_than_a_step():
     assert_close(torch.stack([switch.t[0] for switch in motion.switches]), times, rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_steps_that_are_too_long_to_know_are_told():
     """A function of time that turns several times in every step."""
     event = mbd.Event(lambda motion: 1.001 + torch.sin(300.0 * motion.t).expand(motion.lanes, -1))

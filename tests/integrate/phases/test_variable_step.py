@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch.testing import assert_close
 
@@ -49,6 +50,7 @@ def states() -> tuple[Dynamics, State]:
     return dynamics, State(q, v, a, a, lam)
 
 
+@pytest.mark.thorough
 def test_lanes_at_their_own_times_have_what_each_has_alone():
     dynamics, x = states()
     step = GeneralizedAlpha().step_of_size
@@ -61,6 +63,7 @@ def test_lanes_at_their_own_times_have_what_each_has_alone():
                 assert_close(found, wanted, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_compiled_code_makes_the_steps_of_operators_of_torch(native, monkeypatch):
     """Each lane with its own size and time; from far accelerations, too."""
     dynamics, x = states()
@@ -76,6 +79,7 @@ def test_compiled_code_makes_the_steps_of_operators_of_torch(native, monkeypatch
     assert not made
 
 
+@pytest.mark.thorough
 def test_a_step_does_not_depend_on_its_estimate_and_is_nan_where_it_has_no_solution():
     dynamics, x = states()
     step = GeneralizedAlpha().step_of_size

@@ -41,6 +41,7 @@ def numbers(*shape: int, seed: int = 0) -> Tensor:
     return 2.0 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 1.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 2])
 def test_written_out_operators_compute_the_same(seed: int) -> None:
     tape = Tape()

@@ -27,6 +27,7 @@ def strip(*degrees: float) -> sections.Section:
     return made
 
 
+@pytest.mark.thorough
 def test_angles_of_the_section_are_the_parameters():
     body = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 8), strip(20.0, -50.0), modes=3, reference="start")
     assert [name for name, x in body.named_parameters() if x.requires_grad] == ["section.angles"]
@@ -41,6 +42,7 @@ def test_angles_of_the_section_are_the_parameters():
         mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 4), "steel")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("asked", "kept"), [(1, 4), (2, 4), (3, 4), (4, 4), (5, 6), (9, 10)])
 def test_equal_frequencies_are_kept_together(asked, kept):
     """A square tube held at its center: four ends that bend alike, then pairs."""
@@ -56,6 +58,7 @@ def test_equal_frequencies_are_kept_together(asked, kept):
     assert_close(torch.linalg.eigvalsh(Kr.detach()), squares[:kept], rtol=1e-9, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_invariants_are_those_of_the_solid():
     """A straight coupled beam off its line: mass, center and moments of inertia about the reference node."""
     section, length, n = coupled_section(), 0.9, 200
@@ -77,6 +80,7 @@ def test_invariants_are_those_of_the_solid():
     assert_close(kinetic, torch.eye(2, dtype=torch.float64), rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_frequencies_move_with_the_ply_angles():
     """d Kr / d angle, forward mode through section and beam, against differences; lanes are the loop."""
     body = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 6), strip(20.0, -50.0), modes=3, reference="start")

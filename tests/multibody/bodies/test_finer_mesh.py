@@ -46,6 +46,7 @@ BODIES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BODIES)
 def test_structure_is_that_of_twice_the_cells(name):
     make, options = BODIES[name]
@@ -70,6 +71,7 @@ def test_a_length_stays_a_design_variable():
     torch.testing.assert_close(values[0], values[1], rtol=1e-6, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_zones_keep_their_plies():
     stacks = [mbd.Laminate(mbd.examples.carbon(), mbd.deg([a]), thickness=2e-3) for a in (0.0, 60.0)]
     mesh = mbd.mesh.rectangle(0.4, 0.1, cells=(4, 2))
@@ -97,6 +99,7 @@ def test_the_start_of_the_body_is_kept():
     assert body.velocities_given == (True, False)
 
 
+@pytest.mark.thorough
 def test_obstacles():
     body = plate()
     structure = {name: x.detach() for name, x in body.structure().items()}

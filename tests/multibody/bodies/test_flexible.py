@@ -49,6 +49,7 @@ def test_mass_and_first_moment_are_those_of_the_plate():
     assert made["S0"].tolist() == pytest.approx([mass * 0.15, mass * 0.05, 0.0], rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_the_structure_stage_runs_on_lanes():
     """A batch of designs is the loop over the designs: invariants and stiffness, up to rotations among the modes."""
     body = plate("plate", modes=3)

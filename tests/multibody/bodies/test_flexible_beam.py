@@ -41,6 +41,7 @@ def cantilever(beam: mbd.FlexibleBeam, *forces: mbd.forces.ForceElement) -> mbd.
     return mbd.System([beam], [mbd.Fixed(GROUND.at(), beam.at("start"), name="wall")], list(forces))
 
 
+@pytest.mark.thorough
 def test_equilibrium_is_that_of_the_beam_alone():
     line = mbd.BeamLine.arc(2.0, 1.0, 6)
     beam = mbd.FlexibleBeam("beam", line, mbd.GivenSection(coupled(), MASS), twist=[[0.0, 0.2]] * 6)
@@ -55,6 +56,7 @@ def test_equilibrium_is_that_of_the_beam_alone():
     assert_close(rest.reaction("wall").force[0, 0].norm(), load.norm(), atol=1e-8, rtol=0)
 
 
+@pytest.mark.thorough
 def test_frequencies_converge_with_the_square_of_the_length():
     load = (0.0, 4.0, 2.0)
     found = []
@@ -114,6 +116,7 @@ def test_gradients_by_plies_taper_and_twist(damping):
         assert_close(by, torch.stack(wanted), rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.thorough
 def test_results_responses_and_pictures(tmp_path):
     beam = mbd.FlexibleBody.exact_beam("beam", mbd.BeamLine.straight(1.0, 3), SECTION, velocity=(1.0, 0, 0))
     system = mbd.System([beam], forces=[mbd.Force(beam.at(1), (0.0, 5.0, 0.0))], free=["beam"])
@@ -162,6 +165,7 @@ def test_vibrations_that_steps_do_not_resolve_in_phases():
     assert wild.status[0].startswith("unresolved")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("far", [0.0, 1000.0])
 @pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.05), mbd.Phase()]])
 def test_rounding_is_no_vibration(far, phases):

@@ -100,6 +100,7 @@ def richardson(f, x: float, h: float) -> float:
     return (4.0 * slope(h / 2.0) - slope(h)) / 3.0
 
 
+@pytest.mark.thorough
 def test_derivatives_that_the_user_gives(numbers):
     M, K = numbers
     body = given(numbers, derivatives={"height": (0.03, 2.0 * M, 5.0 * K), "density": (1.0, M, None)})
@@ -130,6 +131,7 @@ class Stiffened(torch.nn.Module):
         return self.M * self.factor**0.5, self.K * self.factor**3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["vibration", "craig-bampton"])
 def test_a_torch_module_makes_the_matrices(numbers, kind):
     own = {"modes": 3, "reference": "start", "node_sets": SETS, "reduction": kind}

@@ -43,11 +43,13 @@ def test_a_round_trip_changes_no_digit(plate, made, tmp_path):
     assert body.mesh.node_sets == plate.mesh.node_sets
 
 
+@pytest.mark.thorough
 def test_the_motion_is_the_same(plate, tmp_path):
     body = mbd.FlexibleBody.from_reduced("arm", plate.save_reduced(tmp_path / "arm.npz"))
     assert torch.equal(swing(body), swing(plate))
 
 
+@pytest.mark.thorough
 def test_other_coordinates_are_the_same_body(plate, made):
     """Modes mixed by a matrix A: Kr -> A' Kr A, and likewise for the rest."""
     A = torch.tensor(np.random.default_rng(2).normal(size=(plate.modes,) * 2))
@@ -60,6 +62,7 @@ def test_other_coordinates_are_the_same_body(plate, made):
     assert_close(swing(body), swing(plate), rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_quadratic_stiffness_is_kept_and_turns_with_the_coordinates(plate, made, tmp_path):
     """In normalized coordinates as in others, and in the file."""
     rows = [torch.tensor(x, dtype=torch.float64) for x in ((1.0, 0.5, -0.3), (0.2, 1.0, 0.4))]
@@ -78,6 +81,7 @@ def test_quadratic_stiffness_is_kept_and_turns_with_the_coordinates(plate, made,
     assert torch.equal(swing(read), bent)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [6e7, -6e7])
 def test_a_static_deflection_with_quadratic_stiffness(plate, made, size):
     """Kr w + 1/2 w' K2 w = F by an iteration of one's own, and the energy 1/2 Kr ww + 1/6 K2 www of that."""
@@ -138,6 +142,7 @@ def test_files_of_another_kind_are_refused(tmp_path, content):
         mbd.FlexibleBody.from_reduced("arm", tmp_path / "y.npz")
 
 
+@pytest.mark.thorough
 def test_ply_stress_names_what_is_missing(plate, tmp_path):
     body = mbd.FlexibleBody.from_reduced("arm", plate.save_reduced(tmp_path / "arm.npz"))
     hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at(0), axis="y")

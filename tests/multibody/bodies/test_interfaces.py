@@ -30,6 +30,7 @@ def sag(body: mbd.FlexibleBody, root="left_edge", tip="right_edge") -> torch.Ten
     return 2.0 * mbd.StrainEnergy("plate")(mbd.equilibrium(system)).squeeze()
 
 
+@pytest.mark.thorough
 def test_six_freedoms_for_each_interface():
     assert plate(modes=3).modes == 2 * 6 + 3
     assert plate(modes=3, interface=[mbd.Interface("left_edge"), mbd.Interface("right_edge", rigid=True)]).modes == 15
@@ -46,6 +47,7 @@ def left_out(body: mbd.FlexibleBody) -> float:
     return found.share
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("modes", [0, 2])
 def test_statics_under_loads_on_averaged_interfaces_are_exact(modes):
     """Against K^-1 of the mesh without the interfaces' freedoms."""
@@ -53,6 +55,7 @@ def test_statics_under_loads_on_averaged_interfaces_are_exact(modes):
     assert left_out(plate(modes=2, reduction="vibration")) > 0.1
 
 
+@pytest.mark.thorough
 def test_a_cantilever_in_closed_form():
     """F l^3 / 3 E I of a narrow plate, nu = 0: the root turns as its mean."""
     ply = mbd.Ply.isotropic(E=2.1e11, nu=0.0, density=7800.0)
@@ -64,6 +67,7 @@ def test_a_cantilever_in_closed_form():
     assert float(sag(body, "root", "tip")) == pytest.approx(exact, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_rigid_is_stiffer_than_averaged():
     """Poisson's contraction is held at a rigid edge. A set that the body has as rigid says the same by its first node."""
     rigid = {name: mbd.Interface(edge, rigid=True) for name, edge in ROOT_AND_TIP.items()}
@@ -85,6 +89,7 @@ def test_names_are_frames():
     assert torch.linalg.matrix_rank(y) == 6  # a freedom of the reduced body each
 
 
+@pytest.mark.thorough
 def test_fixed_interface_modes_hold_the_mean_motion():
     """More of them bring frequencies to those of the mesh from above; the interface keeps six shapes."""
 

@@ -81,6 +81,7 @@ def hanging(**on) -> mbd.System:
     return mbd.System([body], [mbd.Revolute(mbd.Ground().at(*place.tolist()), frame, "y")], gravity=(2.0, -9.0, 4.0))
 
 
+@pytest.mark.thorough
 def test_the_point_of_a_frame_stays_on_its_hinge():
     system = hanging(node="left_edge", offset=(0.0, 0.0, 0.02))
     motion = mbd.simulate(system, 0.05, steps=100).require_ok()
@@ -90,6 +91,7 @@ def test_the_point_of_a_frame_stays_on_its_hinge():
     assert float(at.displacement.abs().max()) > 1e-9
 
 
+@pytest.mark.thorough
 def test_energy_is_kept_with_forces_on_a_set():
     """The mean motion and the forces on the nodes are transposes: constraint forces do no work."""
     motion = mbd.simulate(hanging(node="left_edge"), 0.1, steps=800, spectral_radius=1.0).require_ok()

@@ -131,6 +131,7 @@ def test_a_symmetric_stack_listed_whole_is_the_half_mirrored():
         assert_close(x, y, rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.thorough
 def test_a_shell_has_its_center_off_each_facet():
     """Half a tube: a facet's middle lies at r cos(a), its mass at the height z on it; 2 a is the angle of a facet."""
     count, radius = 48, 0.2
@@ -146,6 +147,7 @@ def test_a_shell_has_its_center_off_each_facet():
     assert float(center[2]) == pytest.approx(wanted, rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_frequencies_are_those_of_the_series():
     """A thick plate, simply supported: the first moment couples u with beta_x, v with beta_y; extrapolated meshes."""
     light, heavy = (mbd.Ply.isotropic(7e10, 0.3, rho) for rho in (300.0, 8000.0))
@@ -179,6 +181,7 @@ def hung(laminate: mbd.Laminate, **given) -> mbd.System:
     return mbd.System([body], [hinge], gravity=(9.81 * down).tolist())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_a_plate_hangs_with_its_center_below_the_hinge(mass):
     """At atan(z / (L / 2)) to the vertical; the clamped plate of 1 g droops by less than 1e-6 of that."""
@@ -214,6 +217,7 @@ class Invariants(torch.nn.Module):
         return functional_call(self, {"body.laminate.thickness": thickness})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_derivatives_by_thickness_and_lanes(mass):
     """Forward and reverse, against differences of fourth order; a batch of designs is its designs one by one."""
@@ -231,6 +235,7 @@ def test_derivatives_by_thickness_and_lanes(mass):
     assert_close(model.at(lanes), one_by_one, rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_gradient_of_the_motion_by_thickness():
     """How far the hung plate swings out when it is let go with its middle surface vertical."""
     system = hung(sandwich())

@@ -15,6 +15,7 @@ from torchmbd.multibody.bodies.modal_damping import ModalDamping
 RATIOS = (0.02, 0.05, 0.003)
 
 
+@pytest.mark.thorough
 def test_poles_of_a_welded_plate():
     """A plate fixed where its frame is has the poles - z om +- i om (1 - z^2)^1/2."""
     body = plate("panel", modes=3, reference="left").damped(RATIOS)
@@ -77,6 +78,7 @@ def test_gradients_of_a_damped_motion():
     assert float(energies.balance.abs().max()) < 5e-3 * float(energies.kinetic.max())
 
 
+@pytest.mark.thorough
 def test_bad_ratios_are_named():
     body = plate("panel", modes=3)
     for wrong in ((0.1, 0.2), 1.5, (0.1, -0.1, 0.1), (0.1, float("nan"), 0.1)):

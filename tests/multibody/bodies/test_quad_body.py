@@ -35,6 +35,7 @@ def test_both_elements_have_one_limit(mass):
     assert_close(mixed, triangles, rtol=0.012, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_derivative_of_every_frequency_by_every_angle(kind):
     """General laminate, irregular mesh turned in space: forward mode against central differences."""
@@ -61,6 +62,7 @@ def test_derivative_of_every_frequency_by_every_angle(kind):
         assert_close(exact.detach(), difference, rtol=1e-6, atol=1e-7 * float(of(angles).max()))
 
 
+@pytest.mark.thorough
 def test_a_motion_its_plies_and_its_files(tmp_path):
     """A pendulum of quadrilaterals: failure of plies, frames for ParaView, triangles for the animation."""
     ply = mbd.Ply(**SOFT, strength=Strength(1.5e6, 1.2e6, 4e4, 2.5e5, 7e4))
@@ -80,6 +82,7 @@ def test_a_motion_its_plies_and_its_files(tmp_path):
     mbd.viz.animate(motion, tmp_path / "rod.html")
 
 
+@pytest.mark.thorough
 def test_uniform_states_have_their_stresses_in_every_ply():
     """Tension of a bar of quadrilaterals, slanted and turned: sigma = F / (b h) in a single layer of isotropic material."""
     lean = mapped((6, 2), lambda s, t: (0.3 * s + 0.02 * (1 - 2 * t) * np.sin(np.pi * s), 0.1 * t, 0.0), "quad")
@@ -94,6 +97,7 @@ def test_uniform_states_have_their_stresses_in_every_ply():
     assert_close(stress, torch.tensor([1e6, 0, 0, 0, 0], dtype=torch.float64).expand(24, 5), rtol=1e-10, atol=1e-3)
 
 
+@pytest.mark.thorough
 def test_zones_of_a_mixed_mesh():
     """Two stacks on the cells of a mesh that mixes kinds: masses add up, every cell has its plies."""
     mesh = grid(0.3, 0.1, (6, 2), "mixed")

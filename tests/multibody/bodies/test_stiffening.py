@@ -21,6 +21,7 @@ def beam(elements: int = 40, modes: int = 4, **given) -> mbd.FlexibleBody:
     )
 
 
+@pytest.mark.thorough
 @torch.no_grad()
 def test_a_bent_line_is_shorter():
     """f_x = - integral of u2' u2' + u3' u3' from the reference, at the end and in the sums over the mass."""
@@ -68,6 +69,7 @@ FLAPPING = {  # frequencies sqrt(m L4 / EI) om_k over spin, A. D. Wright and oth
 }
 
 
+@pytest.mark.thorough
 @torch.no_grad()
 @pytest.mark.parametrize("spin", FLAPPING)
 def test_frequencies_of_a_rotating_cantilever(spin: float):

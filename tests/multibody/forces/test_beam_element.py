@@ -17,6 +17,7 @@ def tip(**given) -> mbd.RigidBody:
     return mbd.RigidBody("tip", 1.0, (0.01, 0.01, 0.01), position=(0.5, 0, 0), **given)
 
 
+@pytest.mark.thorough
 def test_rolls_up_to_an_arc():
     """A moment M turns one element of length L by M L / E I, 0.6 rad: the tip of an arc."""
     body, angle = tip(), 0.6
@@ -51,6 +52,7 @@ def test_gradients_by_stiffness(backend):
         assert_close(by, wanted, rtol=1e-6, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_refusals():
     K = SECTION.stiffness()
     with pytest.raises(mbd.InputError, match="not positive definite"):

@@ -90,7 +90,7 @@ CASES = {
 }
 
 
-@pytest.mark.thorough("rail-rk4", "hinge-rk4", "point-rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 @pytest.mark.parametrize("case", CASES)
 def test_the_motion_of_equivalent_springs(case, method):
@@ -161,6 +161,7 @@ def test_gradients_of_weights(name):
     assert_close(pushed, expected.sum()[None], rtol=0, atol=1e-6 * size)
 
 
+@pytest.mark.thorough
 def test_backward_reaches_weights_and_angles():
     system = arm()
     looked_at(mbd.simulate(system, 0.02, **OPTIONS)).sum().backward()
@@ -174,6 +175,7 @@ def test_backward_reaches_weights_and_angles():
         assert_close(system.get_parameter(name).grad, x, rtol=0, atol=1e-8 * float(x.abs().max()))
 
 
+@pytest.mark.thorough
 def test_many_weights():
     """Ten thousand: the slope of the loss along a direction, by one backward."""
     system = arm(network(9, 2, 850))
@@ -191,6 +193,7 @@ def test_many_weights():
     assert (values[0] - values[1]) / 6e-4 == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_lanes_do_not_see_each_other():
     system = arm()
     make = torch.Generator().manual_seed(7)
@@ -213,6 +216,7 @@ def test_lanes_do_not_see_each_other():
     assert shared.status == ["ok"] * 3
 
 
+@pytest.mark.thorough
 def test_vmap_over_weights():
     system = arm()
     own = system.get_parameter("controller.2.bias").detach()
@@ -238,6 +242,7 @@ class Steep(nn.Module):
         return self.gain * torch.sqrt(0.021 - self.gain * x[:, -1:]).expand(-1, 2)
 
 
+@pytest.mark.thorough
 def test_a_lane_that_is_not_finite_fails_alone_and_is_named():
     system = arm(Steep())
     gains = tensor(0.1, 2.0).requires_grad_()
@@ -334,6 +339,7 @@ def test_phases():
     assert_close(found, differences(f, tensor(2.0), 1e-2)[0], rtol=2e-3, atol=0)
 
 
+@pytest.mark.thorough
 def test_copies_and_files():
     system = arm()
     expected = mbd.simulate(system, 0.01, steps=4, gradients="none").q
@@ -350,6 +356,7 @@ def test_copies_and_files():
     assert torch.equal(mbd.simulate(other, 0.01, steps=4, gradients="none").q, expected)
 
 
+@pytest.mark.thorough
 def test_signals_of_a_flexible_body():
     """Positions and velocities are those of the motion, the rate of the hinge is that of a difference of angles."""
     system = arm()

@@ -84,7 +84,7 @@ def oscillator(x, rate, k, c, m, t):
     return torch.exp(-d * t) * (x * torch.cos(w * t) + (rate + d * x) / w * torch.sin(w * t))
 
 
-@pytest.mark.thorough("AxialSpringDamper")
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [mbd.SpringDamper, mbd.AxialSpringDamper])
 def test_a_mass_on_a_spring(kind):
     ground = mbd.Ground()
@@ -130,7 +130,7 @@ def test_a_torque_that_grows_with_time():
     assert_close(motion.body("block").omega[0, :, 2], motion.t**2, rtol=0, atol=3e-5)
 
 
-@pytest.mark.thorough("generalized_alpha")
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4", "dopri5"])
 def test_a_law_that_ceases_to_be_finite_is_named(method):
     """A root of a length that is used up: the motion ends there, and says whose law it was."""

@@ -26,6 +26,7 @@ def door(loaded: bool, gravity: Tensor) -> mbd.System:
     return mbd.System([body], [hinge], forces, gravity=None if loaded else gravity)
 
 
+@pytest.mark.thorough
 def test_a_load_of_fixed_direction_is_weight():
     gravity = tensor(3.0, -4.0, 8.0)
     one, other = (mbd.simulate(door(loaded, gravity), 0.05, steps=50).require_ok() for loaded in (True, False))
@@ -75,6 +76,7 @@ def test_a_following_load_is_a_sum_over_the_nodes(kind):
     assert_close(found[2][:, 0, 0, 0], expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
 
 
+@pytest.mark.thorough
 def test_a_closed_form():
     """A clamped strip of an isotropic material without contraction under p: it bends by p L^4 / (8 D) at its end."""
     E, h, L, p = 7e9, 2e-3, 0.4, 3.0
@@ -105,6 +107,7 @@ def test_bad_pressures_are_named():
             assert word in str(error.value)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("load", [-200.0, 200.0])
 def test_a_load_along_a_stiffened_plate_is_a_weight(load):
     """[Pa], of both signs: a clamped strip that hangs or stands has the frequencies of one under gravity."""

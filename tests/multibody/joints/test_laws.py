@@ -45,6 +45,7 @@ def test_a_law_that_leaves_torch_is_refused_by_name(name):
         mbd.Drive(mbd.Ground(), box("b"), axis="z", angle=LEAVES_TORCH[name], name="motor")
 
 
+@pytest.mark.thorough
 def test_a_spline_of_scipy_in_torch_operations_drives():
     """As the message says: the pieces x and the coefficients c of the spline, highest power first."""
     x, c = torch.as_tensor(SPLINE.x), torch.as_tensor(SPLINE.c)
@@ -81,7 +82,7 @@ def test_the_law_of_a_joint_is_the_law(law):
             assert_close(torch.stack(x.slopes(t)), torch.stack(law.slopes(t)), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.thorough("rk4")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("key", "x", "method"),
     [
@@ -115,6 +116,7 @@ def hinged(**law) -> mbd.System:
     return mbd.System([disk], [mbd.Revolute(ground.at(), disk.at()), mbd.Drive(ground, disk, name="motor", **law)])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_a_law_that_turns_nan_is_named_with_its_time(method):
     system = hinged(angle=lambda t: torch.sqrt(0.25 - t) - 0.5)

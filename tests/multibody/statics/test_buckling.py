@@ -60,12 +60,14 @@ def check_gradients(model: Factors, name: str, step: float) -> None:
     assert_close(reverse, wanted, rtol=0.0, atol=1e-6 * scale)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["quad", "triangle"])
 @pytest.mark.parametrize(("name", "step"), [("angles", 1e-2), ("thickness", 2e-5)])
 def test_gradients_through_the_stress_state(kind, name, step):
     check_gradients(Factors(panel(kind=kind), {"right_edge": (-1e3, 300.0, 0.0)}, 2), f"body.laminate.{name}", step)
 
 
+@pytest.mark.thorough
 def test_gradients_of_a_beam_with_imposed_displacement():
     section = mbd.sections.tube(0.03, CARBON, [0.3, 0.3, -0.2], 5e-4)
     body = mbd.FlexibleBody.beam("beam", mbd.BeamLine.straight(1.0, 3), section, modes=2, reference="start")
@@ -84,6 +86,7 @@ def test_gradients_by_the_nodes_of_a_beam_whose_loads_are_spread():
     check_gradients(model, "body.line.nodes", 1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.extensions
 def test_gradients_by_steered_fibers():
     mesh = mbd.mesh.rectangle(1.0, 0.7, (4, 3), "quad")
@@ -94,6 +97,7 @@ def test_gradients_by_steered_fibers():
     check_gradients(Factors(body, {"right_edge": (-1e3, 300.0, 0.0)}, 1), "body.laminate.angles", 1e-2)
 
 
+@pytest.mark.thorough
 def test_coinciding_factors_of_a_tube_have_the_mean_of_their_derivatives():
     model = Factors(tube(), {"end": (-1.0, 0.0, 0.0)}, 2)
     factors = model()
@@ -111,6 +115,7 @@ def test_coinciding_factors_of_a_tube_have_the_mean_of_their_derivatives():
     assert_close(reverse[:1], wanted, rtol=0.0, atol=1e-6 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_lanes_are_designs():
     model = Factors(panel(), {"right_edge": (-1e3, 0.0, 0.0)}, 2)
     angles = torch.tensor([[0.3, -0.5, 1.0], [0.0, 0.9, 0.2]], dtype=torch.float64)
@@ -121,6 +126,7 @@ def test_lanes_are_designs():
     assert_close(f(angles), torch.stack([f(x) for x in angles]), rtol=1e-10, atol=0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cells", [(4, 3), (12, 8)])
 def test_loads_that_only_stiffen_have_no_factor(cells):
     ply = mbd.Ply(E1=70e9, E2=70e9, G12=35e9, G13=35e9, G23=35e9, nu12=0.0, density=2700.0)
@@ -132,6 +138,7 @@ def test_loads_that_only_stiffen_have_no_factor(cells):
     assert not bool(found.shapes.any())
 
 
+@pytest.mark.thorough
 def test_the_sparse_and_the_dense_way_agree(monkeypatch):
     loads = {"right_edge": (-1e3, 300.0, 0.0)}
     dense = mbd.buckling(panel((8, 6)), loads, number=3)

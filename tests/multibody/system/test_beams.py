@@ -106,6 +106,7 @@ def test_dampers_take_energy():
     assert float(fine.balance.abs().max()) < float(coarse.balance.abs().max()) / 3.0
 
 
+@pytest.mark.thorough
 def test_a_system_of_the_parts_of_another():
     """Whose bodies are the nodes of its beams, and whose forces their elements."""
     ground, beam = mbd.Ground(), mbd.FlexibleBeam("beam", mbd.BeamLine.straight(1.0, elements=2), SECTION)

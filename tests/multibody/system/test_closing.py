@@ -37,6 +37,7 @@ def test_a_body_far_from_its_joint_is_named(kind, size):
     assert motion.body("tool").r[0, 0].tolist() == pytest.approx([size, 0.0, 0.0], abs=1e-9 * size)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "run",
     [lambda s: mbd.equilibrium(s), lambda s: mbd.simulate(s, 0.01, steps=2, method="dopri5"), lambda s: s.describe()],
@@ -51,11 +52,13 @@ def test_a_start_of_the_caller_tells():
         mbd.simulate(crane(), 0.01, steps=2, start={"tool.position": torch.tensor([1.0, 0.0, 0.3]).double()})
 
 
+@pytest.mark.thorough
 def test_a_drive_that_does_not_start_at_zero_tells():
     with pytest.warns(UserWarning, match=r"'motor' by 0.2 rad; to close them the start moves .*'arm' by .* 0.2 rad"):
         mbd.simulate(crane(law=0.2), 0.01, steps=2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gap", [0.0, 1e-12, 5e-4])
 def test_rounding_of_positions_is_no_mistake(gap):
     with warnings.catch_warnings():
@@ -89,6 +92,7 @@ def test_other_designs_may_move_bodies_in_silence():
     assert float(motion.body("tool").r[0, 0, 0].detach()) == pytest.approx(1.3)
 
 
+@pytest.mark.thorough
 def test_over_constraint_is_told_where_loads_are_asked_for():
     motion = mbd.simulate(four_bar(), 0.01, steps=2)
     assert "over-constraint  rows that follow from others" in repr(motion)

@@ -120,6 +120,7 @@ def test_the_slider_crank_with_all_its_sensitivities(monkeypatch):
         assert_close(x, expected, rtol=0, atol=1e-4 * float(expected.abs().max()))
 
 
+@pytest.mark.thorough
 def test_the_jacobian_is_that_of_the_violations():
     system = build(3, cells=(4, 2), modes=2)
     T, poses = system.topology, _Poses(system.topology)
@@ -141,6 +142,7 @@ def test_bodies_that_a_joint_does_not_hold_simply_stay():
     assert condense(system.topology, system._initial.q) is None
 
 
+@pytest.mark.thorough
 def test_redundant_rows_of_a_guided_body_share_the_reaction(monkeypatch):
     """Two prismatic joints on one slider: twice five rows, of rank five."""
     slider = body("slider")
@@ -176,6 +178,7 @@ def test_multipliers_of_a_motion_that_failed():
     assert bool(torch.isnan(motion.lam[0, 6:]).any(1).all())
 
 
+@pytest.mark.thorough
 def test_removed_rows_of_each_lane_have_its_inertia():
     """A driven arm of two masses, whose hinge is removed: the hinge carries m (a - g) of its own lane at every time."""
     ground, speed, radius = mbd.Ground(), 3.0, 0.2

@@ -25,6 +25,7 @@ def test_a_four_bar_of_hinges():
     assert "revolute_ground_left   Revolute  5     ground.at(0, 0, 0) - left.at(0, 0, 0)" in text
 
 
+@pytest.mark.thorough
 def test_the_slider_crank_of_the_paper():
     found = build(1, [30.0], cells=(6, 2), modes=2).describe()
     assert (found.rows, found.rank, found.redundant, found.freedoms, found.mobility) == (18, 18, (), 2, 0)

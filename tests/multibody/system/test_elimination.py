@@ -33,6 +33,7 @@ def formed(system: mbd.System, A: torch.Tensor) -> torch.Tensor:
     return Elimination(system.topology)(A) @ torch.eye(A.shape[1], dtype=A.dtype).expand_as(A)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("make", [pendulum, rigid_pendulum, lambda: chain(7)], ids=["pendulum", "rigid", "chain"])
 def test_the_inverse(make):
     system = make()
@@ -57,6 +58,7 @@ def test_a_lane_with_a_singular_block_goes_the_dense_way():
     assert bool(found[0].isfinite().all())
 
 
+@pytest.mark.thorough
 def test_many_bodies_take_it_and_move_the_same(monkeypatch):
     from torchmbd.integrate import stepper
 

@@ -84,6 +84,7 @@ def dalembert(T: Topology, body: mbd.FlexibleBody, index: int, q, v, a, gravity:
     return force, torque, modal + K @ w + body.damping.time * K @ wd
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds", ["f", "fr", "rff"])
 def test_inertia_forces_are_the_sums_over_the_nodes(kinds):
     """A missing Coriolis, centrifugal or gyroscopic term, a mode of the wrong body, padded modes that take part."""

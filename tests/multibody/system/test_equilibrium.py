@@ -71,6 +71,7 @@ def beam(weight: float) -> mbd.System:
     return mbd.System([body], [mbd.Revolute(mbd.Ground().at(), body.at("start"), "z")], gravity=(0.0, -weight, 0.0))
 
 
+@pytest.mark.thorough
 def test_a_pinned_beam_has_its_frequencies():
     """Pinned at one end, free at the other: tan(k L) = tanh(k L), k L = 3.92660, 7.06858 (Blevins, table 8-1)."""
     found = mbd.equilibrium(beam(0.0))
@@ -81,6 +82,7 @@ def test_a_pinned_beam_has_its_frequencies():
         assert float((frequencies / wanted - 1.0).abs().min()) < 5e-3
 
 
+@pytest.mark.thorough
 def test_a_flexible_pendulum_swings_as_a_rod():
     """The first frequency of a stiff bar: sqrt(3 g / 2 L) / 2 pi."""
     found = mbd.equilibrium(beam(G))
@@ -123,6 +125,7 @@ def test_stiffness_is_the_difference_of_forces(system):
             assert_close(rest.K[:, k], slope, rtol=1e-6, atol=1e-7 * float(rest.K.abs().max()))
 
 
+@pytest.mark.thorough
 def test_damping_is_in_the_poles():
     body = plate("panel", modes=2, damping=1e-4)
     found = mbd.equilibrium(
@@ -135,6 +138,7 @@ def test_damping_is_in_the_poles():
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("push", [0.5, 1.5, 2.5])
 def test_a_force_that_follows_makes_a_column_flutter(push):
     """Ziegler's column: masses 2 and 1 at 1 and 2 m, springs of 1 N m/rad in both joints; flutter from 2.086 N on.
@@ -163,6 +167,7 @@ def test_a_force_that_follows_makes_a_column_flutter(push):
         assert float(found.vibrations[0].poles.real.max()) == pytest.approx(np.abs(poles.real).max(), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_lanes_have_their_own_equilibrium():
     system = pendulum()
     angles = torch.stack([mbd.deg([20.0, -50.0]), mbd.deg([80.0, 10.0])])
@@ -173,6 +178,7 @@ def test_lanes_have_their_own_equilibrium():
     assert float((found.frequencies[0] - found.frequencies[1]).abs().max()) > 1e-3
 
 
+@pytest.mark.thorough
 def test_what_falls_has_no_equilibrium():
     a = box("a")
     system = mbd.System([a], [mbd.Prismatic(mbd.Ground().at(), a.at(), axis="y")], gravity=(0.0, -G, 0.0))
@@ -193,6 +199,7 @@ def test_springs_and_dampers_count():
     assert system.describe().frequencies == pytest.approx(found.frequencies[0].tolist())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stiffness", [1e4, 1e8, 1e10])
 def test_a_light_pendulum_beside_a_stiff_mount_comes_to_rest(stiffness):
     """Independent parts: neither the place of rest nor the frequency of one knows the stiffness of the other."""

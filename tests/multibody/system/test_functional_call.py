@@ -74,6 +74,7 @@ WAYS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_an_equation_of_motion_keeps_the_numbers_that_its_system_was_called_with(way):
     system = mbd.examples.arm()
@@ -83,6 +84,7 @@ def test_an_equation_of_motion_keeps_the_numbers_that_its_system_was_called_with
         assert torch.equal(system()(0.0, z), mbd.examples.arm()()(0.0, z))
 
 
+@pytest.mark.thorough
 def test_its_own_parameters_can_be_replaced_again():
     system = mbd.examples.arm()
     z = state(system)
@@ -90,6 +92,7 @@ def test_its_own_parameters_can_be_replaced_again():
     assert torch.equal(functional_call(f, {ANGLES: NEW.clone()}, (0.0, z)), changed()()(0.0, z))
 
 
+@pytest.mark.thorough
 def test_constants_are_taken_or_refused():
     """Gravity; constants that are differentiated have no gradient."""
     system = mbd.examples.arm()
@@ -101,6 +104,7 @@ def test_constants_are_taken_or_refused():
             transform(lambda x: functional_call(system, {"gravity": x}, ())(0.0, z).sum())(g)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["position", "velocity", "angular_velocity", "modal"])
 def test_the_start_of_a_body_is_taken_whenever_it_is_set(name):
     """In place, by a new tensor, by functional_call and by load_state_dict: as for a system that is made with it."""
@@ -186,6 +190,7 @@ def test_transforms_of_a_system_that_has_not_moved(make, transform):
         assert torch.equal(answer(system, *next(iter(system.named_parameters()))), own)
 
 
+@pytest.mark.thorough
 def test_transforms_by_the_state_keep_gradients_of_the_parameters():
     """On a system that has not moved: the structure stage runs outside of the transform."""
     z = state(mbd.examples.arm())

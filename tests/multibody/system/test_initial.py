@@ -211,6 +211,7 @@ class _InPlane(Joint):
             )
 
 
+@pytest.mark.thorough
 def test_what_cannot_close_is_named_with_its_residual():
     ground, a = mbd.Ground(), box("a")
     joints = [
@@ -307,6 +308,7 @@ class _Ramp(torch.nn.Module):
         return self.p[0] + self.p[1] * t
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:the joints do not allow")
 @pytest.mark.parametrize(
     "given",
@@ -350,6 +352,7 @@ def crank_of_plates() -> mbd.System:
     return build(2, cells=(6, 2), modes=2)
 
 
+@pytest.mark.thorough
 def test_designs_whose_start_does_not_depend_on_the_design_share_it():
     """Found once, the same as found for each; the rank of the constraints, too."""
     system, name = crank_of_plates(), "rod.laminate.angles"

@@ -50,6 +50,7 @@ def test_a_drive_comes_last():
     assert all(name.startswith("hinge") for name in dynamics.redundant)
 
 
+@pytest.mark.thorough
 def test_the_multipliers_of_redundant_rows_are_those_of_least_norm():
     """Two equal hinges share the weight in halves: each row carries what its twin carries."""
     ground, a = mbd.Ground(), box("a")
@@ -100,6 +101,7 @@ def hung(angles: tuple[float, float], modes: int = 4, **reduction) -> mbd.System
     return mbd.System([body], [mbd.Spherical(ground.at(-0.15, y, 0.0), body.at(k), name=k) for y, k in places])
 
 
+@pytest.mark.thorough
 def test_rows_that_only_coupled_bending_tells_apart_are_named():
     """Symmetric: the second is left out. Unsymmetric by a little: both act, and share the little; joints' modes help."""
     assert hung((0.0, 0.0))().dynamics.rank.left_out

@@ -17,6 +17,7 @@ def arm(modes: int, **options) -> mbd.System:
     return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("left"))], gravity=(0.0, 0.0, -9.81))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "modes", "more"),
     [({}, 2, 4), ({}, 6, 9), ({"reduction": "craig-bampton", "interface": ["right"]}, 0, 2)],
@@ -40,6 +41,7 @@ def test_the_system_itself_stays():
     assert not {id(x) for x in richer.parameters()} & {id(x) for x in system.parameters()}
 
 
+@pytest.mark.thorough
 def test_damping_ratios_go_on_with_the_last():
     system = arm(2)
     system.body("arm").damped([0.01, 0.02])
@@ -47,6 +49,7 @@ def test_damping_ratios_go_on_with_the_last():
     assert richer.body("arm").damping.ratios == (0.01, 0.02, 0.02, 0.02)
 
 
+@pytest.mark.thorough
 def test_bodies_of_matrices_have_more_modes_too():
     M, K = arm(2).body("arm").mass_and_stiffness()
     nodes = arm(2).body("arm").mesh
@@ -60,6 +63,7 @@ def test_bodies_of_matrices_have_more_modes_too():
     torch.testing.assert_close(lowest, torch.linalg.eigvalsh(body.structure()["Kr"]))
 
 
+@pytest.mark.thorough
 def test_bodies_without_further_modes():
     body = arm(3).body("arm")
     structure = {name: x.detach() for name, x in body.structure().items()}

@@ -35,6 +35,7 @@ def moved(system: mbd.System, x: float) -> dict[str, Tensor]:
     return {name: torch.tensor([0.2 + x], dtype=torch.float64)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("x", [3e-5, 3e-3, 0.1])
 def test_a_joint_that_the_design_moves_strains_no_beam(x):
     system = boom()
@@ -45,6 +46,7 @@ def test_a_joint_that_the_design_moves_strains_no_beam(x):
     assert float(motion.body("boom").nodes[0, 0, 0, 0]) == pytest.approx(0.2 + x, abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_beam_that_turns_far_stays_straight():
     """Put across its joints: both ends go where they belong, by a finite rotation."""
     system = boom(mbd.PointOnPlane, place=0.3)
@@ -53,6 +55,7 @@ def test_a_beam_that_turns_far_stays_straight():
     assert float(motion.body("boom").strain_energy[0, 0]) < 1e-12
 
 
+@pytest.mark.thorough
 def test_derivatives_of_the_start_are_those_of_rigid_motions():
     """All nodes go with the pin, forward and reverse, from a gap and from none."""
     for offset in (0.0, 0.02):
@@ -72,6 +75,7 @@ def test_derivatives_of_the_start_are_those_of_rigid_motions():
         torch.testing.assert_close(forward, torch.ones(7, dtype=torch.float64), atol=1e-9, rtol=0.0)
 
 
+@pytest.mark.thorough
 def test_what_strains_a_beam_is_told():
     """Between two pins 3 mm too far apart: E A d^2 / (2 L) if it stretches alone."""
     system = boom(mbd.Spherical)

@@ -58,12 +58,14 @@ def whirl(speed: float) -> list[float]:
     return sorted(abs(poles.imag - speed) / (2.0 * math.pi))
 
 
+@pytest.mark.thorough
 def test_a_heavy_disk_on_a_light_shaft_is_not_free():
     """The squares of its frequency and of the highest one of the elements differ by more than 1e10."""
     rest = mbd.equilibrium(rotor(0.0))
     assert rest.frequencies[0, :2].tolist() == pytest.approx(whirl(0.0)[:2], rel=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("speed", [20.0, 50.0, 150.0, 300.0])
 def test_whirl_and_unbalance(speed):
     e = 1e-4
@@ -77,6 +79,7 @@ def test_whirl_and_unbalance(speed):
     assert rest.body("shaft").at("end").position[0, 0, 1].item() == pytest.approx(place, rel=5e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("speed", "stable"), [(0.9 * CRITICAL, True), (1.2 * CRITICAL, False)])
 def test_damping_of_the_shaft_drives_whirl_above_the_critical_speed(speed, stable):
     rest = turning(speed, damping=1e-3)
@@ -84,6 +87,7 @@ def test_damping_of_the_shaft_drives_whirl_above_the_critical_speed(speed, stabl
     assert rest.frequencies[0, 1:3].tolist() == pytest.approx(turning(speed).frequencies[0, 1:3].tolist(), rel=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("speed", "stable"), [(32.0, True), (45.0, False), (60.0, True)])
 def test_a_flat_shaft_is_unstable_between_its_critical_speeds(speed, stable):
     """36 and 50 rad/s."""
@@ -96,6 +100,7 @@ def test_without_the_option_a_shaft_ends_at_its_critical_speed():
         mbd.equilibrium(rotor(50.0), spin=(50.0, 0.0, 0.0))
 
 
+@pytest.mark.thorough
 def test_the_state_has_derivatives():
     system = rotor(50.0, end=mbd.variable(-1e-4))
     [name] = [name for name, x in system.named_parameters() if x.requires_grad]

@@ -45,6 +45,7 @@ def start(dynamics: Dynamics) -> tuple:
     return x.vd, x.lam
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("closed", [False, True], ids=["chain", "redundant"])
 def test_values_tangents_and_cotangents_are_those_of_dense_matrices(closed):
     system = chain(14, closed)
@@ -74,6 +75,7 @@ def test_values_tangents_and_cotangents_are_those_of_dense_matrices(closed):
         assert_close(found[0][name], x, rtol=1e-7, atol=1e-9 * float(x.abs().max()))
 
 
+@pytest.mark.thorough
 def test_derivatives_by_states_in_both_modes():
     """Under torch.func, also where states are a batch: matrices then are one as well."""
     system = chain(14)

@@ -20,6 +20,7 @@ def numbers(prescribed) -> list:
     return [prescribed.A, prescribed.r, value(prescribed.t).reshape(-1), *laws]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("condensed", [False, True])
 def test_a_schedule_is_a_sequence_of_what_is_prescribed_at_each_time(condensed):
     system = build(2, cells=(4, 2), modes=2)

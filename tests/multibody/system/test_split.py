@@ -26,6 +26,7 @@ def frequencies(bodies: Any, joints: Any, start: mbd.Frame) -> torch.Tensor:
     return mbd.equilibrium(system).frequencies[0].detach()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["straight", "arc of two sections"])
 def test_frequencies_are_those_of_the_beam(kind: str):
     arc = kind != "straight"
@@ -39,6 +40,7 @@ def test_frequencies_are_those_of_the_beam(kind: str):
     torch.testing.assert_close(mass, body.structure()["mass"])
 
 
+@pytest.mark.thorough
 def test_nodes_and_parameters():
     body = arm(position=(0.1, 0.2, 0.3), axes=[[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     chain = mbd.split(body, 4, interface=[3])
@@ -67,6 +69,7 @@ def test_wrong_arguments_are_named(change: dict, message: str):
         mbd.split(**{"body": arm(), "n": 3} | change)
 
 
+@pytest.mark.thorough
 def test_other_bodies_are_refused():
     laminate = mbd.Laminate(CARBON, [0.0], [1e-3])
     plate = mbd.FlexibleBody.plate("panel", mbd.mesh.rectangle(0.5, 0.1, (4, 2)), laminate, modes=2)

@@ -63,6 +63,7 @@ def test_the_adjoint_of_torchdiffeq_is_its_plain_gradient_and_that_of_simulate()
             assert_close(x, wanted, rtol=0, atol=tolerance * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_one_backward_pass_after_another():
     """The structure stage is not repeated, and not used up; new numbers are taken, in whatever way they were set."""
     system = hung()
@@ -112,6 +113,7 @@ def test_functional_call_and_transforms():
     assert_close(torch.func.grad(end)(angles), torch.tensor([x / (2.0 * step) for x in by]).double(), rtol=1e-5, atol=0)
 
 
+@pytest.mark.thorough
 def test_copies_pickles_and_loaded_numbers():
     system = hung()
     f = system()
@@ -127,6 +129,7 @@ def test_copies_pickles_and_loaded_numbers():
     assert torch.equal(f(0.0, y0).detach(), dy)
 
 
+@pytest.mark.thorough
 def test_what_it_computes_in():
     """float64 on the CPU; one sentence for anything else."""
     system = pendulum()
@@ -147,6 +150,7 @@ def test_what_it_computes_in():
         copy.deepcopy(f).to("meta").initial_state()
 
 
+@pytest.mark.thorough
 def test_second_derivatives_are_refused_by_torch():
     system = hung()
     f, angles = system(), system.get_parameter(ANGLES)

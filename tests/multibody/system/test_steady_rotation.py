@@ -27,6 +27,7 @@ def hub(speed: float) -> tuple[mbd.RigidBody, list[mbd.joints.Joint]]:
     return body, [hinge, mbd.Drive(GROUND.at(), body.at(), axis="z", speed=speed, name="motor")]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("axis", "more"), [("z", 0.0), ("y", 1.0)])
 def test_hinged_blade(axis, more):
     """Of mass m, its center s from a hinge at e: lagging and flapping, w^2 = speed^2 (more + m e s / I)."""
@@ -57,6 +58,7 @@ def test_mass_on_springs_seen_by_a_turning_observer():
     assert torch.linalg.eigvals(A).imag.sort().values[3:].tolist() == pytest.approx([w - SPEED, w, w + SPEED])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("speed", [5.0, 15.0])
 @pytest.mark.parametrize("damping", [0.0, 2.0, 50.0])
 def test_poles_of_a_mass_that_the_ground_holds(speed, damping):
@@ -72,6 +74,7 @@ def test_poles_of_a_mass_that_the_ground_holds(speed, damping):
             assert float((poles - wanted).abs().min()) < 1e-6
 
 
+@pytest.mark.thorough
 def test_a_blade_inside_its_hinge_is_driven_away():
     own, joints = hub(SPEED)
     bar = mbd.RigidBody("bar", 2.0, (1e-9, 0.1, 0.1), position=(0.3, 0.0, 0.0))
@@ -86,6 +89,7 @@ def rotor(beam: mbd.FlexibleBeam, speed: float, offset: float = 0.0, **options: 
     return mbd.System([own, beam], joints, **options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("sweep", "rpm", "wanted"),
     [
@@ -105,6 +109,7 @@ def test_blades_of_epps_and_chandra(sweep, rpm, wanted):
     assert_close(found[:5], alone.frequencies(5, spin=(0.0, 0.0, speed), center=center)[0], rtol=2.5e-2, atol=0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("speed", "wanted"), [(4.0, [5.5850, 24.2734]), (12.0, [13.1702, 37.6031])])
 def test_flapping_of_a_rotating_cantilever(speed, wanted):
     """A. D. Wright et al., J. Appl. Mech. 49 (1982), in sqrt(E I / (m L^4)); lagging: w^2 - speed^2. Second order."""
@@ -119,6 +124,7 @@ def test_flapping_of_a_rotating_cantilever(speed, wanted):
     assert errors[0][0] / errors[1][0] == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stiffening", [True, False])
 def test_a_floating_frame_needs_stiffening(stiffening):
     """The same blade with small displacements: within half a percent; without stiffening a warning says what is missing."""
@@ -186,6 +192,7 @@ def test_derivatives():
     assert forward == pytest.approx(reverse, rel=1e-8)
 
 
+@pytest.mark.thorough
 def test_refusals():
     system, speed = bent()
     for spin in ((0.0, 0.0, 0.5 * speed), (0.0, speed, 0.0)):  # the motor turns faster; gravity lies across
@@ -226,6 +233,7 @@ def spring(axis: str, stiffness: float, x: float = 0.0) -> Any:
 SPIN = (300.0, 0.0, 0.0)
 
 
+@pytest.mark.thorough
 def test_bearings_alike_across_the_axis():
     """Whirling at 1000 rad/s is seen at 1000 -+ 300; tilting k / I = 1e6 with the gyroscopic moment of J = 2 I as well:
     I w^2 -+ J 300 w - k = 0 in the ground, a round rotor, seen at w -+ 300."""
@@ -236,6 +244,7 @@ def test_bearings_alike_across_the_axis():
     assert (2.0 * math.pi * rest.frequencies[0]).tolist() == pytest.approx(wanted, rel=1e-9, abs=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("forces", "named"),
     [
@@ -259,6 +268,7 @@ def test_supports_of_two_stiffnesses_are_no_steady_rotation(forces, named):
         mbd.equilibrium(turning_mass(*forces), spin=SPIN, unstable=True)
 
 
+@pytest.mark.thorough
 def test_two_springs_that_are_alike_turn_steadily():
     """Tilting is free: nutation at J / I 300 = 600 rad/s in the ground, seen at 300 as is what stands still."""
     rest = mbd.equilibrium(turning_mass(*(spring(axis, 1e6) for axis in "xyz")), spin=SPIN, unstable=True)

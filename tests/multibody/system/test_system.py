@@ -16,6 +16,7 @@ from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.joints.joint import Equation, Joint
 
 
+@pytest.mark.thorough
 def test_unknowns_stand_where_the_topology_says():
     """r by component, then p, then w by mode; flexible bodies first, whatever order they were given in."""
     rigid = box("rigid", position=(1.0, 2.0, 3.0), velocity=(0.1, 0.2, 0.3), angular_velocity=(4.0, 5.0, 6.0))
@@ -32,6 +33,7 @@ def test_unknowns_stand_where_the_topology_says():
     assert T.w_slice(1) == [22, 24, 26]
 
 
+@pytest.mark.thorough
 def test_padded_modes_never_move():
     """A body with fewer modes than another is padded: its padding must stay at rest whatever the rest does."""
     system = mbd.System(
@@ -46,6 +48,7 @@ def test_padded_modes_never_move():
     assert w[0, 0] != 0
 
 
+@pytest.mark.thorough
 def test_lanes_of_a_batch_are_the_designs_one_by_one():
     system = pendulum()
     angles = mbd.deg([[20.0, -50.0], [0.0, 70.0], [-33.0, 12.0]])
@@ -67,6 +70,7 @@ def test_lanes_of_a_batch_are_the_designs_one_by_one():
         assert_close(picked(0.0, still)[:, rigid], alone(0.0, still)[:, rigid], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_state_may_have_lanes_or_none():
     dynamics = pendulum()()
     z = dynamics.initial_state().detach()
@@ -75,6 +79,7 @@ def test_a_state_may_have_lanes_or_none():
         dynamics(0.0, z[:, :5])
 
 
+@pytest.mark.thorough
 def test_tangents_of_the_data_are_those_of_jacfwd():
     """One linearization of the structure stage for all variables of two bodies; order of names, flattened."""
     system = mbd.System([plate("one"), plate("two", made_of=laminate((10.0, 80.0)))])
@@ -92,6 +97,7 @@ def test_tangents_of_the_data_are_those_of_jacfwd():
         assert_close(slopes, (Kr[0] - Kr[1]) / (2 * h), rtol=0, atol=1e-6 * float(K.abs().max()))
 
 
+@pytest.mark.thorough
 def test_quantities_without_tangents_stay_plain():
     """The mass does not depend on the angles: carrying zeros would cost as much as numbers."""
     system = pendulum()

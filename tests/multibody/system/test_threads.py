@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -13,6 +14,7 @@ from tests.mechanisms import pendulum
 NAME = "rod.laminate.angles"
 
 
+@pytest.mark.thorough
 def test_three_threads_have_the_numbers_of_one():
     """Parameters are replaced in place while the structure stage runs; other threads wait."""
     system = pendulum()

@@ -51,6 +51,7 @@ def first(system: mbd.System) -> float:
     return min(f for f in system.describe().frequencies if f > 1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [{"modes": 4}, {"modes": 6, "reference": None}, {"modes": 10, "reference": None}])
 def test_the_frequency_without_truncation_is_that_of_craig_bampton(options):
     found = truncation(arm(**options))
@@ -61,6 +62,7 @@ def test_the_frequency_without_truncation_is_that_of_craig_bampton(options):
     assert found.share == pytest.approx(1.0 - (exact / found.frequencies[0]) ** 2, abs=5e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [{"modes": 0, "interface": "end"}, {"modes": 2, "interface": ["end", 4]}])
 def test_nothing_is_left_out_of_interfaces(options):
     assert abs(truncation(arm(reduction="craig-bampton", **options)).share) < 1e-9
@@ -80,6 +82,7 @@ def test_stretching_counts_beside_bending():
     assert truncation(cantilever((1.0, 0.0, 0.0))).share < 1e-3
 
 
+@pytest.mark.thorough
 def test_a_body_of_matrices_says_the_same():
     body = beam(modes=4)
     M, K = body.mass_and_stiffness()
@@ -94,6 +97,7 @@ def test_nothing_is_known_of_rigid_bodies_and_of_those_reduced_elsewhere(tmp_pat
     assert rigid_pendulum().static_truncation() is None
 
 
+@pytest.mark.thorough
 def test_the_first_motion_warns_and_says_what_is_better():
     """The measured case: 6 modes make an arm of 13.5 Hz one of 15.6 Hz."""
     system = build(modes=6)
@@ -108,11 +112,13 @@ def test_the_first_motion_warns_and_says_what_is_better():
         mbd.simulate(system, 0.01, steps=2, gradients="none")
 
 
+@pytest.mark.thorough
 def test_a_static_motion_warns():
     with pytest.warns(UserWarning, match=r"of body 'beam' at 'start': a vibration of 9\.09 Hz comes out as 14\.2 Hz"):
         mbd.equilibrium(cantilever(modes=1, reference=4))
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error:the retained modes")
 @pytest.mark.parametrize("truncation", [None, 0.9])
 def test_silent_on_request(truncation):
@@ -128,6 +134,7 @@ def test_a_wrong_limit_is_refused(truncation):
         mbd.System([beam()], truncation=truncation)
 
 
+@pytest.mark.thorough
 def test_examples_are_silent():
     from torchmbd.examples.slider_crank import build as slider_crank
 
@@ -135,6 +142,7 @@ def test_examples_are_silent():
         assert truncation(system).share < 0.05
 
 
+@pytest.mark.thorough
 def test_derivatives_of_a_motion_do_not_notice():
     """Inside transforms of torch.func."""
     system = mbd.examples.arm()

@@ -64,7 +64,7 @@ CASES: dict[str, tuple[Callable[[], Analytic], float | list, int, float]] = {
 }
 
 
-@pytest.mark.thorough("angles by 5 degrees", "angles by 15 degrees")
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_equals_exhaustive_enumeration(case):
     make, allowed, starts, share = CASES[case]
@@ -103,6 +103,7 @@ def test_rules_that_no_design_keeps():
     assert "no design on the allowed values" in result.message
 
 
+@pytest.mark.thorough
 def test_plain_rounding_is_worse_in_a_valley():
     result = optimize_discrete(valley(), 1.0)
     assert result.rounded.value > 1.5 * result.best.value
@@ -112,6 +113,7 @@ def test_plain_rounding_is_worse_in_a_valley():
     assert values == sorted(values)
 
 
+@pytest.mark.thorough
 def test_the_certificate_counts_all_neighbors():
     result = optimize_discrete(valley(), 0.5)
     assert result.certificate.neighbors == 5**3 - 1
@@ -132,7 +134,7 @@ def test_without_boxes_the_descent_over_neighbors_remains():
     assert result.status == "max_boxes"
 
 
-@pytest.mark.thorough("1000", "10")
+@pytest.mark.thorough
 @pytest.mark.parametrize("limit", [1, 10, 1000, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 5, 20))])
 def test_a_search_cut_off_by_its_limit_of_boxes_says_so(limit):
     """And never "converged" while a box is left that may hold something better; with room enough the result is exact."""
@@ -147,6 +149,7 @@ def test_a_search_cut_off_by_its_limit_of_boxes_says_so(limit):
     assert cut.best.value >= whole.best.value * (1.0 - 1e-9)
 
 
+@pytest.mark.thorough
 def test_continuous_variables_stay_continuous():
     problem = valley()
     result = optimize_discrete(problem, [1.0, None, 1.0])
@@ -193,6 +196,7 @@ def test_no_feasible_design_on_the_values():
     assert result.best.violation == pytest.approx(0.1)
 
 
+@pytest.mark.thorough
 def test_failing_neighbors_are_counted():
     result = optimize_discrete(valley(fails=lambda x: bool(x[0] > 3.9)), 1.0)  # the optimum is at x1 = 3
     assert result.best.x[0] == 3.0

@@ -18,6 +18,7 @@ def rastrigin(**changes) -> Analytic:
     return Analytic("rastrigin", [3.1, -4.2], lambda x: 21 + sum(t**2 - 10 * np.cos(2 * np.pi * t) for t in x), **base)
 
 
+@pytest.mark.thorough
 def test_finds_the_best_of_many_minima_where_a_local_search_does_not():
     problem = rastrigin()
     result = optimize(problem, METHOD, max_iterations=300)
@@ -40,6 +41,7 @@ def test_a_generation_is_one_batch_without_gradients():
     assert objectives == sorted(objectives, reverse=True)
 
 
+@pytest.mark.thorough
 def test_constraints_hold():
     problem = three_bar_truss()
     result = optimize(problem, METHOD, max_iterations=300)
@@ -48,6 +50,7 @@ def test_constraints_hold():
     assert result.value == pytest.approx(problem.optimum, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_contradictory_constraints_are_named():
     problem = Analytic("p", [3.0], lambda x: x[0], lambda x: [x[0] + 1, 1 - x[0]], lower=-5, upper=5)
     result = optimize(problem, METHOD, max_iterations=50)
@@ -55,6 +58,7 @@ def test_contradictory_constraints_are_named():
     assert "[0, 1]" in result.message
 
 
+@pytest.mark.thorough
 def test_failures_are_the_worst_of_their_generation():
     problem = rastrigin(fails=lambda x: bool(x[0] < 0.5))
     result = optimize(problem, METHOD, max_iterations=300)
@@ -71,6 +75,7 @@ def test_a_failing_start_and_a_fixed_variable():
     assert result.x[0] == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_the_same_seed_is_the_same_run_also_among_others():
     alone = optimize(rastrigin(), METHOD, max_iterations=20, seed=3)
     problem = rastrigin()

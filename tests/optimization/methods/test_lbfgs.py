@@ -13,6 +13,7 @@ from torchmbd.optimization import optimize
 BY_NAME = {problem.name: problem for problem in hock_schittkowski()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["HS24", "HS44", "HS113"])
 def test_known_optimum(name):
     """HS24, HS44: the objective falls without end beside the first penalty. HS113: steep constraints of a flat objective."""
@@ -22,6 +23,7 @@ def test_known_optimum(name):
     assert result.violation <= 1e-6
 
 
+@pytest.mark.thorough
 def test_no_minimum_at_all():
     """Designs stay numbers (`Analytic.evaluate` refuses others), and no optimum is claimed."""
     problem = Analytic("cubic", [1.0, 1.0], lambda x: x[0] ** 3 - x[1] ** 4, lambda x: [x[0] + x[1] - 4])

@@ -62,6 +62,7 @@ def valley(**changes) -> Analytic:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["mmfd", "slsqp"])
 def test_groups_end_as_one_batch_does(method):
     starts = sobol(11, seed=3)
@@ -73,6 +74,7 @@ def test_groups_end_as_one_batch_does(method):
         assert [i.objective for i in one.history] == [i.objective for i in other.history]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("lanes", "groups", "width"),
     [
@@ -88,6 +90,7 @@ def test_lanes_are_shared_out(lanes, groups, width):
     assert max(size for size, _ in problem.began) <= lanes // 3
 
 
+@pytest.mark.thorough
 def test_no_group_waits_for_another():
     """The first start's batches are slow: the others are through before."""
     first = sobol(4, seed=3).points(valley())[0]
@@ -97,12 +100,14 @@ def test_no_group_waits_for_another():
     assert ends[-1] == 0
 
 
+@pytest.mark.thorough
 def test_one_group_where_the_number_of_starts_depends_on_results():
     problem = Elsewhere(valley(), 3)
     multistart(problem, "mmfd", sobol(12, seed=3), max_lanes=6, minima_left=0.5)
     assert {among for _, among in problem.began} == {1}
 
 
+@pytest.mark.thorough
 def test_an_error_and_an_interrupt_stop_all_groups():
     for error in (ZeroDivisionError, KeyboardInterrupt):
         problem = Elsewhere(valley(), 2, lambda X: 0.05)

@@ -86,6 +86,7 @@ def test_lanes_are_limited_and_refilled(max_lanes):
     assert [r.value for r in study.results] == [r.value for r in free.results]
 
 
+@pytest.mark.thorough
 def test_batches_do_not_depend_on_timing():
     """Callbacks and evaluations that dawdle at random change nothing, neither batches nor reports."""
 
@@ -218,6 +219,7 @@ def test_one_failing_lane_leaves_the_others_alone(method):
     assert study.best is min(study.results[::2], key=lambda r: r.value)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", METHODS)
 def test_minima_are_separated_and_counted(method):
     study = multistart(waves(), method, sobol(24, seed=2))
@@ -264,6 +266,7 @@ def test_ply_angles_repeat_after_half_a_turn(degrees, count):
     assert len(distinct_minima(apart, span, period=period)) == 2
 
 
+@pytest.mark.thorough
 def test_no_further_start_once_all_minima_are_known():
     problem = waves(lower=[-0.9, -3.0], upper=[0.9, 3.0])
     problem.start = np.zeros(2)
