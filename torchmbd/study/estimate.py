@@ -59,6 +59,7 @@ _SINGLE, _KINDS, _AXES_OF_MAP = 3, 2, 4  # pictures of one kind of file, kinds o
 _FEWEST = 4  # steps
 _COPIES = 3.0
 _TRIES = 2
+_LONG = 5.0  # s of one try: other load matters less, so that it is the only one, and the next one is told
 _TRACKING = 4.0  # s: MLflow is loaded, its store opened, runs and files are written
 _PATIENCE = 60.0  # s: where a batch takes longer, the start design is not simulated
 _FINER = 7.0  # motions of the steps of the problem that its errors take: the same, of half the steps and a quarter
@@ -142,8 +143,11 @@ def _measure_batch(problem: Problem, X: np.ndarray, mode: str) -> tuple[float, f
     _simulate_beginning(problem, X[:1], mode, shares[0])  # includes what is done once per process
     once = time.perf_counter() - began
     for share in shares:
-        tries = []
-        for _ in range(_TRIES):  # the fastest: the difference of two lengths is multiplied by up to 25, with its errors
+        tries: list[float] = []
+        if max([once, *(seconds for _, seconds in times)]) > _LONG:
+            begin_stage(f"measuring {share:.0%} of the motions of {_counted(len(X), 'design')}, gradients: {mode}")
+        # The fastest: the difference of two lengths is multiplied by up to 25, with its errors.
+        while len(tries) < _TRIES and not (tries and tries[0] > _LONG):
             began = _clocks()
             size = _simulate_beginning(problem, X, mode, share) / share
             tries.append(min(now - then for now, then in zip(_clocks(), began, strict=True)))
