@@ -255,7 +255,7 @@ class Laminate(nn.Module):
     @property
     def centered(self) -> bool:
         """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density, without offset."""
-        densities = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.given}
+        densities = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.layers}
         return self.offset == 0.0 and (self.symmetric or len(densities) == 1)
 
     @property
