@@ -76,7 +76,7 @@ def test_a_section_of_other_dimensions_is_that_section(case):
 
 def _copied(made: Section) -> Section:
     mesh = mbd.sections.SectionMesh(made.nodes.detach(), made.mesh.elements, made.mesh.layer, made.mesh.plane_angle)
-    return Section(mesh, made._plies.given, made.angles.detach())
+    return Section(mesh, made._plies.layers, made.angles.detach())
 
 
 class _Part(nn.Module):

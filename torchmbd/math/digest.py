@@ -171,7 +171,7 @@ class _Walk:
 
     def _add_class(self, x: type) -> None:
         self.write("class", _name(x))
-        if _own(x.__module__) or self._installed(x.__module__):
+        if _of_package(x.__module__) or self._installed(x.__module__):
             return
         self.add(x.__bases__)
         # Attributes that Python adds to a class, such as __doc__ or descriptors of slots, differ between versions.
@@ -186,7 +186,7 @@ class _Walk:
                 self.add(cell.cell_contents)
             except ValueError:  # an empty cell
                 self.write("empty")
-        if _own(x.__module__) or self._installed(x.__module__):
+        if _of_package(x.__module__) or self._installed(x.__module__):
             return
         self.add(x.__code__)
         self._add_named(x.__globals__, sorted(_names(x.__code__)), set())
@@ -201,7 +201,7 @@ class _Walk:
             self.add((name, value))
             if not isinstance(value, ModuleType) or id(vars(value)) in seen:
                 continue
-            if not (_own(value.__name__) or self._installed(value.__name__)):
+            if not (_of_package(value.__name__) or self._installed(value.__name__)):
                 self._add_named(vars(value), names, seen)
 
     def _add_code(self, x: CodeType) -> None:
@@ -221,7 +221,7 @@ def _name(kind: type) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
-def _own(module: str) -> bool:
+def _of_package(module: str) -> bool:
     return module.partition(".")[0] == "torchmbd"
 
 

@@ -79,15 +79,15 @@ def all_true(x: Tensor) -> bool:
     return bool(untransformed(x).all())
 
 
-def refuse_gradients(name: str, given: Any, allowed: str = "numbers") -> None:
+def refuse_gradients(name: str, value: Any, allowed: str = "numbers") -> None:
     """InputError where a number, or one of a list or mapping of numbers, is being differentiated."""
-    if isinstance(given, Mapping):
-        given = list(given.values())
-    if isinstance(given, _CONTAINERS):
-        for x in given:
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, _CONTAINERS):
+        for x in value:
             refuse_gradients(name, x, allowed)
-    elif carries_gradient(given):
-        shown = " ".join(repr(given).split())
+    elif carries_gradient(value):
+        shown = " ".join(repr(value).split())
         raise InputError(
             f"{name} carries a gradient, which would be lost here: {shown}; allowed: {allowed}, or x.detach()"
         )
@@ -118,11 +118,11 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
                 allowed = _VARIABLE_KINDS.get(kinds[name])
                 if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and _is_parameter(x))):
                     refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x, allowed or "numbers")
-        given = signature.bind_partial(*args, **kwargs).arguments
-        for name in floats.intersection(given):
-            if not _number(given[name]):
+        values = signature.bind_partial(*args, **kwargs).arguments
+        for name in floats.intersection(values):
+            if not _number(values[name]):
                 raise InputError(
-                    f"{name} of {f.__qualname__.removesuffix('.__init__')} is {given[name]!r}; allowed: a number"
+                    f"{name} of {f.__qualname__.removesuffix('.__init__')} is {values[name]!r}; allowed: a number"
                 )
         return f(*args, **kwargs)
 
@@ -187,8 +187,8 @@ def _contents(x: Any) -> Iterator[tuple[str, Any]]:
         methods = {k: f for kind in reversed(type(x).__mro__) for k, f in vars(kind).items()}
         yield "method", methods.get("__call__")
         slots = [k for kind in type(x).__mro__ for k in getattr(kind, "__slots__", ()) if isinstance(k, str)]
-        own = getattr(x, "__dict__", {}) | {k: getattr(x, k) for k in slots if hasattr(x, k)}
-        yield from ((f"attribute {name}", y) for name, y in own.items())
+        attributes = getattr(x, "__dict__", {}) | {k: getattr(x, k) for k in slots if hasattr(x, k)}
+        yield from ((f"attribute {name}", y) for name, y in attributes.items())
 
 
 def _function_contents(f: types.FunctionType) -> Iterator[tuple[str, Any]]:

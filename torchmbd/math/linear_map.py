@@ -54,8 +54,8 @@ class _Mapped(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
-        wide = [batch_first(own, dim, info.batch_size) for own, dim in zip(x, in_dims[1:], strict=True)]
-        return apply_linear(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (info.batch_size, -1)), 0
+        wide = [batch_first(part, dim, info.batch_size) for part, dim in zip(x, in_dims[1:], strict=True)]
+        return apply_linear(linear, *(part.flatten(0, 1) for part in wide)).unflatten(0, (info.batch_size, -1)), 0
 
 
 class _Adjoint(torch.autograd.Function):
@@ -77,5 +77,5 @@ class _Adjoint(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
-        found: Any = _Adjoint.apply(linear, batch_first(y, in_dims[1], info.batch_size).flatten(0, 1))
-        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in found), (0,) * len(found)
+        cotangents: Any = _Adjoint.apply(linear, batch_first(y, in_dims[1], info.batch_size).flatten(0, 1))
+        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in cotangents), (0,) * len(cotangents)

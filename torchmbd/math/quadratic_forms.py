@@ -104,11 +104,11 @@ class _Slopes(FirstDerivative):
             return code.quadratic_slopes(law, d, G)
         i, j = torch.triu_indices(d.shape[2], d.shape[2])
         by_law, by_d = torch.empty_like(law), torch.zeros_like(d)
-        for own in torch.arange(d.shape[1]).split(GROUP):
-            left, right = (d[:, own[:, None], k] for k in (i, j))  # [lane, p, ij, s, a]
-            by_law[:, :, own] = torch.einsum("lpqsa,lpqsb,lkab->lkpq", left, right, G)
-            H = torch.einsum("lkpq,lkab->lpqab", law[:, :, own], G)
-            by_d[:, own] = by_d[:, own].index_add(2, i, right @ H).index_add(2, j, left @ H)
+        for points in torch.arange(d.shape[1]).split(GROUP):
+            first, second = (d[:, points[:, None], k] for k in (i, j))  # [lane, p, ij, s, a]
+            by_law[:, :, points] = torch.einsum("lpqsa,lpqsb,lkab->lkpq", first, second, G)
+            H = torch.einsum("lkpq,lkab->lpqab", law[:, :, points], G)
+            by_d[:, points] = by_d[:, points].index_add(2, i, second @ H).index_add(2, j, first @ H)
         return by_law, by_d
 
     @staticmethod
@@ -121,11 +121,11 @@ def _sums(law: Tensor, d: Tensor, e: Tensor) -> Tensor:
         return code.quadratic_forms(law, d, e)
     i, j = torch.triu_indices(d.shape[2], d.shape[2])
     total = d.new_zeros(len(law), law.shape[1], d.shape[-1], d.shape[-1])
-    for own in torch.arange(d.shape[1]).split(GROUP):
-        at = own[:, None]
+    for points in torch.arange(d.shape[1]).split(GROUP):
+        at = points[:, None]
         rows = d[:, at, i].mT @ e[:, at, j]
         rows = rows if e is d else rows + e[:, at, i].mT @ d[:, at, j]
-        total += torch.einsum("lkpq,lpqab->lkab", law[:, :, own], rows)
+        total += torch.einsum("lkpq,lpqab->lkab", law[:, :, points], rows)
     return total
 
 
@@ -136,8 +136,8 @@ def _symmetric(y: Tensor) -> Tensor:
 def _vmapped(function: Any, info: Any, in_dims: tuple, x: tuple[Tensor, ...]) -> Any:
     """The vmap rule: members of the batch are further lanes."""
     size = info.batch_size
-    wide = [batch_first(own, dim, size) for own, dim in zip(x, in_dims, strict=True)]
-    found = function.apply(*(own.flatten(0, 1) for own in wide))
-    if isinstance(found, tuple):
-        return tuple(own.unflatten(0, (size, -1)) for own in found), (0,) * len(found)
-    return found.unflatten(0, (size, -1)), 0
+    wide = [batch_first(part, dim, size) for part, dim in zip(x, in_dims, strict=True)]
+    result = function.apply(*(part.flatten(0, 1) for part in wide))
+    if isinstance(result, tuple):
+        return tuple(part.unflatten(0, (size, -1)) for part in result), (0,) * len(result)
+    return result.unflatten(0, (size, -1)), 0

@@ -63,7 +63,7 @@ def factor(name: str) -> float:
 
 def units_of(si: str) -> list[str]:
     """The names of the units of a quantity, such as those of "m"."""
-    return [name for name, (_, own) in UNITS.items() if own == si]
+    return [name for name, (_, base) in UNITS.items() if base == si]
 
 
 def misfit(parameter: str, unit: str) -> str | None:
@@ -80,16 +80,16 @@ def shown(parameter: str, x: float) -> str:
     return f"{x:g} rad ({math.degrees(x):g} deg)" if is_angle else f"{x:g}"
 
 
-def meters(name: str, given: float | str) -> float:
+def meters(name: str, unit: float | str) -> float:
     """A unit of length as meters: a number > 0, or its name; InputError for anything else."""
     lengths = units_of("m")
-    if isinstance(given, str):
-        if given not in lengths:
-            raise unknown(name, given, lengths)
-        return factor(given)
+    if isinstance(unit, str):
+        if unit not in lengths:
+            raise unknown(name, unit, lengths)
+        return factor(unit)
     from torchmbd.math.checked_numbers import scalar  # imports torch, which commands that only read names do not need
 
-    x = scalar(name, given, f"meters per unit, > 0, or one of {', '.join(lengths)}")
+    x = scalar(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
     if not x > 0.0:
-        raise InputError(f"{name} is {given!r}; allowed: meters per unit, > 0, or one of {', '.join(lengths)}")
+        raise InputError(f"{name} is {unit!r}; allowed: meters per unit, > 0, or one of {', '.join(lengths)}")
     return x

@@ -94,13 +94,13 @@ class Numbers(nn.Module):
     A field that is itself such a dataclass is a submodule, so its variables have names such as "strength.Xt".
     """
 
-    def __init__(self, given: Any):
+    def __init__(self, record: Any):
         super().__init__()
-        self.given = given
+        self.record = record
         # Names of fields that are positive in every design.
-        self.positive: tuple[str, ...] = getattr(given, "positive", ())
-        for f in fields(given):
-            x = getattr(given, f.name)
+        self.positive: tuple[str, ...] = getattr(record, "positive", ())
+        for f in fields(record):
+            x = getattr(record, f.name)
             if is_variable(x):
                 self.register_parameter(f.name, x)
             elif varies(x):
@@ -108,7 +108,7 @@ class Numbers(nn.Module):
 
     def forward(self) -> Any:
         nested = {name: x() for name, x in self._modules.items() if x is not None}
-        return with_fields(self.given, self._parameters | nested)
+        return with_fields(self.record, self._parameters | nested)
 
 
 class LayerNumbers:
@@ -117,14 +117,14 @@ class LayerNumbers:
     The name of a submodule is `label`, or `label` and the index of its first layer ("ply2") if layers have different ones.
     """
 
-    def __init__(self, owner: nn.Module, label: str, given: Sequence[Any]):
+    def __init__(self, owner: nn.Module, label: str, layers: Sequence[Any]):
         first: dict[int, int] = {}
-        for k, x in enumerate(given):
+        for k, x in enumerate(layers):
             first.setdefault(id(x), k)
-        names = {i: label if len(first) == 1 else f"{label}{k}" for i, k in first.items() if varies(given[k])}
-        self.given = tuple(given)
-        self.names = tuple(names.get(id(x)) for x in given)  # of the submodules, None without variables
-        for name, x in {name: x for name, x in zip(self.names, given, strict=True) if name is not None}.items():
+        names = {i: label if len(first) == 1 else f"{label}{k}" for i, k in first.items() if varies(layers[k])}
+        self.layers = tuple(layers)
+        self.names = tuple(names.get(id(x)) for x in layers)  # of the submodules, None without variables
+        for name, x in {name: x for name, x in zip(self.names, layers, strict=True) if name is not None}.items():
             owner.add_module(name, Numbers(x))
 
     @property
@@ -135,7 +135,7 @@ class LayerNumbers:
     def current(self, owner: nn.Module) -> tuple[Any, ...]:
         """The dataclasses of all layers with the values of the current design."""
         values = {name: owner.get_submodule(name)() for name in self.names if name is not None}
-        return tuple(x if name is None else values[name] for x, name in zip(self.given, self.names, strict=True))
+        return tuple(x if name is None else values[name] for x, name in zip(self.layers, self.names, strict=True))
 
 
 def law_key(name: str) -> str:

@@ -214,8 +214,8 @@ class Assembly:
         return none.index_add(-3, self._ends[:, 0], 0.5 * forces).index_add(-3, self._ends[:, 1], 0.5 * forces)
 
     def _middles(self, field: Tensor, axis: int) -> Tensor:
-        one = field.index_select(axis, self._ends[:, 0])
-        return one if self._lumped else 0.5 * (one + field.index_select(axis, self._ends[:, 1]))
+        start = field.index_select(axis, self._ends[:, 0])
+        return start if self._lumped else 0.5 * (start + field.index_select(axis, self._ends[:, 1]))
 
 
 def _inertia(mass: Tensor, rotary: Tensor, arm: Tensor | None) -> Float[Tensor, "*lanes points entries"]:

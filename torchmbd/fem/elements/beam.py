@@ -223,9 +223,9 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
     good = (polar.abs() <= 0.01) & (yy > 0.0) & (yy * zz > yz * yz)
     if not all_true(good):
         wrong = untransformed(good).flatten().logical_not().nonzero()[0, 0]
-        own, middle = untransformed(mass).reshape(-1, 6, 6)[wrong], untransformed(center).reshape(-1, 2)[wrong]
+        matrix, middle = untransformed(mass).reshape(-1, 6, 6)[wrong], untransformed(center).reshape(-1, 2)[wrong]
         raise InputError(
-            f"mass of section {int(wrong)}: inertias {own.diagonal()[3:].tolist()} kg m with its center at "
+            f"mass of section {int(wrong)}: inertias {matrix.diagonal()[3:].tolist()} kg m with its center at "
             f"{middle.tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
             "and all of them about the center positive"
         )

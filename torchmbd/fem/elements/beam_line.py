@@ -79,7 +79,7 @@ class BeamLine:
             node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
         if not isinstance(node_sets, Mapping):
             raise InputError(f"node_sets of a BeamLine is {node_sets!r}; allowed: names -> lists of nodes")
-        self.node_sets = {str(name): node_members("BeamLine", name, given) for name, given in node_sets.items()}
+        self.node_sets = {str(name): node_members("BeamLine", name, members) for name, members in node_sets.items()}
         for name, members in self.node_sets.items():
             for k in members:
                 if not 0 <= k < len(self.nodes):

@@ -50,21 +50,21 @@ class Straight(nn.Module):
         return self.length * self._unit
 
 
-def node_module_of(given: Any) -> nn.Module | None:
+def node_module_of(nodes: Any) -> nn.Module | None:
     """Return the module that computes the nodes; None where they are constant."""
-    if isinstance(given, nn.Parameter):
-        return Nodes(given)
-    return given if isinstance(given, nn.Module) else None
+    if isinstance(nodes, nn.Parameter):
+        return Nodes(nodes)
+    return nodes if isinstance(nodes, nn.Module) else None
 
 
 def evaluate_nodes(shape: nn.Module) -> Tensor:
     """Return the present nodes of a module [n, 3] without gradient; InputError where it returns something else."""
     with torch.no_grad():
-        found = shape()
-    if not isinstance(found, Tensor) or found.dtype != torch.float64 or found.ndim != 2 or found.shape[1] != 3:
+        nodes = shape()
+    if not isinstance(nodes, Tensor) or nodes.dtype != torch.float64 or nodes.ndim != 2 or nodes.shape[1] != 3:
         allowed = "nodes [n, 3] in float64"
-        raise InputError(f"the module of a BeamLine returns {found!r}; allowed: {allowed}")
-    return found.detach().clone()
+        raise InputError(f"the module of a BeamLine returns {nodes!r}; allowed: {allowed}")
+    return nodes.detach().clone()
 
 
 def varying_nodes(mesh: Any) -> bool:

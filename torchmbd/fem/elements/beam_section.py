@@ -80,8 +80,8 @@ class GivenSection(nn.Module):
 
         Each number may be mbd.variable(...): a design variable, "section.area".
         """
-        given = Isotropic(E, nu, density, area, Iyy, Izz, J, shear_y, shear_z)
-        return IsotropicSection(given) if varies(given) else cls(given.stiffness(), given.mass())
+        section = Isotropic(E, nu, density, area, Iyy, Izz, J, shear_y, shear_z)
+        return IsotropicSection(section) if varies(section) else cls(section.stiffness(), section.mass())
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix of the section."""
@@ -114,12 +114,12 @@ class Isotropic:
                 raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
         if not -1.0 < number(self.nu) <= 0.5:
             raise InputError(f"GivenSection: nu = {number(self.nu)!r}; allowed: -1 < nu <= 0.5")
-        own = without_variables(self)
-        warn_unusual_material("GivenSection", {"E": own.E}, own.density, None)
+        numbers = without_variables(self)
+        warn_unusual_material("GivenSection", {"E": numbers.E}, numbers.density, None)
         for name in ("Iyy", "Izz", "J"):
-            radius = math.sqrt(getattr(own, name) / own.area)
+            radius = math.sqrt(getattr(numbers, name) / numbers.area)
             warn_unusual(f"GivenSection: area and {name}: radius of gyration", radius, "m", DIMENSION)
-        warn_unusual("GivenSection: area", own.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2))
+        warn_unusual("GivenSection: area", numbers.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2))
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix."""
@@ -166,8 +166,8 @@ def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) ->
         raise InputError(f"twist is {plain_numbers(twist).tolist()}; allowed: -2 pi to 2 pi [rad]")
     y, z, twist = torch.broadcast_tensors(*offset.unbind(-1), twist)
     c, s = torch.cos(twist), torch.sin(twist)
-    o, one = torch.zeros_like(c), torch.ones_like(c)
-    turn = _matrix([[one, o, o], [o, c, -s], [o, s, c]])
+    o, unit = torch.zeros_like(c), torch.ones_like(c)
+    turn = _matrix([[unit, o, o], [o, c, -s], [o, s, c]])
     arm = _matrix([[o, -z, y], [z, o, o], [-y, o, o]])
     return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([arm @ turn, turn], -1)], -2)
 

@@ -70,8 +70,8 @@ class Beams:
 
     def on_line(self, line: Line, elements: Sequence[int]) -> Beams | None:
         """Return the part on a line of only these elements, in this order; None where none of them belongs to it."""
-        own = set(self.matrices.members.tolist())
-        members = [k for k, e in enumerate(elements) if e in own]
+        element_set = set(self.matrices.members.tolist())
+        members = [k for k, e in enumerate(elements) if e in element_set]
         count = len(self._line.elements)
         orientation, offset, twist, mass = self.arguments
 
@@ -85,8 +85,8 @@ class Beams:
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
-        found = self._present.values(self._stiffness())
-        return found if entries is None else found[..., entries]
+        values = self._present.values(self._stiffness())
+        return values if entries is None else values[..., entries]
 
     def modules(self) -> dict[str, nn.Module]:
         """The section."""

@@ -58,8 +58,10 @@ class CellStiffness:
         forces = strains.forces
         self.inner = None
         if forces is not None:
-            own = {name: x[:, self.shape] if name == "sides" else x[self.shape] for name, x in forces._asdict().items()}
-            self.inner = CellForces(InnerForces(**own))
+            constants = {
+                name: x[:, self.shape] if name == "sides" else x[self.shape] for name, x in forces._asdict().items()
+            }
+            self.inner = CellForces(InnerForces(**constants))
 
     @property
     def each(self) -> int:
@@ -85,13 +87,13 @@ class CellStiffness:
     def __call__(self, entries: Float[Tensor, "lanes z 21"], *law: Tensor) -> Float[Tensor, "lanes numbers"]:
         """Numbers of all variants."""
         if self.laminates == 1:
-            found = (entries[:, 0] @ self.basis.transpose(0, 1).flatten(1)).unflatten(1, (len(self.basis), -1))
+            numbers = (entries[:, 0] @ self.basis.transpose(0, 1).flatten(1)).unflatten(1, (len(self.basis), -1))
         else:
             parts = zip(entries[:, self.laminate].split(self.counts, 1), self.basis, strict=True)
-            found = torch.cat([own @ basis for own, basis in parts], 1)
+            numbers = torch.cat([values @ basis for values, basis in parts], 1)
         if self.inner is not None:
-            found = found + self.inner.stiffness(law[0])[..., self.upper[0], self.upper[1]]
-        return found.flatten(1)
+            numbers = numbers + self.inner.stiffness(law[0])[..., self.upper[0], self.upper[1]]
+        return numbers.flatten(1)
 
     def moved(self, strains: Strains, law: LaminateStiffness) -> Float[Tensor, "lanes numbers"]:
         """Numbers of all variants with other strains, of [lanes variants]; law [lanes, laminates, ...]."""
@@ -113,7 +115,7 @@ class CellStiffness:
             entries = (y.flatten(1) @ self.basis.transpose(0, 1).flatten(1).mT)[:, None]
         else:
             parts = zip(y.split(self.counts, 1), self.basis, strict=True)
-            each = torch.cat([own @ basis.mT for own, basis in parts], 1)
+            each = torch.cat([values @ basis.mT for values, basis in parts], 1)
             entries = each.new_zeros(len(y), self.laminates, len(ENTRIES)).index_add(1, self.laminate, each)
         if self.inner is None:
             return [entries]
@@ -130,7 +132,7 @@ def _basis(strains: Strains) -> Float[Tensor, "shapes 21 f f"]:
     for name, i, j in ENTRIES:
         p0, q0 = _FIRST_ROW[name]
         pairs = sorted({(p0 + i, q0 + j), (p0 + j, q0 + i)})  # two, where i differs from j
-        left, right = [p for p, _ in pairs], [q for _, q in pairs]
-        own = weighted[:, :, left].flatten(1, 2).mT @ strains.at[:, :, right].flatten(1, 2)
-        rows.append(own + own.mT if name == "B" else own)  # B stands in C twice, above and below the diagonal
+        first, second = [p for p, _ in pairs], [q for _, q in pairs]
+        matrix = weighted[:, :, first].flatten(1, 2).mT @ strains.at[:, :, second].flatten(1, 2)
+        rows.append(matrix + matrix.mT if name == "B" else matrix)  # B stands in C twice, above and below the diagonal
     return torch.stack(rows, 1)

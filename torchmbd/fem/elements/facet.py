@@ -61,15 +61,15 @@ def facets(
     """
     d = cell_directions(mesh, direction)
     members = torch.arange(len(mesh.cells[kind])) if members is None else members
-    own = mesh.first_cell(kind) + members
-    e3 = mesh.normals[own]
-    axes = _axes(mesh, own, e3, d[own])
+    cells = mesh.first_cell(kind) + members
+    e3 = mesh.normals[cells]
+    axes = _axes(mesh, cells, e3, d[cells])
     p = mesh.nodes[mesh.cells[kind][members]]
     local = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
     tilt = (corner_normals(mesh)[kind][members] - e3[:, None]).norm(dim=2).amax(1)
     side_area, mixed, at_boundary = (of_kind[kind][members] for of_kind in _sides(mesh))
     return Facets(
-        axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], side_area, mixed, at_boundary, tilt
+        axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[cells], side_area, mixed, at_boundary, tilt
     )
 
 
@@ -83,14 +83,14 @@ def cell_directions(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Te
     return d.expand(mesh.cell_count, 3)
 
 
-def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 3"]:
+def _axes(mesh: Mesh, cells: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 3"]:
     length = d.norm(dim=1, keepdim=True)
     e1 = d - (d * e3).sum(1, keepdim=True) * e3
     steep = ((e1.norm(dim=1, keepdim=True) > STEEPNESS * length).logical_not()).flatten().nonzero().flatten()
     if len(steep):
         k = int(steep[0])
         raise InputError(
-            f"direction {d[k].tolist()} has no projection into {mesh.cell_name(int(own[k]))}, normal {e3[k].tolist()}; "
+            f"direction {d[k].tolist()} has no projection into {mesh.cell_name(int(cells[k]))}, normal {e3[k].tolist()}; "
             "allowed: a direction that is not normal to any cell (or one for each cell)"
         )
     e1 = e1 / e1.norm(dim=1, keepdim=True)

@@ -65,8 +65,12 @@ class Freedoms:
         self.plain = not links and not means
         column = torch.full((6 * (self.nodes + len(means)),), -1, dtype=torch.long)
         column[self.free] = torch.arange(len(self.free))
-        own = self.free[self.free < 6 * self.nodes]
-        rows, cols, factor = [own], [torch.arange(len(own))], [torch.ones(len(own), dtype=x.dtype)]
+        node_freedoms = self.free[self.free < 6 * self.nodes]
+        rows, cols, factor = (
+            [node_freedoms],
+            [torch.arange(len(node_freedoms))],
+            [torch.ones(len(node_freedoms), dtype=x.dtype)],
+        )
         led, source, own_factor = link_entries(x, links)
         kept = column[source] >= 0  # what follows a held node stands still
         rows.append(led[kept])
@@ -95,10 +99,10 @@ class Freedoms:
         source = torch.repeat_interleave(pairs)
         within = torch.arange(len(source)) - (pairs.cumsum(0) - pairs)[source]
         r, c = pattern.rows[source], pattern.cols[source]
-        left = first[r] + torch.div(within, count[c], rounding_mode="floor")
-        right = first[c] + within % count[c]
-        small, position = Pattern.gather(self.cols[left], self.cols[right], len(self.free))
-        return small, source, position, self.factor[left] * self.factor[right]
+        row_entry = first[r] + torch.div(within, count[c], rounding_mode="floor")
+        col_entry = first[c] + within % count[c]
+        small, position = Pattern.gather(self.cols[row_entry], self.cols[col_entry], len(self.free))
+        return small, source, position, self.factor[row_entry] * self.factor[col_entry]
 
     def expand(self, vectors: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes n 6 k"]:
         """Return T times columns: the motion of all nodes."""
@@ -126,8 +130,8 @@ def _freedoms(nodes: Sequence[int]) -> Tensor:
 def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tensor]:
     """The six freedoms that follow the mean motion, the best conditioned, and the inverse of their columns."""
     freedoms, B = _freedoms(mean.nodes), mean.matrix
-    own = x[list(mean.nodes)]
-    size = float((own - own.mean(0)).norm(dim=1).max())
+    places = x[list(mean.nodes)]
+    size = float((places - places.mean(0)).norm(dim=1).max())
     missing = bound[freedoms] & (B != 0.0).any(0)
     if bool(missing.any()):
         raise InputError(

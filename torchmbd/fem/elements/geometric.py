@@ -43,11 +43,11 @@ def projected_geometric_stiffness(
 ) -> Float[Tensor, "*lanes k a a"]:
     """Kg of each state of stress between motions of all nodes."""
     total: Tensor | None = None
-    for own in cells:
-        at = corner_motions(own.nodes, motions)  # [*lanes, m, f, a]
-        d = (own.rows.flatten(-4, -2) @ at).unflatten(-2, own.rows.shape[-4:-1])  # [*lanes, m, p, r, s, a]
-        found = quadratic_forms(own.law.flatten(-3, -2), d.flatten(-5, -4))
-        total = found if total is None else total + found
+    for part in cells:
+        at = corner_motions(part.nodes, motions)  # [*lanes, m, f, a]
+        d = (part.rows.flatten(-4, -2) @ at).unflatten(-2, part.rows.shape[-4:-1])  # [*lanes, m, p, r, s, a]
+        values = quadratic_forms(part.law.flatten(-3, -2), d.flatten(-5, -4))
+        total = values if total is None else total + values
     if total is None:
         return motions.new_zeros(*motions.shape[:-3], 0, motions.shape[-1], motions.shape[-1])
     return total
@@ -62,13 +62,13 @@ def assembled_geometric_stiffness(pattern: Pattern, cells: Sequence[StressedCell
     """Kg of each state of stress on a pattern of all freedoms 6 * node + i that has the blocks of all cells."""
     key = pattern.rows * pattern.size + pattern.cols
     total: Tensor | None = None
-    for own in cells:
-        freedoms = (6 * own.nodes[:, :, None] + torch.arange(6)).flatten(1)
+    for part in cells:
+        freedoms = (6 * part.nodes[:, :, None] + torch.arange(6)).flatten(1)
         place = freedoms[:, :, None] * pattern.size + freedoms[:, None, :]
         position = torch.searchsorted(key, place.flatten())
-        some = max(1, AT_ONCE * own.law.shape[-4] // (own.law[..., 0].numel() * freedoms.shape[1] ** 2))
-        found = torch.cat([_summed(own, law, position, pattern.nnz) for law in own.law.split(some, -4)], -2)
-        total = found if total is None else total + found
+        some = max(1, AT_ONCE * part.law.shape[-4] // (part.law[..., 0].numel() * freedoms.shape[1] ** 2))
+        values = torch.cat([_summed(part, law, position, pattern.nnz) for law in part.law.split(some, -4)], -2)
+        total = values if total is None else total + values
     assert total is not None
     return total
 
@@ -76,8 +76,8 @@ def assembled_geometric_stiffness(pattern: Pattern, cells: Sequence[StressedCell
 def _summed(cells: StressedCells, law: Tensor, position: Tensor, nnz: int) -> Float[Tensor, "*lanes k nnz"]:
     """Of some states of stress."""
     rows = cells.rows.unsqueeze(-6)  # [*lanes, 1, m, p, r, s, f]
-    left = matrices(law, rows.shape[-3]) @ rows.flatten(-2)
-    m = left.unflatten(-1, cells.rows.shape[-2:]).flatten(-4, -2)
+    forces = matrices(law, rows.shape[-3]) @ rows.flatten(-2)
+    m = forces.unflatten(-1, cells.rows.shape[-2:]).flatten(-4, -2)
     small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
     values = 0.5 * (small + small.mT)
     return values.new_zeros(*values.shape[:-3], nnz).index_add(-1, position, values.flatten(-3))

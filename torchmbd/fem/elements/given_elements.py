@@ -40,10 +40,10 @@ class GivenElements:
     ) -> None:
         rows = torch.cat([f[:, :, None].expand(-1, -1, f.shape[1]).flatten() for f in freedoms])
         cols = torch.cat([f[:, None, :].expand(-1, f.shape[1], -1).flatten() for f in freedoms])
-        given = torch.cat([K.flatten() for K in matrices])
-        kept = given != 0.0
+        values = torch.cat([K.flatten() for K in matrices])
+        kept = values != 0.0
         self.pattern, position = Pattern.gather(rows[kept], cols[kept], 6 * len(mesh.nodes))
-        self._values = torch.zeros(self.pattern.nnz, dtype=torch.float64).index_add(0, position, given[kept])
+        self._values = torch.zeros(self.pattern.nnz, dtype=torch.float64).index_add(0, position, values[kept])
         self._nodes = torch.zeros(0, dtype=torch.long) if nodes is None else nodes
         self._mass = torch.zeros(0, dtype=torch.float64) if mass is None else mass
 

@@ -78,12 +78,12 @@ def zero_mean_functions(weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 4"]:
 class CellForces:
     """The inner forces of all cells of a kind as functions of the laminate."""
 
-    def __init__(self, given: InnerForces) -> None:
-        self.inner_forces = given
-        self.rows = torch.cat([given.work, given.curvature.flatten(1, 2)], dim=1)  # J
-        sigma = given.states
+    def __init__(self, forces: InnerForces) -> None:
+        self.inner_forces = forces
+        self.rows = torch.cat([forces.work, forces.curvature.flatten(1, 2)], dim=1)  # J
+        sigma = forces.states
         self._flexibility = torch.einsum("mesa,kst,metb->mkab", sigma, unit_laws(), sigma).flatten(2)
-        self._sides = given.sides.transpose(0, 1).flatten(2)
+        self._sides = forces.sides.transpose(0, 1).flatten(2)
         self._states = sigma.permute(0, 3, 1, 2).flatten(1, 2)  # [m, state and function, component]
 
     def law(
@@ -120,9 +120,9 @@ class CellForces:
         lean = coupling @ F
         c = F @ w[..., :2, :]
         r = w - X @ c
-        left = r[..., 2:, :] - lean @ r[..., :2, :]
+        remainder = r[..., 2:, :] - lean @ r[..., :2, :]
         stiff = _inverse(U[..., 2:, 2:] - lean @ coupling.mT)
-        return torch.cat([w[..., :2, :], left], dim=-2), torch.cat([c, stiff @ left], dim=-2), lean
+        return torch.cat([w[..., :2, :], remainder], dim=-2), torch.cat([c, stiff @ remainder], dim=-2), lean
 
     def stiffness(self, C: Float[Tensor, "lanes m 13 13"]) -> Float[Tensor, "lanes m f f"]:
         """Return area J' C J of all cells."""

@@ -101,9 +101,9 @@ def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
                 f"node {int(led[~ends][0]) // 6} follows by links that run in a circle; allowed: chains that end"
             )
         rest = (factor[~ends].numpy(), (led[~ends].numpy(), source[~ends].numpy()))
-        found = scipy.sparse.coo_array(scipy.sparse.csr_array(rest, shape=size) @ step)
-        led, source = (torch.from_numpy(part.astype("int64")) for part in found.coords)
-        factor = torch.from_numpy(found.data)
+        product = scipy.sparse.coo_array(scipy.sparse.csr_array(rest, shape=size) @ step)
+        led, source = (torch.from_numpy(part.astype("int64")) for part in product.coords)
+        factor = torch.from_numpy(product.data)
         ends = ~following[source]
         made.append((led[ends], source[ends], factor[ends]))
     return tuple(torch.cat(part) for part in zip(*made, strict=True))  # pyright: ignore[reportReturnType]
@@ -115,13 +115,13 @@ def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
             raise InputError(f"a link or a held node is {k}; allowed: 0 to {n - 1}")
     taken: set[int] = set()
     for link in links:
-        k, own = link.node, link.components
-        if not own or not set(own) <= set(ALL) or len(set(own)) < len(own):
-            raise InputError(f"components of the link of node {k} are {own}; allowed: different ones of 0 to 5")
-        again = [i for i in own if 6 * k + i in taken]
+        k, components = link.node, link.components
+        if not components or not set(components) <= set(ALL) or len(set(components)) < len(components):
+            raise InputError(f"components of the link of node {k} are {components}; allowed: different ones of 0 to 5")
+        again = [i for i in components if 6 * k + i in taken]
         if again:
             raise InputError(f"components {again} of node {k} follow by 2 links; allowed: one")
-        taken |= {6 * k + i for i in own}
+        taken |= {6 * k + i for i in components}
         if k in held:
             raise InputError(
                 f"node {k} is held and follows other nodes by a link; allowed: hold the node that leads it"

@@ -53,8 +53,8 @@ class Cells:
     @classmethod
     def of(cls, kind: str, corners: Int[Tensor, "m c"], plane: Facets, mean: IsotropicMean) -> Cells:
         """Cells in their planes."""
-        one, shape = distinct_shapes(plane)
-        shapes = Facets(*(x[one] for x in vars(plane).values()))
+        example, shape = distinct_shapes(plane)
+        shapes = Facets(*(x[example] for x in vars(plane).values()))
         return cls(kind, corners, plane, shape, shapes, ELEMENTS[kind](shapes, mean))
 
     def moved(self, cell: CellStiffness, constants: Float[Tensor, "lanes z 3"]) -> Strains:
@@ -75,13 +75,15 @@ class _Numbers(NamedTuple):
     def __call__(self, *x: Tensor) -> Float[Tensor, "lanes numbers"]:
         """Of entries [lanes, laminates, 21] and laws [lanes, variants, 13, 13]."""
         laws = iter(x[1:])
-        return self.sums(torch.cat([own(x[0], *(next(laws) for _ in range(own.laws))) for own in self.cells], 1))
+        return self.sums(torch.cat([cell(x[0], *(next(laws) for _ in range(cell.laws))) for cell in self.cells], 1))
 
     def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> tuple[Tensor, ...]:
         """Return the adjoint: cotangents of entries and laws from those of the numbers."""
-        parts = self.sums.adjoint(y).split([own.numbers for own in self.cells], 1)
-        found = [own.adjoint(part) for own, part in zip(self.cells, parts, strict=True)]
-        return torch.stack([entries for entries, *_ in found]).sum(0), *(law for _, *laws in found for law in laws)
+        parts = self.sums.adjoint(y).split([cell.numbers for cell in self.cells], 1)
+        cotangents = [cell.adjoint(part) for cell, part in zip(self.cells, parts, strict=True)]
+        return torch.stack([entries for entries, *_ in cotangents]).sum(0), *(
+            law for _, *laws in cotangents for law in laws
+        )
 
 
 class _Summed(NamedTuple):
@@ -132,11 +134,11 @@ class PlateMatrices:
         self.kinds: dict[str, Cells] = {}
         members = []
         for kind, corners in mesh.cells.items():
-            own = chosen - mesh.first_cell(kind)
-            own = own[(own >= 0) & (own < len(corners))]
-            if len(own):
-                self.kinds[kind] = Cells.of(kind, corners[own], facets(mesh, direction, own, kind), self.mean)
-                members.append(mesh.first_cell(kind) + own)
+            numbers = chosen - mesh.first_cell(kind)
+            numbers = numbers[(numbers >= 0) & (numbers < len(corners))]
+            if len(numbers):
+                self.kinds[kind] = Cells.of(kind, corners[numbers], facets(mesh, direction, numbers, kind), self.mean)
+                members.append(mesh.first_cell(kind) + numbers)
         self.members = torch.cat(members)
         self.several = zones is not None
         of_cell = chosen.new_zeros(mesh.cell_count)
@@ -148,13 +150,13 @@ class PlateMatrices:
 
     def _numbers(self) -> _Numbers:
         """Find the pattern of K and return the map to its numbers."""
-        self.pattern, positions = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
+        self.pattern, positions = _block_pattern([group.corners for group in self.kinds.values()], len(self.mesh.nodes))
         made, sources, count = [], [], 0
         self.variants: list[tuple[CellStiffness, Tensor]] = []  # of each kind: its matrices, and which one a cell has
-        laminates = self.zones.split([len(own.shape) for own in self.kinds.values()])
-        for own, laminate in zip(self.kinds.values(), laminates, strict=True):
-            variants, variant = torch.unique(torch.stack([own.shape, laminate], 1), dim=0, return_inverse=True)
-            cell = CellStiffness(own.strains, variants, self.laminates)
+        laminates = self.zones.split([len(group.shape) for group in self.kinds.values()])
+        for group, laminate in zip(self.kinds.values(), laminates, strict=True):
+            variants, variant = torch.unique(torch.stack([group.shape, laminate], 1), dim=0, return_inverse=True)
+            cell = CellStiffness(group.strains, variants, self.laminates)
             sources.append((count + variant[:, None] * cell.each + cell.entry_index.flatten()).flatten())
             made.append(cell)
             self.variants.append((cell, variant))
@@ -165,7 +167,7 @@ class PlateMatrices:
     @property
     def axes(self) -> Float[Tensor, "m 3 3"]:
         """Axes of the laminate in each cell, rows, mesh axes."""
-        return torch.cat([own.facets.axes for own in self.kinds.values()])
+        return torch.cat([group.facets.axes for group in self.kinds.values()])
 
     @property
     def covering_triangles(
@@ -208,9 +210,9 @@ class PlateMatrices:
         if mean is not None:
             constants = self.of_lanes(mean, lanes)
             kinds = zip(self.kinds.values(), picked.cells, strict=True)
-            found = torch.cat([cell.moved(own.moved(cell, constants), law) for own, cell in kinds], 1)
-            return apply_linear(_Summed(picked.sums), found).reshape(*lanes, -1)
-        laws = [x for own in picked.cells for x in own.law(law.A, law.B)]
+            stiffness = torch.cat([cell.moved(group.moved(cell, constants), law) for group, cell in kinds], 1)
+            return apply_linear(_Summed(picked.sums), stiffness).reshape(*lanes, -1)
+        laws = [x for cell in picked.cells for x in cell.law(law.A, law.B)]
         return apply_linear(picked, numbers, *laws).reshape(*lanes, -1)
 
     def of_lanes(self, mean: Float[Tensor, "*lanes 3"], lanes: Sequence[int]) -> Float[Tensor, "flat z 3"]:
@@ -236,27 +238,27 @@ class PlateMatrices:
 
         law   of one laminate [*lanes, ...], or of several [*lanes, laminates, ...];  mean: `moved_mean`
         """
-        found = []
-        zones = self.zones.split([len(own.shape) for own in self.kinds.values()])
-        for own, zone, (cell, variant) in zip(self.kinds.values(), zones, self.variants, strict=True):
-            at = displacements[..., own.corners, :, :].flatten(-3, -2)
-            rows = self._center_rows(own, cell, variant, mean)
+        fields = []
+        zones = self.zones.split([len(group.shape) for group in self.kinds.values()])
+        for group, zone, (cell, variant) in zip(self.kinds.values(), zones, self.variants, strict=True):
+            at = displacements[..., group.corners, :, :].flatten(-3, -2)
+            rows = self._center_rows(group, cell, variant, mean)
             strains = rows[0] @ at
             if len(rows) > 1:
                 shear = ShearRecovery(*rows[1:])
                 cells = LaminateStiffness(*(X[..., zone, :, :] if self.several else X.unsqueeze(-3) for X in law))
                 strains = torch.cat([strains[..., :6, :], shear_strains(shear, cells, at)], dim=-2)
-            found.append(strains)
-        return torch.cat(found, dim=-3)
+            fields.append(strains)
+        return torch.cat(fields, dim=-3)
 
     def _center_rows(
-        self, own: Cells, cell: CellStiffness, variant: Tensor, mean: Float[Tensor, "*lanes 3"] | None
+        self, group: Cells, cell: CellStiffness, variant: Tensor, mean: Float[Tensor, "*lanes 3"] | None
     ) -> list[Tensor]:
         """Rows of the strains at the middle of each cell of a kind, and those of shear recovery, [*lanes, m, ..., f]."""
         if mean is None:
-            return [x[own.shape] for x in (own.strains.center, *(own.strains.shear or ()))]
+            return [x[group.shape] for x in (group.strains.center, *(group.strains.shear or ()))]
         lanes = mean.shape[: -2 if self.several else -1]
-        moved = own.moved(cell, self.of_lanes(mean, lanes))
+        moved = group.moved(cell, self.of_lanes(mean, lanes))
         rows = (x.unflatten(0, (*lanes, -1)) if lanes else x for x in (moved.center, *(moved.shear or ())))
         return [x.index_select(len(lanes), variant) for x in rows]
 
@@ -295,9 +297,9 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
     rows[positions.flatten()] = (6 * row[:, None, None] + six[:, None]).expand_as(positions).flatten()
     cols[positions.flatten()] = (6 * col[:, None, None] + six).expand_as(positions).flatten()
     cells = []
-    for corners, own in zip(kinds, block.split([len(p) for p in pairs]), strict=True):
+    for corners, blocks in zip(kinds, block.split([len(p) for p in pairs]), strict=True):
         m, c = corners.shape
-        cells.append(positions[own].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
+        cells.append(positions[blocks].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
     return Pattern(rows, cols, 6 * n), cells
 
 

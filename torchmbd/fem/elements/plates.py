@@ -61,9 +61,9 @@ class Plates:
         self.laminates, self.mass, self.direction = tuple(laminate) if several else (laminate,), mass, direction
         if not isinstance(mesh, Mesh):
             raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
-        for one in self.laminates:
-            if not isinstance(one, Laminate):
-                raise InputError(f"laminate of a plate is {one!r}; allowed: a Laminate")
+        for member in self.laminates:
+            if not isinstance(member, Laminate):
+                raise InputError(f"laminate of a plate is {member!r}; allowed: a Laminate")
         self.mesh, self._zones = mesh, zones
         self.cells = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         field = self.laminates[0].field

@@ -46,8 +46,8 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     warped = _of_slopes(plane, points) + _of_bows(plane)
     constant = constant + torch.nn.functional.pad(warped, (2, 1))
     curvature, shear = (
-        torch.cat([own, torch.zeros_like(own[:, :2])], dim=1)
-        for own in plate_strains(plane.corners, points, mean, plane.side_area, plane.at_boundary)
+        torch.cat([rows, torch.zeros_like(rows[:, :2])], dim=1)
+        for rows in plate_strains(plane.corners, points, mean, plane.side_area, plane.at_boundary)
     )
     in_plane = torch.cat([constant[:, None].expand(-1, 4, -1, -1, -1), drill], dim=1)
     at = in_mesh_axes(plane.axes, in_plane, curvature, shear)

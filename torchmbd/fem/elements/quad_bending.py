@@ -122,10 +122,10 @@ def _shear_variation(
 ) -> ShearVariation:
     """Return the variation of the shear strains in cells at free edges."""
     width = 2.0 * torch.linalg.det(medians)[:, None] / medians.norm(dim=-1)
-    one, two = at_boundary[:, [0, 3]].double(), at_boundary[:, [2, 1]].double()
-    z = (width / layer[:, None] / (one + two).clamp_min(1.0)).clamp_min(0.01)
+    first, second = at_boundary[:, [0, 3]].double(), at_boundary[:, [2, 1]].double()
+    z = (width / layer[:, None] / (first + second).clamp_min(1.0)).clamp_min(0.01)
     weight = (3.0 * (z / torch.tanh(z) - 1.0)).sqrt() / z
-    return ShearVariation(0.5 * (1.0 + two - one), torch.where(one + two > 0.0, weight, 1.0))
+    return ShearVariation(0.5 * (1.0 + second - first), torch.where(first + second > 0.0, weight, 1.0))
 
 
 def _directions(medians: Float[Tensor, "m 2 2"], tangent: Float[Tensor, "m 4 2"]) -> Float[Tensor, "m 4 2"]:
@@ -188,8 +188,8 @@ def shear_strains(
     if variation is None:
         return between(covariant)
     first = variation.first[..., None]
-    known, given = (first * x[:, start] + (1.0 - first) * x[:, end] for x in (side, covariant))
-    constant = torch.linalg.inv(known) @ given
+    known, values = (first * x[:, start] + (1.0 - first) * x[:, end] for x in (side, covariant))
+    constant = torch.linalg.inv(known) @ values
     rest = covariant - side @ constant
     weight = variation.weight[:, [0, 1, 0, 1], None]
     return constant[:, None] + between(weight * rest)

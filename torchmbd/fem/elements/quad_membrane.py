@@ -66,12 +66,12 @@ def membrane(
     center = (points.weight[..., None] * points.position).sum(1, keepdim=True) / area[:, None, None]
     x = (corners - center) / size
     nu = torch.as_tensor(poisson, dtype=x.dtype).expand(len(x))
-    one, none = torch.ones_like(nu), torch.zeros_like(nu)
-    flexible = torch.stack([one, -nu, none, -nu, one, none, none, none, 2.0 * (1.0 + nu)], -1)
+    unit, none = torch.ones_like(nu), torch.zeros_like(nu)
+    flexible = torch.stack([unit, -nu, none, -nu, unit, none, none, none, 2.0 * (1.0 + nu)], -1)
     flexible = flexible.unflatten(-1, (3, 3))
     per_length = torch.cat([1.0 / size, 1.0 / size, torch.ones_like(size)], dim=-1).repeat(1, 1, 4)
-    left = (torch.linalg.inv(_fields(x, flexible)) * per_length)[:, 10:, None]
-    drill = _drill_strains(corners, at_boundary)[..., None] * left
+    drill_rows = (torch.linalg.inv(_fields(x, flexible)) * per_length)[:, 10:, None]
+    drill = _drill_strains(corners, at_boundary)[..., None] * drill_rows
     bent = bending(middle(x).jacobian[:, 0])
     basis = torch.cat([bent, torch.linalg.qr(bent, mode="complete").Q[..., 2:]], dim=-1)  # of the states, bending first
     work = basis.mT @ side_work(x)
@@ -91,14 +91,14 @@ def membrane(
 def _fields(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 12 12"]:
     """Values (u, v, theta) x 4 of twelve fields, columns: 3 rigid, 3 constant, 4 linear, 2 left for drill."""
     X, Y = x.unbind(-1)
-    none, one = torch.zeros_like(X), torch.ones_like(X)
-    sign = one * x.new_tensor([1.0, -1.0, 1.0, -1.0])
-    flat = [(one, none, none), (none, one, none), (-Y, X, one), (X, none, none), (none, Y, none), (Y, X, none)]
-    flat, left = (
+    none, unit = torch.zeros_like(X), torch.ones_like(X)
+    sign = unit * x.new_tensor([1.0, -1.0, 1.0, -1.0])
+    flat = [(unit, none, none), (none, unit, none), (-Y, X, unit), (X, none, none), (none, Y, none), (Y, X, none)]
+    flat, drill = (
         torch.stack([torch.stack(f, dim=-1).flatten(1) for f in fields], dim=-1)
-        for fields in (flat, [(none, none, one), (none, none, sign)])
+        for fields in (flat, [(none, none, unit), (none, none, sign)])
     )
-    return torch.cat([flat, displacements(x[:, None], S).squeeze(1), left], dim=-1)
+    return torch.cat([flat, displacements(x[:, None], S).squeeze(1), drill], dim=-1)
 
 
 def _drill_strains(corners: Float[Tensor, "m 4 2"], at_boundary: Bool[Tensor, "m 4"]) -> Float[Tensor, "m 2 3"]:

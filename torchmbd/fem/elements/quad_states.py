@@ -39,7 +39,7 @@ def displacements(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "*laws 3 3"]) -> F
     slopes = S[..., None, :, :] @ stresses(eye[None])[0]  # d eps / dx, d eps / dy of the states [*laws, 2, 3, 4]
     (a1, b1, c1), (a2, b2, c2) = (of.unbind(-2) for of in slopes[..., None, None, :, :, :].unbind(-3))
     p, q = c2 - b1, c1 - a2
-    X, Y = (own[..., None] for own in x.unbind(-1))
+    X, Y = (coordinate[..., None] for coordinate in x.unbind(-1))
     u = 0.5 * a1 * X**2 + a2 * X * Y + 0.5 * p * Y**2
     v = 0.5 * b2 * Y**2 + b1 * X * Y + 0.5 * q * X**2
     theta = 0.5 * ((b1 - p) * Y + (q - a2) * X)

@@ -28,13 +28,13 @@ def corner_normals(mesh: Mesh) -> dict[str, Float[Tensor, "m corners 3"]]:
     node = torch.cat([corners.flatten() for _, corners in kinds])
     width = torch.cat([torch.full((len(corners),), corners.shape[1]) for _, corners in kinds])
     normals = mesh.normals.repeat_interleave(width, dim=0)  # of every corner's facet
-    own, other = _pairs(node, len(mesh.nodes))
-    cosine = (normals[own] * normals[other]).sum(1)
+    corner, other = _pairs(node, len(mesh.nodes))
+    cosine = (normals[corner] * normals[other]).sum(1)
     smooth = cosine > math.cos(FEATURE)
     # The sum of differences is zero, not rounding, where all facets lie in one plane.
-    step = (smooth * angle[other])[:, None] * (normals[other] - normals[own])
-    weight = torch.zeros_like(angle).index_add(0, own, smooth * angle[other])
-    total = normals + torch.zeros_like(normals).index_add(0, own, step) / weight[:, None]
+    step = (smooth * angle[other])[:, None] * (normals[other] - normals[corner])
+    weight = torch.zeros_like(angle).index_add(0, corner, smooth * angle[other])
+    total = normals + torch.zeros_like(normals).index_add(0, corner, step) / weight[:, None]
     total = total / total.norm(dim=1, keepdim=True)
     parts = total.split([corners.numel() for _, corners in kinds])
     return {kind: part.unflatten(0, corners.shape) for (kind, corners), part in zip(kinds, parts, strict=True)}
@@ -52,6 +52,6 @@ def _pairs(node: Tensor, n: int) -> tuple[Tensor, Tensor]:
     count = torch.bincount(node, minlength=n)
     first = count.cumsum(0) - count
     pairs = count[node]
-    own = torch.repeat_interleave(pairs)
-    within = torch.arange(len(own)) - (pairs.cumsum(0) - pairs)[own]
-    return own, order[first[node[own]] + within]
+    corner = torch.repeat_interleave(pairs)
+    within = torch.arange(len(corner)) - (pairs.cumsum(0) - pairs)[corner]
+    return corner, order[first[node[corner]] + within]

@@ -61,8 +61,8 @@ def _shapes(corners: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def _powers(nodes: int) -> list[tuple[int, int, int]]:
     """Powers of the three coordinates in the monomials that a quadratic solid has."""
     if nodes == 20:  # all of degree two at most, where factors that stand linearly do not count
-        found = [(i, j, k) for i in range(3) for j in range(3) for k in range(3)]
-        return [own for own in found if sum(n for n in own if n > 1) <= 2]
+        powers = [(i, j, k) for i in range(3) for j in range(3) for k in range(3)]
+        return [exponents for exponents in powers if sum(n for n in exponents if n > 1) <= 2]
     flat = [(i, j) for i in range(3) for j in range(3) if i + j <= 2]
     if nodes == 15:
         return [*((i, j, k) for i, j in flat for k in (0, 1)), *((i, j, 2) for i, j in flat if i + j <= 1)]

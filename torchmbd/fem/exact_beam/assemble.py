@@ -29,8 +29,8 @@ class NodalMass(NamedTuple):
 def nodal_mass(line: BeamLine, sections: SpanSections, elements: ElementProperties) -> NodalMass:
     """Masses of the nodes: half of each element's mass at each of its ends."""
     ends = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    own = elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
-    points = elements.matrices.particles(own)
+    mass = elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
+    points = elements.matrices.particles(mass)
     n, where = len(line.nodes), points.ends[:, 0]
     m, a = points.mass, points.arm
     first = m[..., None] * a
@@ -44,17 +44,17 @@ def beam_data(
     elements: ElementProperties,
     nodes: Tensor,
     imposed: Tensor,
-    given: dict[str, Any],
+    arguments: dict[str, Any],
     massive: bool,
 ) -> tuple[BeamData, bool]:
     """Return the data of a beam under loads, and whether all loads have a potential.
 
-    given    loads by name, the arguments of `ExactBeam.equilibrium`
-    massive  whether masses are computed even without gravity and spin
+    arguments  loads by name, the arguments of `ExactBeam.equilibrium`
+    massive    whether masses are computed even without gravity and spin
     """
     n, where = len(line.nodes), line.elements.flatten()
-    q, p = (line_loads(key, line, given[key]) for key in ("line_load", "follower_line_load"))
-    loads, turning = (nodal_loads(key, line, given[key]) for key in ("loads", "follower_loads"))
+    q, p = (line_loads(key, line, arguments[key]) for key in ("line_load", "follower_line_load"))
+    loads, turning = (nodal_loads(key, line, arguments[key]) for key in ("loads", "follower_loads"))
     symmetric = not any(bool(untransformed(x).any()) for x in (loads[:, 3:], q[:, 3:], p, turning))
     half = 0.5 * elements.matrices.length[..., None]
     tangent = elements.axes[..., 0]  # [*lanes, m, 2, 3]
@@ -67,9 +67,9 @@ def beam_data(
     first = _first_ends(line)
     axes = elements.axes.flatten(-4, -3)[..., first, :, :]
     follower = (block(axes) @ turning[..., None])[..., 0] + sum_at_nodes(push, where, n, 1)
-    gravity, spin, center = (read_vector(key, given[key]) for key in ("gravity", "spin", "center"))
+    gravity, spin, center = (read_vector(key, arguments[key]) for key in ("gravity", "spin", "center"))
     heavy = massive or bool(untransformed(gravity).any()) or bool(untransformed(spin).any())
-    own = nodal_mass(line, sections, elements) if heavy else _massless(n)
+    masses = nodal_mass(line, sections, elements) if heavy else _massless(n)
     start, end = elements.axes.unbind(-3)
     data = BeamData(
         elements.stiffness,
@@ -80,9 +80,9 @@ def beam_data(
         dead,
         arms,
         follower,
-        own.mass,
-        own.first,
-        own.second,
+        masses.mass,
+        masses.first,
+        masses.second,
         gravity,
         spin,
         center,

@@ -110,8 +110,8 @@ class ExactBeam(nn.Module):
         self.name, self.mesh = name, line
         m = len(line.elements)
         self.sections = SpanSections(name, line, section)
-        for key, own in self.sections.modules.items():
-            self.add_module(key, own)
+        for key, module in self.sections.modules.items():
+            self.add_module(key, module)
         if line.node_module is not None:
             self.line = line.node_module
         if isinstance(twist, nn.Parameter):
@@ -165,7 +165,7 @@ class ExactBeam(nn.Module):
         >>> beam.equilibrium({"end": (0.0, 10.0, 0.0)}).nodes[-1].round(decimals=3).tolist()  # [m]
         [0.9, 0.396, 0.0]
         """
-        given = {
+        arguments = {
             "loads": loads,
             "follower_loads": follower_loads,
             "line_load": line_load,
@@ -174,7 +174,7 @@ class ExactBeam(nn.Module):
             "spin": spin,
             "center": center,
         }
-        search, data, elements = self._problem(supports, given, true_or_false("unstable", unstable), massive=False)
+        search, data, elements = self._problem(supports, arguments, true_or_false("unstable", unstable), massive=False)
         return self._state(search, data, solve(search, data), elements)
 
     def frequencies(
@@ -203,7 +203,7 @@ class ExactBeam(nn.Module):
         >>> bool(spun[0] > 1.3 * rest[0]), state.status  # the flapping blade is stiffer
         (True, 'ok')
         """
-        given = {
+        arguments = {
             "loads": loads,
             "follower_loads": None,
             "line_load": line_load,
@@ -212,7 +212,7 @@ class ExactBeam(nn.Module):
             "spin": spin,
             "center": center,
         }
-        search, data, elements = self._problem(supports, given, False, massive=True)
+        search, data, elements = self._problem(supports, arguments, False, massive=True)
         count = len(search.topology.free)
         if not is_whole(number) or not 1 <= number <= count:
             raise InputError(
@@ -222,12 +222,12 @@ class ExactBeam(nn.Module):
             raise InputError(
                 f"loads of {self.name!r} have moments, which have no potential; allowed in frequencies: forces"
             )
-        found = solve(search, data)
-        w = frequencies(search, data, *found[:2], number)
-        return w / (2.0 * torch.pi), self._state(search, data, found, elements)
+        solution = solve(search, data)
+        w = frequencies(search, data, *solution[:2], number)
+        return w / (2.0 * torch.pi), self._state(search, data, solution, elements)
 
     def _problem(
-        self, supports: Supports | None, given: dict[str, Any], unstable: bool, massive: bool
+        self, supports: Supports | None, arguments: dict[str, Any], unstable: bool, massive: bool
     ) -> tuple[Continuation, BeamData, ElementProperties]:
         """Return the search for equilibria, the data of the beam under loads, and the properties of its elements."""
         n, elements = len(self.mesh.nodes), self._elements()
@@ -236,7 +236,7 @@ class ExactBeam(nn.Module):
         if not len(free):
             raise InputError(f"supports of {self.name!r} hold all freedoms; allowed: fewer")
         data, symmetric = beam_data(
-            self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, given, massive
+            self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, arguments, massive
         )
         search = outside_transforms(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
         return search, data, elements
@@ -252,10 +252,10 @@ class ExactBeam(nn.Module):
         self,
         search: Continuation,
         data: BeamData,
-        found: tuple[Tensor, Tensor, Tensor, Tensor],
+        solution: tuple[Tensor, Tensor, Tensor, Tensor],
         elements: ElementProperties,
     ) -> BeamState:
-        x, R, factor, code = found
+        x, R, factor, code = solution
         ends = element_wrenches(data, search.topology, x, R)
         forces = (elements.recover @ ends[..., None])[..., 0] * _SIDES[:, None]
         missing = residual(data, search.topology, x, R)

@@ -90,9 +90,9 @@ class Continuation:
     def __init__(self, topology: Topology, nodes: int, follow: bool = False) -> None:
         self.topology, self.follow = topology, follow
         ends = (6 * topology.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
-        own = torch.arange(6 * nodes).reshape(nodes, 6)
-        rows = [x[:, :, None].expand(-1, -1, x.shape[1]).flatten() for x in (ends, own)]
-        cols = [x[:, None, :].expand(-1, x.shape[1], -1).flatten() for x in (ends, own)]
+        freedoms = torch.arange(6 * nodes).reshape(nodes, 6)
+        rows = [x[:, :, None].expand(-1, -1, x.shape[1]).flatten() for x in (ends, freedoms)]
+        cols = [x[:, None, :].expand(-1, x.shape[1], -1).flatten() for x in (ends, freedoms)]
         self._pattern, self._slot = Pattern.gather(torch.cat(rows), torch.cat(cols), 6 * nodes)
 
     def stiffness(self, data: BeamData, x: Tensor, R: Tensor, f: Tensor, factor: float) -> tuple[Any, Tensor]:
@@ -116,18 +116,18 @@ class Continuation:
         while state.factor < 1.0:
             rate = self._rate(data, state)  # of increments by the factor
             fast = float(np.abs(rate.reshape(n, 6)[:, 3:]).max()) if np.isfinite(rate).all() else np.inf
-            step, why, found = min(1.0 - state.factor, largest, LARGEST_TURN / max(fast, 1e-300)), 3, None
+            step, why, equilibrium = min(1.0 - state.factor, largest, LARGEST_TURN / max(fast, 1e-300)), 3, None
             while step >= SMALLEST_STEP:
-                found, why, increment = self._step(data, state, step, rate)
-                if found is not None:
+                equilibrium, why, increment = self._step(data, state, step, rate)
+                if equilibrium is not None:
                     break
                 step = 0.5 * step
-            if found is None:
+            if equilibrium is None:
                 steep = self._size(rate) * state.factor > LIMIT_POINT_RATE * self._size(moved)
                 turned = float(screws(data, self.topology, state.x, state.R)[0][..., 3:].norm(dim=-1).max())
                 path.code = 2 if why == 2 else 4 if turned > LARGE_ELEMENT_TURN else 1 if steep else 3
                 break
-            state, moved, largest = found, moved + increment, 2.0 * step
+            state, moved, largest = equilibrium, moved + increment, 2.0 * step
             path.factors.append(state.factor)
             path.places.append(state.x)
         free = self.topology.free.numpy()

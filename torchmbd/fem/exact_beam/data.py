@@ -59,7 +59,7 @@ class BeamData(NamedTuple):
         lanes = self.lanes if lanes is None else lanes
         cores = [x.shape[x.dim() - k :] for x, k in zip(self, RANKS, strict=True)]
         wide = [x.expand(*lanes, *core).reshape(-1, *core) for x, core in zip(self, cores, strict=True)]
-        return [BeamData(*own) for own in zip(*wide, strict=True)]
+        return [BeamData(*lane) for lane in zip(*wide, strict=True)]
 
 
 #: Axes of each field besides lanes.
@@ -75,17 +75,17 @@ class Topology(NamedTuple):
 
 
 def batch_as_lane(
-    size: int, in_dims: Sequence[int | None], given: Sequence[Tensor], ranks: Sequence[int]
+    size: int, in_dims: Sequence[int | None], tensors: Sequence[Tensor], ranks: Sequence[int]
 ) -> list[Tensor]:
     """Move the batch dimension of torch.func.vmap to the front of each tensor, and pad leading axes to the same number.
 
     in_dims  batch dimension of each tensor, or None
     ranks    number of its axes that are neither batch nor lanes
     """
-    inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(given, in_dims, ranks, strict=True))
+    inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(tensors, in_dims, ranks, strict=True))
     wide = []
-    for x, dim, k in zip(given, in_dims, ranks, strict=True):
-        own = batch_first(x, dim, size)
-        missing = inner - (own.dim() - 1 - k)
-        wide.append(own.reshape(len(own), *(1,) * missing, *own.shape[1:]))
+    for x, dim, k in zip(tensors, in_dims, ranks, strict=True):
+        batch = batch_first(x, dim, size)
+        missing = inner - (batch.dim() - 1 - k)
+        wide.append(batch.reshape(len(batch), *(1,) * missing, *batch.shape[1:]))
     return wide

@@ -96,8 +96,8 @@ def element_tangents(
     turn = torch.cat([torch.cat([first, o, o, o], -1), torch.cat([o, first, o, o], -1)], -2)
     turn = torch.cat([turn, torch.cat([torch.cat([o, o, second, o], -1), torch.cat([o, o, o, second], -1)], -2)], -2)
     B = torch.cat([-end_map(-screw), end_map(screw)], -1) @ turn.mT
-    own = torch.cat(end_wrenches(screw, f), -1)
-    F, M, G, N = (turn @ own[..., None])[..., 0].split(3, -1)
+    wrenches = torch.cat(end_wrenches(screw, f), -1)
+    F, M, G, N = (turn @ wrenches[..., None])[..., 0].split(3, -1)
     K = turn @ wrench_slopes(screw, f) @ B + B.mT @ data.stiffness @ B
     spin = torch.zeros_like(K)  # forces turn with the ends
     for rows, cols, x in ((0, 3, F), (3, 3, M), (6, 9, G), (9, 9, N)):

@@ -50,7 +50,7 @@ class SectionTable(nn.Module):
                 f"{len(sections)} sections for {len(at)} positions of a SectionTable; allowed: one for each"
             )
         self.register_buffer("positions", at, persistent=False)
-        self.sections = [_section(float(s), given) for s, given in zip(at, sections, strict=True)]
+        self.sections = [_section(float(s), section) for s, section in zip(at, sections, strict=True)]
         for k, section in enumerate(self.sections):
             self.add_module(str(k), section)
 
@@ -75,14 +75,14 @@ class SectionTable(nn.Module):
         return before + share[..., None, None] * (after - before)
 
 
-def _section(position: float, given: Any) -> Any:
-    if isinstance(given, nn.Module) and isinstance(given, BeamSection):
-        return given
-    if not isinstance(given, Sequence) or len(given) != 2:
+def _section(position: float, section: Any) -> Any:
+    if isinstance(section, nn.Module) and isinstance(section, BeamSection):
+        return section
+    if not isinstance(section, Sequence) or len(section) != 2:
         raise InputError(
-            f"section at position {position:g} is {given!r}; allowed: a Section, a GivenSection, or (stiffness, mass)"
+            f"section at position {position:g} is {section!r}; allowed: a Section, a GivenSection, or (stiffness, mass)"
         )
     try:
-        return GivenSection(*given)
+        return GivenSection(*section)
     except InputError as error:
         raise InputError(f"section at position {position:g}: {error}") from None

@@ -46,10 +46,12 @@ class _Search(torch.autograd.Function):
 
     @staticmethod
     def forward(search: Continuation, derivatives: bool, *data: Tensor) -> tuple[Tensor, ...]:
-        given = BeamData(*(x.detach() for x in data))
-        search.paths = [search.run(own) for own in given.split_lanes()]
+        batch = BeamData(*(x.detach() for x in data))
+        search.paths = [search.run(lane) for lane in batch.split_lanes()]
         rows = [_lane_result(path, derivatives) for path in search.paths]
-        return tuple(torch.stack(own).reshape((*given.lanes, *own[0].shape)) for own in zip(*rows, strict=True))
+        return tuple(
+            torch.stack(column).reshape((*batch.lanes, *column[0].shape)) for column in zip(*rows, strict=True)
+        )
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:

@@ -50,8 +50,8 @@ def frequencies(
         bending = bending + _form(elements, ends, ends) + _form(loads, v, v)
         weight = weight + _form(M, v, v)
     gyroscopic = 2.0 * _form(G, real, imaginary)
-    left = bending - w**2 * weight - w * gyroscopic
-    step = left / (2.0 * w * weight + gyroscopic).detach()
+    residual = bending - w**2 * weight - w * gyroscopic
+    step = residual / (2.0 * w * weight + gyroscopic).detach()
     near = ((w[..., :, None] - w[..., None, :]).abs() <= CLOSE * w[..., None]).to(w.dtype)
     mean = (near @ step[..., None])[..., 0] / near.sum(-1)
     return (w + mean)[..., :number]
@@ -59,13 +59,13 @@ def frequencies(
 
 def inertia(data: BeamData, R: Tensor) -> tuple[Float[Tensor, "*lanes n 6 6"], Float[Tensor, "*lanes n 6 6"]]:
     """Return M and G of the nodes."""
-    one = torch.eye(3, dtype=torch.float64)
+    eye = torch.eye(3, dtype=torch.float64)
     S = hat((R @ data.first[..., None])[..., 0])
     J = R @ data.second @ R.mT
     spin = hat(data.spin)[..., None, :, :]
     m = data.mass[..., None, None]
     trace = J.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    M = _blocks(m * one, -S, S, trace * one - J)
+    M = _blocks(m * eye, -S, S, trace * eye - J)
     turned = hat((J @ data.spin[..., None, :, None])[..., 0])
     return M, 2.0 * _blocks(m * spin, -spin @ S, S @ spin, turned)
 
@@ -84,12 +84,12 @@ class _Modes(torch.autograd.Function):
     """w [*lanes, k], and real and imaginary parts of the modes [*lanes, k, n, 6]; not differentiable."""
 
     @staticmethod
-    def forward(search: Continuation, number: int, *given: Tensor) -> tuple[Tensor, ...]:
-        *data, x, R = (y.detach() for y in given)
-        own = BeamData(*data)
-        lanes = torch.Size(np.broadcast_shapes(own.lanes, x.shape[:-2]))
+    def forward(search: Continuation, number: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+        *data, x, R = (y.detach() for y in tensors)
+        beam = BeamData(*data)
+        lanes = torch.Size(np.broadcast_shapes(beam.lanes, x.shape[:-2]))
         x, R = (y.expand(*lanes, *y.shape[-k:]).reshape(-1, *y.shape[-k:]) for y, k in ((x, 2), (R, 3)))
-        rows = [_modes(search, *one, number) for one in zip(own.split_lanes(lanes), x, R, strict=True)]
+        rows = [_modes(search, *lane, number) for lane in zip(beam.split_lanes(lanes), x, R, strict=True)]
         return tuple(torch.stack(y).reshape((*lanes, *y[0].shape)) for y in zip(*rows, strict=True))
 
     @staticmethod
@@ -105,8 +105,8 @@ class _Modes(torch.autograd.Function):
         return (None,) * (4 + len(RANKS))
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, search: Continuation, number: int, *given: Tensor) -> Any:
-        wide = batch_as_lane(info.batch_size, in_dims[2:], given, (*RANKS, 2, 3))
+    def vmap(info: Any, in_dims: tuple, search: Continuation, number: int, *tensors: Tensor) -> Any:
+        wide = batch_as_lane(info.batch_size, in_dims[2:], tensors, (*RANKS, 2, 3))
         return _Modes.apply(search, number, *wide), (0,) * 3
 
 

@@ -80,7 +80,7 @@ class LaminateStiffness(NamedTuple):
         """Spread the 21 numbers out again."""
         numbers = entries.split([6, 6, 6, 3], dim=-1)
         three, two = [0, 1, 2, 1, 3, 4, 2, 4, 5], [0, 1, 1, 2]
-        A, B, D = (own[..., three].unflatten(-1, (3, 3)) for own in numbers[:3])
+        A, B, D = (block[..., three].unflatten(-1, (3, 3)) for block in numbers[:3])
         return cls(A, B, D, numbers[3][..., two].unflatten(-1, (2, 2)))
 
 
@@ -159,8 +159,8 @@ class Laminate(nn.Module):
         result = copy.copy(laminates[0])
         result._parameters = {}  # of the copy, which has tensors instead
         for name in ("angles", "thickness"):
-            own = torch.broadcast_tensors(*(getattr(laminate, name) for laminate in laminates))
-            vars(result)[name] = torch.stack(own, -2)
+            values = torch.broadcast_tensors(*(getattr(laminate, name) for laminate in laminates))
+            vars(result)[name] = torch.stack(values, -2)
         return result
 
     def forward(self) -> Float[Tensor, "*lanes 21"]:
@@ -255,8 +255,8 @@ class Laminate(nn.Module):
     @property
     def centered(self) -> bool:
         """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density, without offset."""
-        given = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.given}
-        return self.offset == 0.0 and (self.symmetric or len(given) == 1)
+        densities = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.layers}
+        return self.offset == 0.0 and (self.symmetric or len(densities) == 1)
 
     @property
     def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:

@@ -72,9 +72,9 @@ class Ply:
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
             raise InputError(f"Ply: strength = {self.strength!r}; allowed: a Strength, or None")
-        own = without_variables(self)
-        moduli = {name: getattr(own, name) for name in ("E1", "E2", "G12", "G13", "G23")}
-        warn_unusual_material("Ply", moduli, own.density, own.strength.Xt if own.strength else None)
+        numbers = without_variables(self)
+        moduli = {name: getattr(numbers, name) for name in ("E1", "E2", "G12", "G13", "G23")}
+        warn_unusual_material("Ply", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
 
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float | Tensor, strength: Strength | None = None) -> Ply:

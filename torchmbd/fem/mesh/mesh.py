@@ -40,12 +40,12 @@ def _none(corners: int) -> Tensor:
     return torch.empty(0, corners, dtype=torch.long)
 
 
-def node_members(kind: str, name: Any, given: Any) -> tuple[int, ...]:
+def node_members(kind: str, name: Any, members: Any) -> tuple[int, ...]:
     """Read the node indices of the set `name` of a `kind` of mesh; InputError where they are no list of whole numbers."""
     where = f"node_sets of a {kind}: {name!r}"
-    nodes = indices(where, list(given) if isinstance(given, (Sequence, set)) else given)
+    nodes = indices(where, list(members) if isinstance(members, (Sequence, set)) else members)
     if nodes.dim() != 1:
-        raise InputError(f"{where} is {given!r}; allowed: a list of nodes")
+        raise InputError(f"{where} is {members!r}; allowed: a list of nodes")
     return tuple(nodes.tolist())
 
 
@@ -80,12 +80,12 @@ class Mesh:
     def __post_init__(self) -> None:
         if not isinstance(self.node_sets, Mapping):
             raise InputError(f"node_sets of a Mesh is {self.node_sets!r}; allowed: names -> lists of nodes")
-        sets = {str(name): node_members("Mesh", name, given) for name, given in self.node_sets.items()}
+        sets = {str(name): node_members("Mesh", name, members) for name, members in self.node_sets.items()}
         object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
         object.__setattr__(self, "node_sets", sets)
         for name in ("triangles", "quads", "lines"):
-            own = indices(f"{name} of a Mesh", getattr(self, name))
-            object.__setattr__(self, name, own)
+            elements = indices(f"{name} of a Mesh", getattr(self, name))
+            object.__setattr__(self, name, elements)
         self._check()
 
     def _check(self) -> None:
@@ -143,17 +143,17 @@ class Mesh:
         """
         sides = [torch.stack([c, c.roll(-1, 1)], -1).flatten(0, 1) for c in self.cells.values()]
         pairs, count = torch.unique(torch.cat(sides).sort(1).values, dim=0, return_counts=True)
-        found = torch.zeros(len(self.nodes), dtype=torch.bool)
-        found[pairs[count == 1].flatten()] = True
+        mask = torch.zeros(len(self.nodes), dtype=torch.bool)
+        mask[pairs[count == 1].flatten()] = True
         near = 1e-6 * float((self.nodes.amax(0) - self.nodes.amin(0)).norm())
         for axis, at in enumerate((x, y, z)):
             if at is not None:
-                found &= (self.nodes[:, axis] - scalar(f"{'xyz'[axis]} of edge", at, "a number", " m")).abs() <= near
-        if not bool(found.any()):
+                mask &= (self.nodes[:, axis] - scalar(f"{'xyz'[axis]} of edge", at, "a number", " m")).abs() <= near
+        if not bool(mask.any()):
             raise InputError(
                 f"Mesh: no edge at x={x}, y={y}, z={z}; allowed: coordinates [m] of nodes on an edge, or None"
             )
-        return tuple(found.nonzero().flatten().tolist())
+        return tuple(mask.nonzero().flatten().tolist())
 
     def node_name(self, k: int) -> str:
         """What messages call a node."""

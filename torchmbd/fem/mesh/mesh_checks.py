@@ -127,8 +127,8 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     duplicate = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
     if len(duplicate):
         k = int(duplicate[0])
-        one, two = mesh.cell_name(start + int(first[inverse.ravel()[k]])), mesh.cell_name(start + k)
-        _refuse(mesh, f"Mesh: {one} and {two} are duplicates, nodes {corners[k].tolist()}", len(duplicate))
+        original, copy = mesh.cell_name(start + int(first[inverse.ravel()[k]])), mesh.cell_name(start + k)
+        _refuse(mesh, f"Mesh: {original} and {copy} are duplicates, nodes {corners[k].tolist()}", len(duplicate))
     p = mesh.nodes[corners]
     ahead, back, area = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p, directed_area(p)
     height = torch.linalg.cross(ahead, back)  # of every corner: twice its triangle's directed area
@@ -155,8 +155,8 @@ def _collapsed(corners: int) -> str:
 def _check_orphans(mesh: Cells) -> None:
     n = len(mesh.nodes)
     used = torch.zeros(n, dtype=torch.bool)
-    for own in (*mesh.cells.values(), mesh.lines.clamp(0, n - 1)):
-        used[own.flatten()] = True
+    for corners in (*mesh.cells.values(), mesh.lines.clamp(0, n - 1)):
+        used[corners.flatten()] = True
     if not used.all():
         orphans = (~used).nonzero().flatten().tolist()
         names = ", ".join(mesh.node_name(k) for k in orphans[:8])

@@ -93,31 +93,31 @@ def eigenpair_branches(
     psi = psi @ ModeSeparation.apply(pencil, K, M, psi, ~same_cluster(values, rounding(pencil, K, M), cluster))
     series = taylor(along, orders)
     Psi, Kr = retained_series(pencil, values, psi, [K for K, _ in series], [M for _, M in series])
-    found = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)
-    gamma = [torch.stack([branch.vector[m] for branch in found], dim=1) for m in (0, 1)]
+    branches = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)
+    gamma = [torch.stack([branch.vector[m] for branch in branches], dim=1) for m in (0, 1)]
     sign = signs(Psi[0] @ gamma[0])
     return Branches(
-        values=torch.stack([branch.value[0] for branch in found]),
+        values=torch.stack([branch.value[0] for branch in branches]),
         vectors=Psi[0] @ gamma[0] * sign,
-        value_slopes=torch.stack([branch.value[1] for branch in found]),
+        value_slopes=torch.stack([branch.value[1] for branch in branches]),
         vector_slopes=(Psi[1] @ gamma[0] + Psi[0] @ gamma[1]) * sign,
-        split=torch.tensor([branch.split for branch in found]),
+        split=torch.tensor([branch.split for branch in branches]),
     )
 
 
 def taylor(function: Callable[[Tensor], tuple[Tensor, Tensor]], orders: int) -> list[tuple[Tensor, Tensor]]:
     """Return the Taylor coefficients at zero of a pair of tensors that depend on a scalar, orders 0 to `orders`."""
-    zero, one = torch.zeros((), dtype=torch.float64), torch.ones((), dtype=torch.float64)
+    zero, unit = torch.zeros((), dtype=torch.float64), torch.ones((), dtype=torch.float64)
     coefficients = []
     for m in range(orders + 1):
         first, second = function(zero)
         coefficients.append((first / math.factorial(m), second / math.factorial(m)))
-        function = _derivative(function, one)
+        function = _derivative(function, unit)
     return coefficients
 
 
-def _derivative(function: Callable, one: Tensor) -> Callable:
-    return lambda t: jvp(function, (t,), (one,))[1]
+def _derivative(function: Callable, unit: Tensor) -> Callable:
+    return lambda t: jvp(function, (t,), (unit,))[1]
 
 
 class _Branch(NamedTuple):

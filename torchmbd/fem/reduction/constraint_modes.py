@@ -58,15 +58,15 @@ def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Te
 
 def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
     """Interface freedoms as integers; InputError where they are out of range, repeated, none or all."""
-    found = tuple(indices("interface", list(interface)).tolist())
-    for i in found:
+    freedoms = tuple(indices("interface", list(interface)).tolist())
+    for i in freedoms:
         if not 0 <= i < size:
             raise InputError(f"interface has the freedom {i}; allowed: 0 ... {size - 1}")
-        if found.count(i) > 1:
+        if freedoms.count(i) > 1:
             raise InputError(f"interface has the freedom {i} more than once; allowed: each at most once")
-    if not 0 < len(found) < size:
-        raise InputError(f"interface has {len(found)} of {size} freedoms; allowed: at least one, and not all")
-    return found
+    if not 0 < len(freedoms) < size:
+        raise InputError(f"interface has {len(freedoms)} of {size} freedoms; allowed: at least one, and not all")
+    return freedoms
 
 
 @lru_cache(maxsize=64)

@@ -102,9 +102,9 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
 def _choice(stiffness: Tensor, accuracy: Tensor) -> Tensor:
     """Q [..., n, n] of repeated eigenvalues: the eigenvectors of C in forward mode, else a reflection in general position."""
     values = stiffness.diagonal(dim1=-2, dim2=-1).detach()
-    repeated, one = chained(values, accuracy[..., None]), torch.eye(values.shape[-1], dtype=values.dtype)
-    if all_true(repeated == one.bool()):
-        return one.expand(stiffness.shape)
+    repeated, eye = chained(values, accuracy[..., None]), torch.eye(values.shape[-1], dtype=values.dtype)
+    if all_true(repeated == eye.bool()):
+        return eye.expand(stiffness.shape)
     batched = debug_unwrap(stiffness, recurse=False).dim() != stiffness.dim()  # by a vmap that hides the tangent
     change = None if batched else unpack_dual(stiffness).tangent
     if change is not None:
@@ -113,12 +113,12 @@ def _choice(stiffness: Tensor, accuracy: Tensor) -> Tensor:
         first = repeated.to(C.dtype).argmax(-1).to(C.dtype)
         return torch.linalg.eigh(C + torch.diag_embed(first) * spread).eigenvectors
     v = 0.2 + torch.frac(
-        torch.arange(1, len(one) + 1, dtype=values.dtype) * 0.6180339887
+        torch.arange(1, len(eye) + 1, dtype=values.dtype) * 0.6180339887
     )  # golden ratio: no two are equal
     mirror = torch.where(repeated, v[:, None] * v, 0.0)
     size = repeated.to(v.dtype) @ v.square()[:, None]
     single = repeated.sum(-1, keepdim=True) == 1
-    return torch.where(single, one, one - 2.0 * mirror / size)
+    return torch.where(single, eye, eye - 2.0 * mirror / size)
 
 
 def same_cluster(values: Tensor, accuracy: Tensor, cluster: float) -> Tensor:

@@ -73,8 +73,8 @@ def has_isotropic_inertia(M: SparseMatrix) -> bool:
     _, block = torch.unique(blocks, return_inverse=True)
     each = values.new_zeros(3, len(values), int(block.max()) + 1)
     for k in range(3):
-        own = (i == 3 + k) & (j == 3 + k)
-        each[k].index_add_(1, block[own], M.values.detach().reshape(-1, M.pattern.nnz)[:, own])
+        mask = (i == 3 + k) & (j == 3 + k)
+        each[k].index_add_(1, block[mask], M.values.detach().reshape(-1, M.pattern.nnz)[:, mask])
     spread = (each.amax(0) - each.amin(0)).amax()
     length = (M.values.detach().abs().amax() * rotary.amax()).sqrt()
     return bool((off.amax() <= bound) & (spread <= bound) & (mixed.amax() <= ISOTROPY * length))
@@ -125,10 +125,10 @@ def _first_moments(M: SparseMatrix, psi: Tensor) -> Tensor:
     nodes, eps = psi.shape[-3], epsilon()
     turned = torch.zeros(nodes, 6, 3, dtype=psi.dtype)
     turned[:, 3:] = torch.eye(3, dtype=psi.dtype)
-    found = (M @ turned.flatten(0, 1)).unflatten(-2, (nodes, 6))
+    products = (M @ turned.flatten(0, 1)).unflatten(-2, (nodes, 6))
     t, r = psi[..., :3, :], psi[..., 3:, :]
-    s = 0.5 * torch.einsum("ipq,...nip->...nq", eps, found[..., :3, :])
-    J = found[..., 3:, :]
+    s = 0.5 * torch.einsum("ipq,...nip->...nq", eps, products[..., :3, :])
+    J = products[..., 3:, :]
     P = 0.5 * J.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] * torch.eye(3, dtype=psi.dtype) - J.mT
     return torch.einsum("...nia,...nj->...ija", t, s) + torch.einsum("ipq,...npa,...nqj->...ija", eps, r, P)
 
@@ -137,12 +137,12 @@ def _second_moments(M: SparseMatrix, psi: Tensor) -> Tensor:
     """sum over mass of u_ia u_jb [..., i, j, a, b] without that of translations alone."""
     nodes, modes, eps = psi.shape[-3], psi.shape[-1], epsilon()
     t, r = psi[..., :3, :], psi[..., 3:, :].flatten(-2)  # [..., n, 3 m]
-    found = []
+    products = []
     for w in range(3):
         column = psi.new_zeros(*psi.shape[:-3], nodes, 6, 3 * modes)
         column[..., 3 + w, :] = r
-        found.append((M @ column.flatten(-3, -2)).unflatten(-2, (nodes, 6)).unflatten(-1, (3, modes)))
-    Y = torch.stack(found, -5)  # [..., w, n, 6, u, b]
+        products.append((M @ column.flatten(-3, -2)).unflatten(-2, (nodes, 6)).unflatten(-1, (3, modes)))
+    Y = torch.stack(products, -5)  # [..., w, n, 6, u, b]
     s = 0.5 * torch.einsum("mwv,...wnmub->...nvub", eps, Y[..., :3, :, :])
     cross = torch.einsum("juv,...nia,...nvub->...ijab", eps, t, s)
     J = Y[..., 3:, :, :]

@@ -61,10 +61,10 @@ def _turn(G: Array, H: Array, apart: Array) -> Array:
     values, excess = G.diagonal() / H.diagonal(), H - np.eye(len(H))
     gaps = np.where(apart, values[None, :] - values[:, None], 1)
     mixed = G - excess * (values[None, :] + values[:, None]) / 2
-    one = np.eye(len(H))
-    A = one - excess / 2 + np.where(apart, (mixed + mixed.T) / 2 / gaps, 0)
+    eye = np.eye(len(H))
+    A = eye - excess / 2 + np.where(apart, (mixed + mixed.T) / 2 / gaps, 0)
     for _ in range(2):  # next to rounding Theta is no small turn: the sums over neighbors see whether A' H A = 1
-        A = A @ (1.5 * one - 0.5 * (A.T @ H @ A))
+        A = A @ (1.5 * eye - 0.5 * (A.T @ H @ A))
     return A
 
 

@@ -78,20 +78,20 @@ def chained(values: Tensor, distance: Tensor) -> Tensor:
 def _divided_differences(g: Callable[[Tensor], Tensor], values: Tensor) -> Tensor:
     """D [..., n, n] of eigenvalues [..., n]."""
     gap = values[..., :, None] - values[..., None, :]
-    found = _applied(g, values)
+    images = _applied(g, values)
     points = torch.stack([values[..., None, :] + t * gap for t in NODES])
     slope, back, *_ = torch.func.vjp(g, points)
     a, b, c, d, e = back(torch.ones_like(slope))[0].unbind()
     three, two = (5 * a + 8 * b + 5 * c) / 18, (d + e) / 2
-    quotient = (found[..., :, None] - found[..., None, :]) / torch.where(gap == 0, 1.0, gap)
-    size = found.abs()
+    quotient = (images[..., :, None] - images[..., None, :]) / torch.where(gap == 0, 1.0, gap)
+    size = images.abs()
     lost = torch.finfo(values.dtype).eps * (size[..., :, None] + size[..., None, :])
     return torch.where(lost >= (three - two).abs() * gap.abs(), three, quotient)
 
 
 def _applied(g: Callable[[Tensor], Tensor], values: Tensor) -> Tensor:
-    found = g(values)
-    if not isinstance(found, Tensor) or found.shape != values.shape or found.dtype != values.dtype:
-        kind = f"shape {tuple(found.shape)} of {found.dtype}" if isinstance(found, Tensor) else repr(found)
+    result = g(values)
+    if not isinstance(result, Tensor) or result.shape != values.shape or result.dtype != values.dtype:
+        kind = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
         raise InputError(f"g returned {kind}; allowed: float64 of shape {tuple(values.shape)}, as it was given")
-    return found
+    return result

@@ -41,8 +41,8 @@ class StaticLoads:
         lanes = np.broadcast_shapes(K.values.shape[:-1], F.shape[:-2])
         values = K.values.expand(*lanes, -1).reshape(-1, K.pattern.nnz)
         columns = F.expand(*lanes, *F.shape[-2:]).reshape(-1, *F.shape[-2:])
-        found: Any = _Displacements.apply(_Solver(self), values, columns)
-        return found.reshape(*lanes, *F.shape[-2:])
+        displacements: Any = _Displacements.apply(_Solver(self), values, columns)
+        return displacements.reshape(*lanes, *F.shape[-2:])
 
 
 class _Solver:
@@ -89,15 +89,15 @@ class _Displacements(torch.autograd.Function):
     @staticmethod
     def vmap(info: Any, in_dims: tuple, solver: _Solver, K: Tensor, F: Tensor) -> tuple[Tensor, int]:
         K, F = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[1]), (F, in_dims[2])))
-        found: Any = _Displacements.apply(solver, K.flatten(0, 1), F.flatten(0, 1))
-        return found.unflatten(0, (info.batch_size, -1)), 0
+        displacements: Any = _Displacements.apply(solver, K.flatten(0, 1), F.flatten(0, 1))
+        return displacements.unflatten(0, (info.batch_size, -1)), 0
 
     @staticmethod
     def jvp(ctx: Any, _solver: None, dK: Tensor | None, dF: Tensor | None) -> Any:
         (U,) = ctx.saved_tensors
         dK, dF = (None if x is None else x.unsqueeze(1) for x in (dK, dF))
-        found: Any = _Tangent.apply(ctx.solver, U, dK, dF)
-        return found.squeeze(1)
+        tangent: Any = _Tangent.apply(ctx.solver, U, dK, dF)
+        return tangent.squeeze(1)
 
     @staticmethod
     def backward(ctx: Any, *G: Tensor) -> tuple[None, Tensor, Tensor]:

@@ -145,9 +145,9 @@ def box(
         return patches
 
     plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
-    own = angles if shared else np.concatenate([np.asarray(walls[w]) for w in WALLS]).tolist()
+    section_angles = angles if shared else np.concatenate([np.asarray(walls[w]) for w in WALLS]).tolist()
     return Section(
-        parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own
+        parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, section_angles
     )
 
 
@@ -269,9 +269,9 @@ def i_section(
         return patches
 
     plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
-    own = np.concatenate([np.asarray(angles[n]) for n in names]).tolist()
+    section_angles = np.concatenate([np.asarray(angles[n]) for n in names]).tolist()
     return Section(
-        parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own
+        parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, section_angles
     )
 
 

@@ -48,8 +48,8 @@ class SectionGeometry:
         self._units = torch.cat(
             [mesh.nodes.new_zeros(0, *mesh.nodes.shape), *(of for _, of in mesh.dimensions.values())]
         )
-        given = [x.detach().flatten() for x, _ in mesh.dimensions.values()]
-        self._rest = mesh.nodes - torch.einsum("e,eni->ni", torch.cat([mesh.nodes.new_zeros(0), *given]), self._units)
+        sizes = [x.detach().flatten() for x, _ in mesh.dimensions.values()]
+        self._rest = mesh.nodes - torch.einsum("e,eni->ni", torch.cat([mesh.nodes.new_zeros(0), *sizes]), self._units)
         self._set_nodes(mesh.nodes)
 
     def with_dimensions(self, x: Float[Tensor, "*lanes e"]) -> SectionGeometry:
@@ -192,8 +192,8 @@ def _wall_rotation(along: Tensor) -> Float[Tensor, "*lanes m g 3 3"]:
 def _rigid(yz: Tensor) -> Float[Tensor, "*lanes m g 3 6"]:
     y, z = yz.unbind(-1)
     o = torch.zeros_like(y)
-    one = o + 1.0
-    rows = [one, o, o, o, z, -y, o, one, o, -z, o, o, o, o, one, y, o, o]
+    unit = o + 1.0
+    rows = [unit, o, o, o, z, -y, o, unit, o, -z, o, o, o, o, unit, y, o, o]
     return torch.stack(rows, -1).unflatten(-1, (3, 6))
 
 

@@ -170,16 +170,16 @@ def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequ
     return [elements]  # pyright: ignore[reportReturnType]
 
 
-def _is_row(given: Any) -> bool:
+def _is_row(elements: Any) -> bool:
     """Whether a list starts with one element's nodes, not with an array of elements."""
-    return given.ndim == 1 if hasattr(given, "ndim") else not (len(given) and hasattr(given[0], "__len__"))
+    return elements.ndim == 1 if hasattr(elements, "ndim") else not (len(elements) and hasattr(elements[0], "__len__"))
 
 
-def _per_element(name: str, given: Tensor, count: int) -> Tensor:
-    if given.shape not in ((), (count,)):
-        shape = tuple(given.shape)
+def _per_element(name: str, values: Tensor, count: int) -> Tensor:
+    if values.shape not in ((), (count,)):
+        shape = tuple(values.shape)
         raise InputError(f"SectionMesh: {name} has shape {shape}; allowed: one number, or one for each element")
-    return given.expand(count).clone()
+    return values.expand(count).clone()
 
 
 def _corners(nodes: int) -> Tensor:

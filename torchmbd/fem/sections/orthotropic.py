@@ -60,17 +60,17 @@ class Orthotropic:
                 raise InputError(
                     f"Orthotropic: {name} = {value!r}; allowed: a finite number, or mbd.variable(...) of one"
                 )
-        own = without_variables(self)
-        normal = own._compliance()[:3, :3]
+        numbers = without_variables(self)
+        normal = numbers._compliance()[:3, :3]
         scale = normal.diagonal().rsqrt()
         if not float(torch.linalg.eigvalsh(scale[:, None] * normal * scale).min()) > 1e-9:
             raise InputError(
-                f"Orthotropic: nu12 = {own.nu12!r}, nu13 = {own.nu13!r}, nu23 = {own.nu23!r} make the compliance "
+                f"Orthotropic: nu12 = {numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r} make the compliance "
                 "not positive definite; allowed: |nu_ij| < sqrt(E_i / E_j), "
                 "and the determinant of the three normal strains positive"
             )
-        moduli = {name: getattr(own, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
-        warn_unusual_material("Orthotropic", moduli, own.density, own.strength.Xt if own.strength else None)
+        moduli = {name: getattr(numbers, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
+        warn_unusual_material("Orthotropic", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
 
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float | Tensor) -> Orthotropic:
@@ -107,8 +107,10 @@ class Orthotropic:
         """Return the solid with the numbers of a design, [] or [lanes], of the ply that it was made of; unchecked."""
         if isinstance(ply, Orthotropic):
             return ply
-        own = {name: getattr(ply, name) for name in ("E1", "E2", "G12", "G13", "G23", "nu12", "density", "strength")}
-        return with_fields(self, own | {"E3": ply.E2, "nu13": ply.nu12, "nu23": ply.E2 / (2.0 * ply.G23) - 1.0})
+        properties = {
+            name: getattr(ply, name) for name in ("E1", "E2", "G12", "G13", "G23", "nu12", "density", "strength")
+        }
+        return with_fields(self, properties | {"E3": ply.E2, "nu13": ply.nu12, "nu23": ply.E2 / (2.0 * ply.G23) - 1.0})
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """C [Pa] for strains (11, 22, 33, 23, 13, 12), shear strains gamma."""
@@ -134,11 +136,11 @@ def in_wall_axes(
 def strain_rotation(theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*lanes layers 6 6"]:
     """Return T, which maps strains (xx, ss, nn, sn, xn, xs) of the wall to (11, 22, 33, 23, 13, 12) of the ply."""
     c, s = torch.cos(theta), torch.sin(theta)
-    o, one = torch.zeros_like(c), torch.ones_like(c)
+    o, unit = torch.zeros_like(c), torch.ones_like(c)
     rows = [
         [c * c, s * s, o, o, o, c * s],
         [s * s, c * c, o, o, o, -c * s],
-        [o, o, one, o, o, o],
+        [o, o, unit, o, o, o],
         [o, o, o, c, -s, o],
         [o, o, o, s, c, o],
         [-2 * c * s, 2 * c * s, o, o, o, c * c - s * s],

@@ -30,20 +30,22 @@ class Patch:
 
 
 def parametric_mesh(
-    build: Callable[..., Sequence[Patch]], given: Mapping[str, Any], order: int, plane_angle: float | None = None
+    build: Callable[..., Sequence[Patch]], dimensions: Mapping[str, Any], order: int, plane_angle: float | None = None
 ) -> SectionMesh:
-    """Return the mesh of the patches build(**given), whose points are linear in the given dimensions [m].
+    """Return the mesh of the patches build(**dimensions), whose points are linear in them [m].
 
     Dimensions that are Parameters are design variables of the mesh. plane_angle: of all elements
     """
-    sizes = {name: x.detach().numpy() if isinstance(x, Tensor) else np.asarray(x, float) for name, x in given.items()}
+    sizes = {
+        name: x.detach().numpy() if isinstance(x, Tensor) else np.asarray(x, float) for name, x in dimensions.items()
+    }
     mesh, kept = _mesh_of_patches(build(**sizes), order, plane_angle)
-    for name, x in given.items():
+    for name, x in dimensions.items():
         if isinstance(x, nn.Parameter):
             nothing = {other: 0.0 * size for other, size in sizes.items()}
             units = np.eye(x.numel()).reshape(-1, *x.shape)
-            found = [_points(build(**nothing | {name: unit}))[kept] for unit in units]
-            mesh.dimensions[name] = x, torch.from_numpy(np.stack(found))
+            points = [_points(build(**nothing | {name: unit}))[kept] for unit in units]
+            mesh.dimensions[name] = x, torch.from_numpy(np.stack(points))
     return mesh
 
 

@@ -208,13 +208,13 @@ def _by_stiffness(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor
     return result
 
 
-def _pairs(g: SectionGeometry, left: Tensor, right: Tensor, layers: int) -> Float[Tensor, "lane p q layers 6 6"]:
-    """left_a right_b integrated over each layer, for all pairs of columns."""
-    p, q = left.shape[-1], right.shape[-1]
-    weighted = g.weight[..., None, None] * left
-    result = left.new_zeros(len(left), p, q, layers, 6, 6)
-    for k, own in enumerate(g.elements_of_layers(layers)):
-        a, b = (x[:, own].flatten(1, 2).flatten(2) for x in (weighted, right))  # [lane, points, 6 columns]
+def _pairs(g: SectionGeometry, first: Tensor, second: Tensor, layers: int) -> Float[Tensor, "lane p q layers 6 6"]:
+    """first_a second_b integrated over each layer, for all pairs of columns."""
+    p, q = first.shape[-1], second.shape[-1]
+    weighted = g.weight[..., None, None] * first
+    result = first.new_zeros(len(first), p, q, layers, 6, 6)
+    for k, elements in enumerate(g.elements_of_layers(layers)):
+        a, b = (x[:, elements].flatten(1, 2).flatten(2) for x in (weighted, second))  # [lane, points, 6 columns]
         result[:, :, :, k] = (a.mT @ b).unflatten(-1, (6, q)).unflatten(-3, (6, p)).permute(0, 2, 4, 1, 3)
     return result
 

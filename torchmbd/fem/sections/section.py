@@ -123,8 +123,8 @@ class Section(nn.Module):
     @property
     def _dimensions(self) -> Float[Tensor, "*lanes e"]:
         """Dimensions of the mesh that are parameters [m]."""
-        given = [(getattr(self, name), x.dim()) for name, (x, _) in self.mesh.dimensions.items()]
-        flat = [x.reshape(*x.shape[: x.dim() - own], -1) for x, own in given]
+        dimensions = [(getattr(self, name), x.dim()) for name, (x, _) in self.mesh.dimensions.items()]
+        flat = [x.reshape(*x.shape[: x.dim() - rank], -1) for x, rank in dimensions]
         lanes = np.broadcast_shapes(*(x.shape[:-1] for x in flat))
         return torch.cat([self._constant.new_zeros(*lanes, 0), *(x.expand(*lanes, -1) for x in flat)], -1)
 

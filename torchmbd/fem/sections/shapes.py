@@ -45,8 +45,8 @@ def shape(nodes: int, points: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _triangle(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    one = torch.ones_like(x)
-    N = torch.stack([one - x - y, x, y], dim=-1)
+    unit = torch.ones_like(x)
+    N = torch.stack([unit - x - y, x, y], dim=-1)
     dN = torch.tensor([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]], dtype=x.dtype).expand(len(x), 3, 2)
     return N, dN
 

@@ -86,13 +86,13 @@ def seal_and_store(compiled: Path, to: Path) -> Path:
 def entries() -> list[tuple[Path, int, bool]]:
     """Files and folders of torchmbd in the folder: path, bytes, and whether it is a library."""
     folder = cache_folder()
-    found = []
+    result = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.is_dir() and _OWN_FOLDER.fullmatch(path.name) and {f.name for f in path.iterdir()} <= _PARTS:
-            found.append((path, sum(f.stat().st_size for f in path.iterdir()), False))
+            result.append((path, sum(f.stat().st_size for f in path.iterdir()), False))
         elif path.is_file() and _OWN.fullmatch(path.name):
-            found.append((path, path.stat().st_size, path.suffix in READY))
-    return found
+            result.append((path, path.stat().st_size, path.suffix in READY))
+    return result
 
 
 def clear() -> None:

@@ -43,8 +43,8 @@ def _each(op: str, *xs: Any) -> Any:
     """An elementwise operation."""
     pieces = [x for x in xs if isinstance(x, Pieces)]
     if len(pieces) == 1 and all(x is pieces[0] or _is_constant_along(x, pieces[0]) for x in xs):
-        own = pieces[0]
-        return own.each(lambda part: _each(op, *(part if x is own else _for_part(x, own, part) for x in xs)))
+        whole = pieces[0]
+        return whole.each(lambda part: _each(op, *(part if x is whole else _for_part(x, whole, part) for x in xs)))
     program = program_of(*xs)
     numbers, loops = broadcast_loops([array(program, x) for x in xs])
     wide = np.broadcast_arrays(*numbers)
@@ -58,8 +58,8 @@ def _is_constant_along(x: Any, pieces: Pieces) -> bool:
         return True
     if isinstance(x, Pieces):
         return False
-    shape, own = tuple(x.shape), len(pieces.shape) - pieces.axis
-    return len(shape) < own or shape[-own] == 1
+    shape, count = tuple(x.shape), len(pieces.shape) - pieces.axis
+    return len(shape) < count or shape[-count] == 1
 
 
 def _for_part(x: Any, pieces: Pieces, part: Array) -> Any:
@@ -67,9 +67,9 @@ def _for_part(x: Any, pieces: Pieces, part: Array) -> Any:
     if isinstance(x, (int, float)):
         return x
     more = part.dim() - len(pieces.shape)
-    own = len(pieces.shape) - pieces.axis
-    for _ in range(more if len(x.shape) >= own else 0):
-        x = x.unsqueeze(len(x.shape) - own)
+    count = len(pieces.shape) - pieces.axis
+    for _ in range(more if len(x.shape) >= count else 0):
+        x = x.unsqueeze(len(x.shape) - count)
     return x
 
 

@@ -77,18 +77,18 @@ def _joined_in_memory(pieces: Pieces) -> Array:
     buffer = program.scratch(total * count * product(v.size for v in kept))
     start: AnySize = 0
     for x, n in pieces.parts:
-        own = new_variables((*others[:dim], *x.shape[dim : dim + n], *others[dim:]))
-        x = x.with_loops([v if w is not None else None for v, w in zip(own, x.loops, strict=True)])
-        outer = [v for d, v in enumerate(own) if v is not None and not dim <= d < dim + n]
+        variables = new_variables((*others[:dim], *x.shape[dim : dim + n], *others[dim:]))
+        x = x.with_loops([v if w is not None else None for v, w in zip(variables, x.loops, strict=True)])
+        outer = [v for d, v in enumerate(variables) if v is not None and not dim <= d < dim + n]
         outer.sort(key=program.rank)
-        inside = own[dim : dim + n]
+        inside = variables[dim : dim + n]
         for k in np.ndindex(*x.numbers.shape):
             along = constant_index(0)
             for i, size, v in zip(k[dim : dim + n], x.shape[dim : dim + n], inside, strict=True):
                 along = along.times(size).plus(loop_index(v) if v is not None else i)
             component = int(np.ravel_multi_index(k[:dim] + k[dim + n :], extents)) if extents else 0
             index = _composed(along.plus(start), outer, total, count, component)
-            program.write(buffer, [v for v in own if v is not None], index, int(x.numbers[k]))
+            program.write(buffer, [v for v in variables if v is not None], index, int(x.numbers[k]))
         start = start + product(x.shape[dim : dim + n])
     v = Variable(total, 0) if isinstance(total, Size) else None
     result_loops = (*loops[:dim], v, *loops[dim:])

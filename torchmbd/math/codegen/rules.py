@@ -41,7 +41,7 @@ def _abs(t: Tape, bar: int, _: int, args: tuple) -> tuple:
 
 
 def _tanh(t: Tape, bar: int, out: int, _: tuple) -> tuple:
-    return (t.call("mul", bar, t.call("sub", t.one, t.call("mul", out, out))),)
+    return (t.call("mul", bar, t.call("sub", t.unit, t.call("mul", out, out))),)
 
 
 def _chosen(order: Callable[[int, int], tuple[int, int]]) -> Rule:

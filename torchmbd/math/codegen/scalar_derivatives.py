@@ -11,7 +11,7 @@ from torchmbd.math.codegen.scalars import Tape
 
 def derivative(tape: Tape, output: int, by: int) -> int:
     """The derivative of a number of the tape by an input."""
-    known = {by: tape.one}
+    known = {by: tape.unit}
     stack = [output]
     while stack:
         node = stack[-1]
@@ -52,8 +52,8 @@ _UNARY = {
     "sin": lambda tape, y, x: tape.call("cos", x),
     "cos": lambda tape, y, x: tape.call("neg", tape.call("sin", x)),
     "exp": lambda tape, y, x: y,
-    "log": lambda tape, y, x: tape.call("div", tape.one, x),
-    "tanh": lambda tape, y, x: tape.call("sub", tape.one, tape.call("mul", y, y)),
+    "log": lambda tape, y, x: tape.call("div", tape.unit, x),
+    "tanh": lambda tape, y, x: tape.call("sub", tape.unit, tape.call("mul", y, y)),
     "sqrt": lambda tape, y, x: tape.call("div", tape.constant(0.5), y),
     "abs": lambda tape, y, x: tape.call("sub", tape.call("gt", x, tape.zero), tape.call("gt", tape.zero, x)),
 }

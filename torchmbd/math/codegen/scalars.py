@@ -55,7 +55,7 @@ class Tape:
         self.op: list[str] = []
         self.args: list[tuple] = []
         self._known: dict[tuple, int] = {}
-        self.zero, self.one = self.constant(0.0), self.constant(1.0)
+        self.zero, self.unit = self.constant(0.0), self.constant(1.0)
 
     def _node(self, op: str, *args: Any) -> int:
         key = (op, *args)
@@ -115,7 +115,7 @@ class Tape:
         for x, y in ((a, b), (b, a)):
             if x == self.zero:
                 return x
-            if x == self.one:
+            if x == self.unit:
                 return y
             if self.is_constant(x) and self.args[x][0] == -1.0:
                 return self.call("neg", y)

@@ -106,9 +106,9 @@ class Schedule:
 
     def _ordered(self) -> list[Write]:
         """The writes, each after all writes to the buffers that it loads."""
-        left: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for w in self.writes:
-            left[w.buffer] = left.get(w.buffer, 0) + 1
+            counts[w.buffer] = counts.get(w.buffer, 0) + 1
         waiting = {
             i: {self.program.args[x][0] for x in self.loads(w.number)} & self.written for i, w in enumerate(self.writes)
         }
@@ -116,11 +116,11 @@ class Schedule:
         while remaining:
             later = []
             for i in remaining:
-                if any(left[name] for name in waiting[i]):
+                if any(counts[name] for name in waiting[i]):
                     later.append(i)
                 else:
                     result.append(self.writes[i])
-                    left[self.writes[i].buffer] -= 1
+                    counts[self.writes[i].buffer] -= 1
             assert len(later) < len(remaining), "buffers load each other"
             remaining = later
         return result
