@@ -133,7 +133,7 @@ class PhaseAdjoint:
         entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
         base, c = pick_states(record.base, so_far.lanes), record.condensation
         so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, base)
-        indices = [i for i, lane in enumerate(so_far.lanes) if record.left[lane]]  # counted among those of so_far
+        indices = [i for i, lane in enumerate(so_far.lanes) if record.has_exit[lane]]  # counted among those of so_far
         if not indices:
             return
         lanes = [so_far.lanes[i] for i in indices]

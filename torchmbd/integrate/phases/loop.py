@@ -121,8 +121,8 @@ class _PhaseLoop:
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
         self.multiphase.never_left(self.phase_model, self.alive)
-        if bool(record.left.any()):
-            self._leave(lane_numbers(record.left))
+        if bool(record.has_exit.any()):
+            self._leave(lane_numbers(record.has_exit))
         return record.exit, stepper.statistics()
 
     def _boundary(self, i: int, last: int) -> int:
@@ -362,7 +362,7 @@ class _PhaseLoop:
             t, x = self._time(k) if k >= 0 else self.entry.t, states[i - 1 - k] if k >= 0 else record.start_of_steps
             t, x = pick_lanes(t, some), pick_states(x, some)
             record.base, self.base_time = put_states(record.base, some, x), put_lanes(self.base_time, some, t)
-        record.left[lanes], record.base_point[lanes] = True, points
+        record.has_exit[lanes], record.base_point[lanes] = True, points
         earlier = begin - value(self.base_time)[0, lanes]
         self.low[lanes], self.most[lanes], self.g_low[lanes] = low + earlier, high + earlier, g_low
 

@@ -40,7 +40,7 @@ class PhaseRecord:
     on_grid     whether the state there is `start` itself [lanes]
     start_of_steps  `start` as a condensed state
     arrival     the condensed state there, of lanes that get there
-    exit        where lanes left the phase, with the multipliers of retained rows;  left: which did [lanes]
+    exit        where lanes left the phase, with the multipliers of retained rows;  has_exit: which did [lanes]
     base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
     base        the condensed state there
     checkpoints  algorithmic accelerations [n_v, 1, lanes] at points of the grid from which steps can be made again
@@ -62,7 +62,7 @@ class PhaseRecord:
         self.start_of_steps = self.arrival = self.base = self.retained(self.start)
         never = linear(torch.zeros_like, self.entry.t)
         self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start._replace(lam=self.base.lam))
-        self.left = torch.zeros_like(self.on_grid)
+        self.has_exit = torch.zeros_like(self.on_grid)
         self.base_point = torch.full_like(self.first, -1)
 
     @property

@@ -79,7 +79,7 @@ class AxialStop(_Stop):
     """Stops of a sliding joint: s = (g_b - g_a) . axis stays between two limits, or above or below one.
 
     a, b, axis     the frames, and the axis of frame a along which they slide, as of AxialSpringDamper
-    given          lower, upper: limits [m], at least one of them; stiffness k [N/m^n], damping c [s/m] (0) and exponent n (1)
+    arguments      lower, upper: limits [m], at least one of them; stiffness k [N/m^n], damping c [s/m] (0) and exponent n (1)
                    of the penalty force k d^n (1 + c d'), d the penetration, which never pulls; and the name of the element
                    and of its design variables, which all these numbers may be: "stop.upper"
 
@@ -105,7 +105,7 @@ class RotationalStop(_Stop):
 
     a, b, axis     the frames, the axis of frame a; the angle is that of RotationalSpringDamper, within half a turn of the
                    middle of the limits, or of the only one
-    given          lower, upper: limits [rad], at least one of them, less than a turn apart; stiffness k [N m/rad^n],
+    arguments      lower, upper: limits [rad], at least one of them, less than a turn apart; stiffness k [N m/rad^n],
                    damping c [s/rad] (0) and exponent n (1) of the penalty torque k d^n (1 + c d'), d the penetration [rad],
                    which never pulls; and the name of the element and of its design variables, which all these may be
 

@@ -66,7 +66,7 @@ class SpringDamper(_Between):
 class AxialSpringDamper(_Between):
     """Spring and damper along an axis of frame a: s = (g_b - g_a) . axis, for a sliding joint.
 
-    given  stiffness [N/m], damping [N s/m], rest [m], or a law f(s, s', t) [N] on b along the axis; and the name
+    arguments  stiffness [N/m], damping [N s/m], rest [m], or a law f(s, s', t) [N] on b along the axis; and the name
 
     >>> ground, block = mbd.Ground(), mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01))
     >>> slide = mbd.Prismatic(ground.at(), block.at(), axis="x")
@@ -92,8 +92,8 @@ class RotationalSpringDamper(_Between):
     The angle is that of the axis after `axis` (z -> x) of frame b from the same axis of frame a; within half a turn of the
     rest angle, or of `law.center`.
 
-    given  stiffness [N m/rad], damping [N m s/rad], rest [rad], or a law f(theta, theta', t) [N m] on b about the axis;
-           and the name
+    arguments  stiffness [N m/rad], damping [N m s/rad], rest [rad], or a law f(theta, theta', t) [N m] on b about the axis;
+               and the name
 
     >>> ground, arm = mbd.Ground(), mbd.RigidBody("arm", 1.0, (0.02, 0.02, 0.02))
     >>> hinge = mbd.Revolute(ground.at(), arm.at(), axis="z")
