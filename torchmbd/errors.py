@@ -83,15 +83,15 @@ def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
     return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")
 
 
-def true_or_false(name: str, given: Any) -> bool:
+def true_or_false(name: str, value: Any) -> bool:
     """Read a switch; InputError for words, numbers and None: bool() makes True of "no"."""
-    if isinstance(given, bool):
-        return given
+    if isinstance(value, bool):
+        return value
     import numpy as np  # not above: the command line names its commands without it
 
-    if not isinstance(given, np.bool_):
-        raise InputError(f"{name} is {given!r}; allowed: True or False")
-    return bool(given)
+    if not isinstance(value, np.bool_):
+        raise InputError(f"{name} is {value!r}; allowed: True or False")
+    return bool(value)
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
@@ -139,11 +139,11 @@ def name_arguments(module: ModuleType, names: Iterable[str]) -> None:
 
 def _name_constructors(kind: type) -> None:
     for owner in (base for base in kind.__mro__ if base.__module__.startswith("torchmbd.")):
-        for name, own in list(vars(owner).items()):
-            if name == "__init__" and inspect.isfunction(own):
-                owner.__init__ = _named(own, None)
-            elif isinstance(own, classmethod) and name[0] != "_":
-                setattr(owner, name, classmethod(_named(own.__func__, f"{owner.__name__}.{name}")))
+        for name, member in list(vars(owner).items()):
+            if name == "__init__" and inspect.isfunction(member):
+                owner.__init__ = _named(member, None)
+            elif isinstance(member, classmethod) and name[0] != "_":
+                setattr(owner, name, classmethod(_named(member.__func__, f"{owner.__name__}.{name}")))
 
 
 def _named(function: Callable[..., Any], name: str | None) -> Callable[..., Any]:
@@ -179,9 +179,9 @@ def _unfit(function: Callable[..., Any], args: tuple, kwargs: dict[str, Any], na
             return f"argument {key!r} (= {_brief(x)}) of {name} is given twice; allowed: once"
     if len(args) > len(places) and inspect.Parameter.VAR_POSITIONAL not in kinds:
         return f"argument {_brief(args[len(places)])} of {name} is one too many; allowed: {', '.join(shown)}"
-    given = {*places[: len(args)], *kwargs}
+    names = {*places[: len(args)], *kwargs}
     for p in parameters:
-        if p.name in named and p.default is p.empty and p.name not in given:
+        if p.name in named and p.default is p.empty and p.name not in names:
             options = [key for key in kwargs if key not in named]
             for key in difflib.get_close_matches(p.name, options, n=1):  # an option of a function that takes any
                 return f"argument {key!r} (= {_brief(kwargs[key])}) of {name} does not exist{nearest(key, shown)}"

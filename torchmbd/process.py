@@ -20,8 +20,8 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_
 
 def cache_folder() -> Path:
     """Where a user's processes keep what serves them all: compiled libraries, the lock of new stores."""
-    if given := os.environ.get("TORCHMBD_CACHE"):
-        return Path(given)
+    if folder := os.environ.get("TORCHMBD_CACHE"):
+        return Path(folder)
     try:
         return Path.home() / ".cache" / "torchmbd"
     except RuntimeError:  # neither HOME nor an entry of the user's in the system, as in a container

@@ -61,9 +61,9 @@ def stages_told(tell: Callable[[str], None]) -> Iterator[None]:
 
 def begin_stage(name: str) -> None:
     """Tell that a stage begins."""
-    found = _stage.get()
-    if found is not None:
-        found(name)
+    begin = _stage.get()
+    if begin is not None:
+        begin(name)
 
 
 @contextmanager
@@ -103,9 +103,9 @@ def motion_shown(progress: bool | None, duration: float) -> Iterator[None]:
 
 def reach(t: Tensor) -> None:
     """Move the bar of a motion, if there is one, to time t [s]."""
-    found = _reached.get()
-    if found is not None:
-        found(float(t.max()))
+    move = _reached.get()
+    if move is not None:
+        move(float(t.max()))
 
 
 def both(first: Callable[[Any], None], second: Callable[[Any], None] | None) -> Callable[[Any], None]:

@@ -77,8 +77,8 @@ def _leading(x: Tensor, dims: int) -> Tensor:
 def _table(kinds: int, derivative: int) -> list[list[float]]:
     """Coefficients, by powers of s, of the weights of value, value, slope, slope, ... at both ends."""
     rows = []
-    for k, left in enumerate(_LEFT[kinds]):
-        for row in (left, tuple((-1.0) ** k * c for c in _mirrored(left))):
+    for k, weights in enumerate(_LEFT[kinds]):
+        for row in (weights, tuple((-1.0) ** k * c for c in _mirrored(weights))):
             for _ in range(derivative):
                 row = tuple(power * c for power, c in enumerate(row))[1:]
             rows.append([float(c) for c in row])

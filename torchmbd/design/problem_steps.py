@@ -112,25 +112,25 @@ def steps_for(
     most        times the first steps
     least_size  of the objective, by which its error is measured
     """
-    found = _errors(problem, x, None if steps is None else (steps + 1) // 2, least_size)
-    tolerance, n = tolerance or problem.tolerance, steps or found.choice.steps
-    if n is None or found.multiple is None or tolerance is None:
+    errors = _errors(problem, x, None if steps is None else (steps + 1) // 2, least_size)
+    tolerance, n = tolerance or problem.tolerance, steps or errors.choice.steps
+    if n is None or errors.multiple is None or tolerance is None:
         return StepChoice(n)
     limit, tried = min(most * n, max(MOST_STEPS, n)), []
     while True:
-        tried.append(found.choice.by(n))
-        if n > (found.choice.steps or n) and found.choice.error <= tolerance:  # however it falls: it is small enough
+        tried.append(errors.choice.by(n))
+        if n > (errors.choice.steps or n) and errors.choice.error <= tolerance:  # however it falls: it is small enough
             tried[-1] = replace(tried[-1], reason="")
         if not (tried[-1].meets(tolerance) or n >= limit or _is_stuck(tried)):
             growth = _MORE * math.sqrt(tried[-1].error / tolerance) if math.isfinite(tried[-1].error) else _MOST_MORE
             growth = min(max(growth, _UNKNOWN if tried[-1].reason else _LEAST_MORE), _MOST_MORE)
             n = min(limit, math.ceil(growth * n))
-            n = -(-n // found.multiple) * found.multiple
-            if found.choice.reason or n > FAR * (found.choice.steps or n):
-                found = _errors(problem, x, (n + 1) // 2, least_size)
-                if found.multiple is not None:
+            n = -(-n // errors.multiple) * errors.multiple
+            if errors.choice.reason or n > FAR * (errors.choice.steps or n):
+                errors = _errors(problem, x, (n + 1) // 2, least_size)
+                if errors.multiple is not None:
                     continue
-            tried.append(found.choice.by(n))
+            tried.append(errors.choice.by(n))
         return min(tried, key=lambda choice: (not choice.meets(tolerance), choice.error))
 
 

@@ -107,8 +107,8 @@ def verification(
             faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
-    notes = [f"{words(one.measure)}: {one.error.note}" for one in responses if one.error.note]
-    notes += dict.fromkeys(text for one in responses for text in one.error.unknown)
+    notes = [f"{words(response.measure)}: {response.error.note}" for response in responses if response.error.note]
+    notes += dict.fromkeys(text for response in responses for text in response.error.unknown)
     notes += ["values and errors are those of the nominal design, without tolerances"] * robust
     objective = responses[0]
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (objective.value, objective.finer)]
@@ -116,7 +116,7 @@ def verification(
     if faults:
         by_modes = any(fault.response.by_modes and not fault.unresolved for fault in faults)
         todo = f"{advice(simulated, max(fault.need for fault in faults), by_modes)}, and the search again"
-    answers = tuple(one.answer for one in responses)
+    answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
 
 
@@ -198,7 +198,7 @@ def _responses(
     objective, *errors = design_errors(problem, np.stack(designs), beside)
     value, finer = (x.max(1) for x in _both(objective))
     asked = "minimize" if problem.sign > 0.0 else "maximize"
-    found = [
+    responses = [
         _Response(asked, problem.stated_objective, value, finer, objective, problem.sign),
     ]
     initial = next((k for k, x in enumerate(designs) if np.array_equal(x, problem.space.start)), None)
@@ -211,11 +211,11 @@ def _responses(
             limits = known[k].finer_limits
         elif constraint.limit == "initial":
             limits = limits_of(constraint, _both(error)[1][initial].reshape(-1, constraint.measure.rows)).reshape(-1)
-        found.append(_constrained(constraint, error, problem.limits[rows], limits, problem.reference.scale[rows]))
+        responses.append(_constrained(constraint, error, problem.limits[rows], limits, problem.reference.scale[rows]))
     for measure, error in zip(beside, errors[count:], strict=True):
         value, finer = _both(error)
-        found.append(_Response("", measure, value[:, 0], finer[:, 0], error))
-    return found
+        responses.append(_Response("", measure, value[:, 0], finer[:, 0], error))
+    return responses
 
 
 def _constrained(
@@ -252,34 +252,34 @@ def _beside(problem: Problem) -> list[Measure]:
     wanted = [Mass(body) for body in bodies]
     wanted += [Frequency(body, k + 1) for body in bodies for k in range(_FREQUENCIES)]
     asked = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
-    found = []
+    measures = []
     for measure in wanted:
         try:
             measure.check(problem.system)
         except InputError:  # a rigid body has no frequency, a controller no mass
             continue
-        found += [measure] * (measure not in asked)
-    return found
+        measures += [measure] * (measure not in asked)
+    return measures
 
 
 def _excess(responses: Sequence[_Response], lane: int, finer: bool = False) -> float:
     """The largest violation of a constraint of a design, 0 where all are satisfied."""
-    every = [one.finer_excess if finer else one.excess for one in responses]
+    every = [response.finer_excess if finer else response.excess for response in responses]
     return max((float(x[lane]) for x in every if x is not None), default=0.0)
 
 
 def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> list[_Fault]:
     """Constraints that do not hold in the finer model."""
     faults = []
-    for one in responses:
-        if one.excess is None or one.finer_excess is None or one.change is None:
+    for response in responses:
+        if response.excess is None or response.finer_excess is None or response.change is None:
             continue
-        beyond, name = float(one.finer_excess[lane]), words(one.measure)
-        if one.reasons[lane] and not one.change[lane] < -one.excess[lane]:
-            faults.append(_Fault(f"{name} is not resolved: {one.reasons[lane]}", one, _UNRESOLVED, True))
+        beyond, name = float(response.finer_excess[lane]), words(response.measure)
+        if response.reasons[lane] and not response.change[lane] < -response.excess[lane]:
+            faults.append(_Fault(f"{name} is not resolved: {response.reasons[lane]}", response, _UNRESOLVED, True))
         elif not beyond <= LIMIT:
             text = f"{name} is beyond its limit by {100.0 * beyond:.3g} % in the finer model"
-            faults.append(_Fault(text, one, beyond / LIMIT))
+            faults.append(_Fault(text, response, beyond / LIMIT))
     return faults
 
 

@@ -49,17 +49,17 @@ def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
         raise InputError(f"name is {name!r}; allowed: the name of a matrix of the file, or None")
     file = Path(path)
     try:
-        found = _read(file)
+        matrices = _read(file)
     except (ValueError, OSError, IndexError, OverflowError) as error:
         raise error if isinstance(error, InputError) else InputError(f"{file.name}: {error}") from None
-    names = [key for key in found if name is None or key.upper().startswith(name.upper())]
-    if name in found:
+    names = [key for key in matrices if name is None or key.upper().startswith(name.upper())]
+    if name in matrices:
         names = [name]
     if len(names) != 1:
         raise InputError(
-            f"{file.name} has the matrices {list(found)}, name is {name!r}; allowed: the name of one of them"
+            f"{file.name} has the matrices {list(matrices)}, name is {name!r}; allowed: the name of one of them"
         )
-    chosen = found[names[0]]
+    chosen = matrices[names[0]]
     if isinstance(chosen, InputError):
         raise chosen
     return chosen
@@ -256,12 +256,12 @@ def _dmig(file: Path) -> dict[str, LabeledMatrix | InputError]:
             continue
         if name not in entries:
             raise InputError(f"{card}: the card of its header (second field 0) comes later or never")
-        right = card.integer(2, "GJ"), card.integer(3, "CJ", 0) or 1
+        column = card.integer(2, "GJ"), card.integer(3, "CJ", 0) or 1
         for start in range(5, len(card.fields) + 1, 4):
             if card.text(start):
-                left = card.integer(start, "G"), card.integer(start + 1, "C", 0) or 1
-                entries[name].append((left, right, card.real(start + 2, "A")))
-    found = refused | {name: _assembled(file.name, own) for name, own in entries.items() if own}
-    if not found:
+                row = card.integer(start, "G"), card.integer(start + 1, "C", 0) or 1
+                entries[name].append((row, column, card.real(start + 2, "A")))
+    matrices = refused | {name: _assembled(file.name, terms) for name, terms in entries.items() if terms}
+    if not matrices:
         raise InputError(f"{file.name} has no DMIG matrix; allowed: one at least")
-    return found
+    return matrices

@@ -131,8 +131,8 @@ class Grid:
         if not used:
             return {}
         rows = [x if x.shape[-1] == y.shape[-1] else x.sum(-1, keepdim=True) for y, x in used]
-        found = pull_back([y for y, _ in used], leaves, [x.movedim(-2, 0).unsqueeze(-2) for x in rows])
-        return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, found, strict=True)}
+        cotangents = pull_back([y for y, _ in used], leaves, [x.movedim(-2, 0).unsqueeze(-2) for x in rows])
+        return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, cotangents, strict=True)}
 
 
 class Cotangents(NamedTuple):
@@ -208,9 +208,9 @@ class Adjoint:
         refined = self.history.refined
         lanes = [lane for lane in range(self.dynamics.lanes) if lane not in refined and lane not in self.failed]
         grids = [self._grid(names, lanes, self.history, lanes, 1)] if lanes else []
-        for lane, own in refined.items():
+        for lane, refinement in refined.items():
             if lane not in self.failed:
-                grids.append(self._grid(names, [lane], own.history, [own.lane], own.substeps))
+                grids.append(self._grid(names, [lane], refinement.history, [refinement.lane], refinement.substeps))
         return grids
 
     def _grid(
@@ -274,10 +274,10 @@ class AdjointSolver:
         for number in reversed(range(len(self.segments))):
             more = of_states.get(self.segments[number].stop)
             y = y if more is None else State(*(a + b for a, b in zip(y, more, strict=True)))
-            found, left = self._segment(number, of_motion, y)
-            by = {name: x + by.get(name, 0.0) for name, x in found.data.items()}
-            laws.append(found.laws)
-            y, error = found.start, error.maximum(left)
+            part, part_error = self._segment(number, of_motion, y)
+            by = {name: x + by.get(name, 0.0) for name, x in part.data.items()}
+            laws.append(part.laws)
+            y, error = part.start, error.maximum(part_error)
         varied = self.dynamics.topology.varying_primitives
         return Cotangents(by, torch.cat(laws[::-1]) if varied else None, y), error
 
@@ -290,11 +290,11 @@ class AdjointSolver:
         by: dict[str, Any] = dict.fromkeys(self.data, 0.0)
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
-            found = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)
-            y = State(*(a + b for a, b in zip(found.state, self._of_outputs(of_motion, steps[i]), strict=True)))
-            by = {name: x + found.data[name] for name, x in by.items()}
-            laws.append(torch.cat(list(found.laws.values())) if found.laws else None)
-            error = error.maximum(found.error)
+            cotangents = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)
+            y = State(*(a + b for a, b in zip(cotangents.state, self._of_outputs(of_motion, steps[i]), strict=True)))
+            by = {name: x + cotangents.data[name] for name, x in by.items()}
+            laws.append(torch.cat(list(cotangents.laws.values())) if cotangents.laws else None)
+            error = error.maximum(cotangents.error)
         return Cotangents(by, torch.stack(laws[::-1]) if T.varying_primitives else None, y), error
 
     def _schedule(self, steps: range) -> Schedule:
@@ -308,13 +308,13 @@ class AdjointSolver:
         """
         w, vd = self.grid.weights, self.grid.history.vd
         a = value(self.grid.start.a).expand(*vd.shape[1:])
-        found = [a]
+        accelerations = [a]
         for steps in self.segments[:-1]:
             some = vd[steps.start : steps.stop + 1]
             powers = w.a_from_a ** torch.arange(len(steps), dtype=torch.float64).flip(0)
             new = torch.einsum("t,tnsl->nsl", powers, w.a_from_vd * some[:-1] + w.share * some[1:])
-            found.append(new + w.a_from_a ** len(steps) * found[-1])
-        return found
+            accelerations.append(new + w.a_from_a ** len(steps) * accelerations[-1])
+        return accelerations
 
     def _history(self, number: int, schedule: Schedule) -> tuple[History, Tensor]:
         """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
@@ -326,11 +326,11 @@ class AdjointSolver:
 
     def _states(self, known: tuple[History, Tensor]) -> list[State]:
         """States [n, 1, lanes] of a history at all its times."""
-        (h, a), w, found = known, self.grid.weights, []
+        (h, a), w, states = known, self.grid.weights, []
         for i in range(len(h.q)):
-            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * h.vd[i] if found else a
-            found.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
-        return found
+            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * h.vd[i] if states else a
+            states.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
+        return states
 
     def _of_outputs(self, of_motion: MotionCotangents, i: int) -> State:
         """Cotangents of the state after i steps, as an output of the motion."""

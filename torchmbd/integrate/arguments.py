@@ -31,11 +31,11 @@ GRADIENTS = ("auto", "forward", "reverse", "none")
 
 
 def checked_integrator(
-    duration: Any, method: Any, steps: Any, options: Mapping[str, Any], own: Collection[str] = ()
+    duration: Any, method: Any, steps: Any, options: Mapping[str, Any], argument_names: Collection[str] = ()
 ) -> Integrator:
     """The integrator; InputError for arguments of `simulate` that are wrong for every system.
 
-    own  the names of all arguments but the options, of the function that takes these
+    argument_names  the names of all arguments but the options, of the function that takes these
     """
     if isinstance(duration, Tensor) and untransformed(duration).dim():
         what = f"a tensor of shape {tuple(duration.shape)}" if duration.dim() else "a batch of torch.vmap"
@@ -48,7 +48,7 @@ def checked_integrator(
     if not SHORTEST <= float(duration) / (steps or 1) <= LONGEST:
         step = f"steps of {float(duration) / (steps or 1):.3g} s"
         raise InputError(f"duration is {duration!r} s: {step}; allowed: {SHORTEST:g} to {LONGEST:g} s")
-    integrator = integrator_of(method, options, own)
+    integrator = integrator_of(method, options, argument_names)
     if steps is not None:
         integrator.stored_intervals(steps)
     return integrator
@@ -60,7 +60,7 @@ def check_gradients(gradients: Any, integrator: Integrator) -> None:
     if gradients != "reverse":
         return
     if not integrator.adjoint:
-        methods = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        methods = " or ".join(repr(name) for name, entry in INTEGRATORS.items() if entry.adjoint)
         raise InputError(
             f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {methods}, or 'forward'"
         )
@@ -77,7 +77,7 @@ def duration_is_differentiated(duration: Any, gradients: str, integrator: Integr
         return False
     obstacle = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
     if not integrator.adjoint or gradients in ("forward", "none"):
-        methods = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        methods = " or ".join(repr(name) for name, entry in INTEGRATORS.items() if entry.adjoint)
         raise InputError(
             f"duration is being differentiated, but {obstacle}; allowed: method {methods} with "
             "gradients='auto' or 'reverse', which have both modes, or duration.detach()"
@@ -134,10 +134,10 @@ def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
 
 def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
     """Designs with a lane axis; InputError names those that are not finite float64 numbers of the system's parameters."""
-    own = dict(system.named_parameters())
+    parameters = dict(system.named_parameters())
     if not isinstance(designs, (Mapping, type(None))):
         raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
-    for name, x in own.items():
+    for name, x in parameters.items():
         if x.dtype != torch.float64:
             raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
         if name in (designs or {}):
@@ -146,16 +146,16 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
             raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
         check_parameter("parameter", name, untransformed(x))
     result = {}
-    for name, given in (designs or {}).items():
-        if name not in own:
-            raise unknown("parameter", name, own)
-        x = given[None] if isinstance(given, Tensor) and given.shape == own[name].shape else given
-        if not isinstance(x, Tensor) or x.dtype != torch.float64 or x.shape[1:] != own[name].shape or not len(x):
+    for name, design in (designs or {}).items():
+        if name not in parameters:
+            raise unknown("parameter", name, parameters)
+        x = design[None] if isinstance(design, Tensor) and design.shape == parameters[name].shape else design
+        if not isinstance(x, Tensor) or x.dtype != torch.float64 or x.shape[1:] != parameters[name].shape or not len(x):
             seen = f"has shape {tuple(x.shape)} of {x.dtype}" if isinstance(x, Tensor) else f"is {x!r}"
-            shape = ", ".join(["lanes", *map(str, own[name].shape)])
+            shape = ", ".join(["lanes", *map(str, parameters[name].shape)])
             raise InputError(f"design {name!r} {seen}; allowed: a float64 tensor [{shape}]")
         _check_lanes(name, x, torch.isfinite(x), "finite numbers")
-        numbers_of = untransformed(x).reshape(-1, *own[name].shape)
+        numbers_of = untransformed(x).reshape(-1, *parameters[name].shape)
         lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())
         check_parameter(f"design of lane {lane}:", name, numbers_of[lane])
         if is_positive(system, name):
@@ -179,7 +179,7 @@ def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:
 
 def checked_variables(system: System, variables: Any) -> list[str]:
     """Names of parameters; InputError names what is none."""
-    own = dict(system.named_parameters())
+    parameters = dict(system.named_parameters())
     if isinstance(variables, str) or not isinstance(variables, Sequence):
         raise InputError(f"variables is {variables!r}; allowed: a list of names of parameters")
-    return [one_of("parameter", name, own) for name in variables]
+    return [one_of("parameter", name, parameters) for name in variables]

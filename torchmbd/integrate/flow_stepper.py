@@ -57,19 +57,19 @@ class FlowStepper(Stepper):
         return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
 
     def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
-        own = [_full(pick_lanes(y, [lane])) for y in x]
+        state = [_full(pick_lanes(y, [lane])) for y in x]
         if lane in self.failed:
-            return own
+            return state
         if lane not in self._rates:
             self._rates[lane] = RightHandSide(lanes_of(self.dynamics, [lane]))
         f, times = self._rates[lane], self.h * torch.arange(i - 1, i + 1, dtype=torch.float64)
         try:
-            y = flow(f, torch.cat(own[:2]), times, self.arguments)[-1]
+            y = flow(f, torch.cat(state[:2]), times, self.arguments)[-1]
         except FloatingPointError as error:
             self.failed[lane] = str(error)
-            return [y * torch.nan for y in own]
+            return [y * torch.nan for y in state]
         a, lam = f.accelerations(times[-1], y)
-        return [*y.split([len(own[0]), len(own[1])]), a, a, lam]
+        return [*y.split([len(state[0]), len(state[1])]), a, a, lam]
 
     def restart(self, lanes: Tensor | None = None) -> None:
         """See Stepper. Nothing is kept."""

@@ -64,8 +64,7 @@ class ForwardIntegration(IntegratedMotion):
     _tangents: list[Tensor] = field(default_factory=list, init=False)
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
-        given = zip(self.names, inputs, strict=True)
-        designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in given}
+        designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in zip(self.names, inputs, strict=True)}
         lanes = max((len(x) for x in designs.values()), default=1)
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
         problem = self._problem(designs)
@@ -123,8 +122,10 @@ class ForwardIntegration(IntegratedMotion):
         total = torch.where(self.validity[1] > 0.0, total, 0.0)
         split = total.split([self._size(name) for name in self.variables])
         by_name = dict(zip(self.variables, split, strict=True))
-        own = dict(self.system.named_parameters())
-        return [by_name[n].reshape(*own[n].shape, *total.shape[1:]) if n in by_name else None for n in self.names]
+        parameters = dict(self.system.named_parameters())
+        return [
+            by_name[n].reshape(*parameters[n].shape, *total.shape[1:]) if n in by_name else None for n in self.names
+        ]
 
     def _size(self, name: str) -> int:
         return dict(self.system.named_parameters())[name].numel()

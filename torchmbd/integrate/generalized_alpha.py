@@ -39,8 +39,9 @@ class GeneralizedAlpha(OneStep):
             raise InputError(f"spectral_radius is {rho!r}; allowed: 0 (strong damping) to 1 (none)")
 
     def with_defaults(self, topology: Topology) -> GeneralizedAlpha:
-        own = self.spectral_radius is None and topology.beams is not None
-        return replace(self, spectral_radius=_OF_BEAMS) if own else self
+        if self.spectral_radius is None and topology.beams is not None:
+            return replace(self, spectral_radius=_OF_BEAMS)
+        return self
 
     def weights(self, h: Any) -> Weights:
         rho = _RADIUS if self.spectral_radius is None else self.spectral_radius

@@ -71,8 +71,8 @@ def _control_group_limits() -> list[float]:
         if controllers and not version_1:
             continue
         root = _CONTROL_GROUPS / "memory" if version_1 else _CONTROL_GROUPS
-        own = root / path.lstrip("/")
-        folders = [folder for folder in (own, *own.parents) if folder.is_relative_to(root)]
+        bottom = root / path.lstrip("/")
+        folders = [folder for folder in (bottom, *bottom.parents) if folder.is_relative_to(root)]
         files |= dict.fromkeys(x / ("memory.limit_in_bytes" if version_1 else "memory.max") for x in folders)
     limits = [file.read_text().strip() for file in files if os.access(file, os.R_OK)]
     return [float(limit) for limit in limits if limit.isdigit()]
@@ -82,11 +82,11 @@ def available() -> float:
     """Bytes that are free, and those that this process holds already: it uses them again."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
-        own = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        process_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:  # not Linux
         return installed()
     [free] = [int(line.split()[1]) * 1024.0 for line in lines if line.startswith("MemAvailable:")]
-    return min(free + own, installed())
+    return min(free + process_bytes, installed())
 
 
 def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, adjoint: bool = False) -> None:
@@ -95,8 +95,8 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
     if needed <= free:
         return
     sizes = f"about {_shown(needed)} of memory, {_shown(free)} are available"
-    one = motion_bytes(system, 1, steps, tangents, adjoint)
-    if one <= free:
+    design_bytes = motion_bytes(system, 1, steps, tangents, adjoint)
+    if design_bytes <= free:
         most = int((free - _shared(steps)) / lane_bytes(system, steps, tangents, adjoint))
         raise InputError(
             f"designs have {lanes} lanes, of {steps} steps: they take {sizes}; allowed: up to {_rounded(most)} lanes at once"

@@ -79,8 +79,8 @@ class Motion(torch.autograd.Function):
     @staticmethod
     def vmap(info: Any, in_dims: tuple, integration: Integration, *inputs: Tensor) -> tuple[tuple[Tensor, ...], Any]:
         batch = info.batch_size
-        found = Motion.apply(integration, *as_lanes(inputs, in_dims[1:], batch))
-        return tuple(_unfold(x, batch) for x in found), (0,) * len(found)  # pyright: ignore[reportOptionalIterable, reportArgumentType]
+        outputs = Motion.apply(integration, *as_lanes(inputs, in_dims[1:], batch))
+        return tuple(_unfold(x, batch) for x in outputs), (0,) * len(outputs)  # pyright: ignore[reportOptionalIterable, reportArgumentType]
 
 
 def _refuse() -> NoReturn:
@@ -145,18 +145,20 @@ class _Backward(_Derivative):
         n, dims, batch = len(needs_grad), in_dims[2:], info.batch_size
         if all(d is None for d in dims[:n]):  # one motion, many cotangents
             stacked = [x if x is None else _stack(x, d, batch) for x, d in zip(tensors[n:], dims[n:], strict=True)]
-            found: Any = _Backward.apply(integration, needs_grad, *tensors[:n], *stacked)
-            return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
+            cotangents: Any = _Backward.apply(integration, needs_grad, *tensors[:n], *stacked)
+            return tuple(_unstack(x, batch) for x in cotangents), (0,) * len(cotangents)
         lanes = _lanes(tensors, dims)
         folded = [x if x is None else fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
-        found = [_unfold(x, batch) for x in _Backward.apply(integration, needs_grad, *folded)]  # pyright: ignore[reportOptionalIterable]
+        cotangents = [_unfold(x, batch) for x in _Backward.apply(integration, needs_grad, *folded)]  # pyright: ignore[reportOptionalIterable]
         single = [
             x is not None and extent(x, d) == 1
             for x, d, needed in zip(tensors[:n], dims[:n], needs_grad, strict=True)
             if needed
         ]
-        found = [x.sum(-1, keepdim=True) if is_single else x for x, is_single in zip(found, single, strict=True)]
-        return tuple(found), (0,) * len(found)
+        cotangents = [
+            x.sum(-1, keepdim=True) if is_single else x for x, is_single in zip(cotangents, single, strict=True)
+        ]
+        return tuple(cotangents), (0,) * len(cotangents)
 
 
 class _Forward(_Derivative):
@@ -172,12 +174,12 @@ class _Forward(_Derivative):
         if all(d is None for d in dims[:count]):  # one motion, many directions
             rest = zip(tensors[count:], dims[count:], strict=True)
             stacked = [x if x is None else _stack(x, d, batch) for x, d in rest]
-            found: Any = _Forward.apply(integration, count, *tensors[:count], *stacked)
-            return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
+            tangents: Any = _Forward.apply(integration, count, *tensors[:count], *stacked)
+            return tuple(_unstack(x, batch) for x in tangents), (0,) * len(tangents)
         lanes = _lanes(tensors, dims)
         folded = [x if x is None else fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
-        found = _Forward.apply(integration, count, *folded)
-        return tuple(_unfold(x, batch) for x in found), (0,) * len(found)
+        tangents = _Forward.apply(integration, count, *folded)
+        return tuple(_unfold(x, batch) for x in tangents), (0,) * len(tangents)
 
 
 def _lanes(tensors: Tensors, dims: Sequence[int | None]) -> int:

@@ -65,28 +65,28 @@ class StepPullback:
     def __call__(self, y: State, factors: Callable[[Tensor], Any]) -> PulledBack:
         """What follows from cotangents y [n, rows, lanes] of the state after the step; factors: of the transposed matrix."""
         H, rows = factors(self.matrix), range(y.q.shape[1])
-        found = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
-        states, data, laws, left = (list(x) for x in zip(*found, strict=True))
+        parts = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
+        states, data, laws, errors = (list(x) for x in zip(*parts, strict=True))
         before = State(*(torch.cat(x, 1) for x in zip(*states, strict=True)))
         by_data, by_laws = ({k: torch.cat([x[k] for x in some], -2) for k in some[0]} for some in (data, laws))
-        return PulledBack(before, by_data, by_laws, torch.stack(left).amax(0))
+        return PulledBack(before, by_data, by_laws, torch.stack(errors).amax(0))
 
     def _row(self, H: Any, y: State) -> PulledBack:
         goal, *known = _pulled(self.end, y, [self.z, *self.x])
-        mu, left = self._solved(H, goal)
+        mu, error = self._solved(H, goal)
         names, law_names = list(self.data), list(self.law_values)
         leaves = [*self.x, *self.data.values(), *self.law_values.values()]
         by = [-x for x in _pulled([self.residual], [mu], leaves)]
         n = len(known)
         state = State(*(a + b for a, b in zip(known, by[:n], strict=True)))
         data = dict(zip(names, by[n : n + len(names)], strict=True))
-        return PulledBack(state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), left)
+        return PulledBack(state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), error)
 
     def _solved(self, H: Any, goal: Tensor) -> tuple[Tensor, Tensor]:
         """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
         mu = apply(H, goal)
         n_v = self.x.v.shape[0]
-        active = left = before = torch.ones_like(goal[0, 0])
+        active = error = before = torch.ones_like(goal[0, 0])
         for k in range(1, max(MOST, self.corrections) + 1):
             (pulled,) = _pulled([self.residual], [mu], [self.z])
             correction = apply(H, pulled - goal)
@@ -94,13 +94,13 @@ class StepPullback:
             size = self._size(mu[:, 0].abs()).clamp_min(torch.finfo(mu.dtype).tiny)
             change = correction[:n_v, 0].abs().amax(0) / size
             # Each correction leaves the same share of what the one before left.
-            left = torch.where(active > 0.0, change * change / before, left)
+            error = torch.where(active > 0.0, change * change / before, error)
             before = change.clamp_min(torch.finfo(mu.dtype).tiny)
             if k >= self.corrections:
-                active = active * (left > ENOUGH)  # what a lane gets depends on no other
+                active = active * (error > ENOUGH)  # what a lane gets depends on no other
             if not bool(active.any()):
                 break
-        return mu, left
+        return mu, error
 
     def _size(self, mu: Tensor) -> Tensor:
         """Of mu [n, lanes] for accelerations; where that is rounding only, what mu for multipliers would make of it."""

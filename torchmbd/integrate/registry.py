@@ -44,10 +44,10 @@ DEFAULT = METHODS[0]
 REFUSED = {"scipy_solver": "returns gradients of zero in reverse mode, silently"}
 
 
-def integrator_of(method: Any, options: Mapping[str, Any], own: Collection[str] = ()) -> Integrator:
+def integrator_of(method: Any, options: Mapping[str, Any], argument_names: Collection[str] = ()) -> Integrator:
     """The integrator of a name with options; InputError says which names and options there are.
 
-    own  the other arguments of the function that takes the options, of which one may be meant
+    argument_names  the other arguments of the function that takes the options, of which one may be meant
     """
     if isinstance(method, str) and method in REFUSED:
         raise InputError(f"method {method!r} {REFUSED[method]}; allowed: any other")
@@ -56,5 +56,7 @@ def integrator_of(method: Any, options: Mapping[str, Any], own: Collection[str] 
     allowed = INTEGRATORS[method].option_types()
     for name in options:
         if name not in allowed:
-            raise unknown(f"{name} = {options[name]!r}: for method {method!r} the option", name, [*allowed, *own])
+            raise unknown(
+                f"{name} = {options[name]!r}: for method {method!r} the option", name, [*allowed, *argument_names]
+            )
     return replace(INTEGRATORS[method], **options)

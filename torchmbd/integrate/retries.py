@@ -185,16 +185,16 @@ def integrate_again(
     groups: dict[Steps, list[int]] = {}
     for lane in range(len(results.status)):
         groups.setdefault(results.replaced.get(lane, Steps(integrator, 1)), []).append(lane)
-    found: LaneResults | None = None
+    whole: LaneResults | None = None
     for by, lanes in groups.items():
         part = problem.select_lanes(lanes).integrate(by.integrator, by.substeps * steps)
         errors = Statistics(tangent_error=part.statistics.tangent_error)
         other = LaneResults(part.history, errors, [results.status[k] for k in lanes], part.switches, part.data)
-        if found is None:
-            found = _spread(other, lanes, by.substeps, results.status)
-        found.replace_lanes(lanes, by, other)
-    assert found is not None
-    return found
+        if whole is None:
+            whole = _spread(other, lanes, by.substeps, results.status)
+        whole.replace_lanes(lanes, by, other)
+    assert whole is not None
+    return whole
 
 
 def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, status: Sequence[str]) -> LaneResults:

@@ -143,8 +143,8 @@ class ReverseIntegration(IntegratedMotion):
     def _by_duration(self) -> list[Tensor]:
         """Tangents of all outputs by the duration, by operators of torch."""
         self.stats["gradient by the duration"] = "eager"
-        found = self._integrated({DURATION: torch.ones(1, 1, dtype=torch.float64)}, {})
-        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in found]
+        tangents = self._integrated({DURATION: torch.ones(1, 1, dtype=torch.float64)}, {})
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in tangents]
 
     @cached_property
     def adjoint(self) -> Adjoint:
@@ -169,14 +169,14 @@ class ReverseIntegration(IntegratedMotion):
     def _integrated(self, data: Mapping[str, Tensor], designs: Mapping[str, Tensor]) -> list[Tensor]:
         """Tangents of all outputs along directions of the data [component..., k, lanes] and the designs [k, lanes, ...]."""
         count = next((x.shape[-2] for x in data.values()), 0) or next(len(x) for x in designs.values())
-        values, own = self._problem.dynamics, {}
+        values, base_designs = self._problem.dynamics, {}
         moving = {name: Pair.of(values.data[name].detach(), dx) for name, dx in data.items()}
         if isinstance(self._problem, SeveralSegments):
-            own = self._problem.views.whole.designs
-        along = {name: dx.expand(len(dx), len(own[name]), *dx.shape[2:]) for name, dx in designs.items()}
+            base_designs = self._problem.views.whole.designs
+        along = {name: dx.expand(len(dx), len(base_designs[name]), *dx.shape[2:]) for name, dx in designs.items()}
         dynamics = replace(values, data={name: x.detach() for name, x in values.data.items()} | moving)
         assert self.steps is not None
-        problem = self._problem_of(dynamics, own, along)
+        problem = self._problem_of(dynamics, base_designs, along)
         again = integrate_again(self.results, problem, self.integrator, self.steps)
         if again.statistics.tangent_error is not None:
             self.stats["tangent_error"] = again.statistics.tangent_error

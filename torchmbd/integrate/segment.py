@@ -95,15 +95,15 @@ def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tup
         raise InputError(f"phases is {phases!r}; allowed: a list of at least one mbd.Phase")
     names = [phase.name or str(i) for i, phase in enumerate(phases, 1)]
     _check_order(phases, names, duration)
-    for known, found in system.segments_of_phases:
+    for known, result in system.segments_of_phases:
         if len(known) == len(phases) and all(a is b for a, b in zip(known, phases, strict=True)):
-            return found
+            return result
     if len(phases) > 1 or any(phase.lock or phase.release for phase in phases):
         _check_names(system, names)
-    found = _segments(system, phases, names)
-    system.segments_of_phases.append((tuple(phases), found))
+    result = _segments(system, phases, names)
+    system.segments_of_phases.append((tuple(phases), result))
     del system.segments_of_phases[:-MOST_LISTS]
-    return found
+    return result
 
 
 def times_of(segments: Sequence[Segment]) -> dict[str, Tensor]:
@@ -182,8 +182,8 @@ def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tu
     for name, law in laws.items():
         if name not in named:
             raise unknown(f"in laws of phase {phase!r} the force", name, named)
-        own = [force for force in system.forces if force.name == name]
-        if len(own) > 1 or len(list(own[0].actions(AttachmentTable()))) != 1:
+        matches = [force for force in system.forces if force.name == name]
+        if len(matches) > 1 or len(list(matches[0].actions(AttachmentTable()))) != 1:
             raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
         check_law(f"{name} in phase {phase}", law)
     for force in system.forces:

@@ -121,7 +121,7 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    given = checked_designs(system, designs)
+    design_values = checked_designs(system, designs)
     system.join_again()
     phases = switching(phases)
     integrator = checked_integrator(duration, method, steps, options, argument_names(simulate))
@@ -143,11 +143,11 @@ def simulate(
             outside_transforms(lambda: segments_of(system, phases, seconds))
         warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
         by_times = by_duration or any(phase.time is not None for phase in phases or ())
-        names = variable_names(system, given, gradients, variables, by_times)
+        names = variable_names(system, design_values, gradients, variables, by_times)
         check_start(initial, gradients, integrator)
         if gradients != "none":
-            _refuse_other_designs(names, given)
-        batch = lanes_of_batch(system, given, names, initial.lanes)
+            _refuse_other_designs(names, design_values)
+        batch = lanes_of_batch(system, design_values, names, initial.lanes)
         if gradients in ("forward", "reverse"):
             batch = {k: _leaf(x) if k in names and not is_differentiated(x) else x for k, x in batch.items()}
         lanes = max((len(x) for x in batch.values()), default=initial.lanes)
@@ -176,7 +176,11 @@ def simulate(
             warn_of_spin(values)
             warn_of_loads(values)
             warn_of_displacements(values)
-        arguments = {"duration": seconds, "method": method, "designs": {k: x.detach() for k, x in given.items()}}
+        arguments = {
+            "duration": seconds,
+            "method": method,
+            "designs": {k: x.detach() for k, x in design_values.items()},
+        }
         arguments |= {"phases": phases, "backend": backend, "start": start}
         count = motion.integration.steps or len(motion.t) - 1
         motion.simulation = Simulation(simulate, model, integrator, count, arguments, options, parameters_of(model))
@@ -199,7 +203,7 @@ def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
 
 
 def variable_names(
-    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, by_times: bool
+    system: System, designs: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, by_times: bool
 ) -> list[str]:
     """Names of the parameters by which the motion is differentiated.
 
@@ -207,20 +211,20 @@ def variable_names(
     """
     if gradients == "none":
         return []
-    own = dict(system.named_parameters())
+    parameters = dict(system.named_parameters())
     if variables is not None:
         return checked_variables(system, variables)
     if gradients == "auto":
-        return [name for name, x in own.items() if is_differentiated(given.get(name, x))]
-    names = [name for name, x in own.items() if x.requires_grad or is_differentiated(given.get(name, x))]
+        return [name for name, x in parameters.items() if is_differentiated(designs.get(name, x))]
+    names = [name for name, x in parameters.items() if x.requires_grad or is_differentiated(designs.get(name, x))]
     if not names and not by_times:
         raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
     return names
 
 
-def _refuse_other_designs(names: Sequence[str], given: Mapping[str, Tensor]) -> None:
+def _refuse_other_designs(names: Sequence[str], designs: Mapping[str, Tensor]) -> None:
     """InputError where a design is being differentiated, but is none of the variables of these names."""
-    for name, x in given.items():
+    for name, x in designs.items():
         if name not in names and is_differentiated(x):
             raise InputError(
                 f"design {name!r} is being differentiated, but variables is {list(names)}; allowed: variables with it, "
@@ -335,8 +339,8 @@ def trajectory_of(
 
 def entry_labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
     """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
-    own = dict(system.named_parameters())
-    return tuple(f"{name}[{i}]" for name in names for i in range(own[name].numel()))
+    parameters = dict(system.named_parameters())
+    return tuple(f"{name}[{i}]" for name in names for i in range(parameters[name].numel()))
 
 
 def _leaf(x: Tensor) -> Tensor:
@@ -347,8 +351,8 @@ def lanes_of_batch(
     system: System, designs: Mapping[str, Tensor], names: Sequence[str], start_lanes: int
 ) -> dict[str, Tensor]:
     """Designs, and own values of the other variables `names`, all with the same lanes [lanes, ...]."""
-    own = dict(system.named_parameters())
-    batch = {name: own[name][None] for name in names if name not in designs} | dict(designs)
+    parameters = dict(system.named_parameters())
+    batch = {name: parameters[name][None] for name in names if name not in designs} | dict(designs)
     counts = {name: x.shape[0] for name, x in batch.items()}
     lanes = max([*counts.values(), start_lanes])
     if not {1, lanes}.issuperset([*counts.values(), start_lanes]):

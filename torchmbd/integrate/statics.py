@@ -76,8 +76,8 @@ class Equilibrium(Trajectory):
     @property
     def stable(self) -> bool:
         """Whether no freedom of any lane is unstable, at any time."""
-        found = [self._vibrations(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
-        return not any(bool(x.frequencies.isnan().any()) for x in [*found, *self.vibrations])
+        vibrations = [self._vibrations(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
+        return not any(bool(x.frequencies.isnan().any()) for x in [*vibrations, *self.vibrations])
 
     def _vibrations(self, lane: int, time: int) -> Vibrations:
         with torch.no_grad():
@@ -143,8 +143,8 @@ class StaticIntegration:
         lanes = self.dynamics.lanes
         leaves = {
             name: leaf(x.expand(*x.shape[:-1], lanes).contiguous())
-            for (name, x), one in zip(self.dynamics.data.items(), needs_grad, strict=True)
-            if one
+            for (name, x), needs_gradient in zip(self.dynamics.data.items(), needs_grad, strict=True)
+            if needs_gradient
         }
         with torch.enable_grad():
             states = self._states(replace(self.dynamics, data=self.dynamics.data | leaves))
@@ -185,10 +185,10 @@ class StaticIntegration:
 
     def _require_balance(self, t: Tensor, balances: list[Balance]) -> None:
         """InputError for a lane without an equilibrium."""
-        for lane, one in enumerate(balances):
-            if one.failure:
+        for lane, balance in enumerate(balances):
+            if balance.failure:
                 where = f" of lane {lane}" * (len(balances) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
-                raise InputError(one.failure + (f" ({where.strip()})" if where else ""))
+                raise InputError(balance.failure + (f" ({where.strip()})" if where else ""))
 
 
 @exclusive
@@ -236,11 +236,11 @@ def equilibrium(
     if initial.in_equilibrium:
         raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
     system = system.starting(replace(initial, is_guess=True))
-    given = checked_designs(system, designs)
+    design_values = checked_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
         warn_static_truncation(system)
-        names = variable_names(system, given, "auto", variables, False)
-        batch = lanes_of_batch(system, given, names, initial.lanes)
+        names = variable_names(system, design_values, "auto", variables, False)
+        batch = lanes_of_batch(system, design_values, names, initial.lanes)
         dynamics, shapes = system.stages(batch)
         data = dynamics.data
         integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, follow, rotation, unstable)
@@ -255,13 +255,13 @@ def equilibrium(
             warn_of_displacements(plain(motion))
         if rotation is not None:
             warn_of_spin(motion)
-    own: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
-    return Equilibrium(**own | {"t": t, "rotation": rotation})
+    values: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
+    return Equilibrium(**values | {"t": t, "rotation": rotation})
 
 
-def _times(given: Any) -> Tensor:
+def _times(times: Any) -> Tensor:
     """Ascending finite times [n] [s]."""
-    t = reals("times", given).reshape(-1)
+    t = reals("times", times).reshape(-1)
     if not len(t) or not bool(torch.isfinite(t).all()) or bool((t.diff() <= 0.0).any()):
-        raise InputError(f"times is {given!r}; allowed: finite times in ascending order [s]")
+        raise InputError(f"times is {times!r}; allowed: finite times in ascending order [s]")
     return t

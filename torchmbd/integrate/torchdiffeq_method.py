@@ -106,8 +106,8 @@ class Torchdiffeq(Integrator):
     def arguments(self, dynamics: Dynamics) -> dict[str, Any]:
         """Arguments of torchdiffeq.odeint."""
         tolerances = {} if self.name in FIXED else {"rtol": self.rtol, "atol": self.atol}
-        own = DEFAULTS.get(self.name, {}) if self.name in FIXED else first_step(dynamics)
-        return {"method": self.name, "options": own | (self.options or {})} | tolerances
+        defaults = DEFAULTS.get(self.name, {}) if self.name in FIXED else first_step(dynamics)
+        return {"method": self.name, "options": defaults | (self.options or {})} | tolerances
 
 
 Allowed = tuple[Callable[[Any], bool], str]  # whether a value is, and what is
@@ -123,14 +123,14 @@ def options_of(method: str) -> Mapping[str, Allowed]:
         not_negative: Allowed = (lambda x: _number(x) and x >= 0.0, "zero or positive")
         rest = {"min_step": not_negative, "max_num_steps": count, "step_t": times, "jump_t": times}
         return dict.fromkeys(names, positive) | rest
-    found: dict[str, Allowed] = {
+    options: dict[str, Allowed] = {
         "step_size": positive,
         "grid_constructor": (callable, "a function (f, y0, t) -> times"),
         "interp": (lambda x: isinstance(x, str) and x in ("linear", "cubic"), "linear, cubic"),
         "perturb": (lambda x: isinstance(x, bool), "true or false"),
     }
     order: Allowed = (lambda x: is_whole(x) and 1 <= x <= 12, "1 to 12")
-    return found | ({"max_order": order, "max_iters": count} if method.endswith("adams") else {})
+    return options | ({"max_order": order, "max_iters": count} if method.endswith("adams") else {})
 
 
 def _number(x: Any) -> bool:

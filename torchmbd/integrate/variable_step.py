@@ -66,18 +66,18 @@ def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
     none at all.
     """
     uniform = step.uniform().detach()
-    z, found = torch.full_like(uniform, torch.nan), torch.zeros(uniform.shape[-1], dtype=torch.bool)
+    z, success = torch.full_like(uniform, torch.nan), torch.zeros(uniform.shape[-1], dtype=torch.bool)
     if (compiled := unknowns(dynamics, step)) is not None:
         z, (before, last) = compiled
         scale, rounding = _sizes(z, None), _rounding(step)
         small = (last <= _STALLED * scale) | (last <= rounding)
-        found = small & ((last <= _ROUNDING * scale) | (before <= _QUADRATIC * scale) | (before <= rounding))
+        success = small & ((last <= _ROUNDING * scale) | (before <= _QUADRATIC * scale) | (before <= rounding))
     for start in ([] if estimate is None else [estimate]) + [uniform, torch.zeros_like(uniform)]:
-        if bool(found.all()):
+        if bool(success.all()):
             break
         other, others = _from(dynamics, step, start)
-        z, found = torch.where(found, z, other), found | others
-    return torch.where(found, z, torch.nan)
+        z, success = torch.where(success, z, other), success | others
+    return torch.where(success, z, torch.nan)
 
 
 def _rounding(step: Step) -> Tensor:
@@ -125,9 +125,9 @@ def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
 
         return _iterated(correction, apply(H, goal), step.model.T.n_v, of=step.model.T.n_v)[0]
 
-    found = z - (residual - residual.detach())
-    found.register_hook(solved)
-    return found
+    result = z - (residual - residual.detach())
+    result.register_hook(solved)
+    return result
 
 
 def _iterated(
@@ -144,19 +144,19 @@ def _iterated(
     of                      how many rows of x are a measure of the others; None: all
     """
     active = torch.ones(x.shape[-1], dtype=torch.bool)
-    found, before = ~active, torch.inf
+    success, before = ~active, torch.inf
     for _ in range(_MOST):
         change = correction(x, active)
         x = torch.where(active, x - change, x)
         size, scale = _sizes(change, n_v), _sizes(x, of)
         small = (size <= _STALLED * scale) | (size <= rounding)
         done = (size <= _ROUNDING * scale) | (small & (size > 0.5 * before))
-        found = torch.where(active, small, found)
+        success = torch.where(active, small, success)
         active = active & ~done & torch.isfinite(size)
         if not bool(active.any()):
             break
         before = size
-    return x, found
+    return x, success
 
 
 def _sizes(x: Tensor, rows: int | None) -> Tensor:

@@ -105,7 +105,7 @@ def optimize(
             analyses += result.analyses
             return result
 
-        report = both(lambda one: show(one.iteration, one.objective), callback)
+        report = both(lambda iterate: show(iterate.iteration, iterate.objective), callback)
         return search_with_finer_motions(search_from, problem, x, max_iterations, report)
 
 

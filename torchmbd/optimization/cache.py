@@ -47,8 +47,12 @@ class MemoryStore(Generic[T]):
 
         A failed evaluation has none, and serves all the same.
         """
-        found: Any = self.entries[key][1] if key in self.entries else None
-        return None if found is None or (gradients and found.ok and not found.differentiated) else found
+        evaluation: Any = self.entries[key][1] if key in self.entries else None
+        return (
+            None
+            if evaluation is None or (gradients and evaluation.ok and not evaluation.differentiated)
+            else evaluation
+        )
 
 
 class CachedProblem(Generic[T]):
@@ -90,8 +94,8 @@ class CachedProblem(Generic[T]):
 
     def begin(self, X: np.ndarray, gradients: bool, concurrent: int) -> Batch[T]:
         """Look designs [lanes, n] up, and begin to evaluate those that are not in the store, each once."""
-        found = self.store.find(X, gradients)
-        missing = {x.tobytes(): k for k, (x, known) in enumerate(zip(X, found, strict=True)) if known is None}
+        entries = self.store.find(X, gradients)
+        missing = {x.tobytes(): k for k, (x, known) in enumerate(zip(X, entries, strict=True)) if known is None}
         rows = list(missing.values())
         self.computed += len(rows)
         self.hits += len(X) - len(rows)
@@ -105,7 +109,7 @@ class CachedProblem(Generic[T]):
             if rows:
                 self.store.keep(X[rows], gradients, computed)
             new = dict(zip(missing, computed, strict=True))
-            evaluations = [new[x.tobytes()] if known is None else known for x, known in zip(X, found, strict=True)]
+            evaluations = [new[x.tobytes()] if known is None else known for x, known in zip(X, entries, strict=True)]
             self._listener(X, evaluations)
             return evaluations
 

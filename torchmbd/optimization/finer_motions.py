@@ -66,7 +66,9 @@ def _joined(parts: list[OptimizationResult]) -> OptimizationResult:
     """The last result, with the history and the counts of all."""
     history, done = list(parts[0].history), parts[0].iterations
     for part in parts[1:]:
-        history += [replace(one, iteration=done + one.iteration) for one in part.history if one.iteration]
+        history += [
+            replace(iterate, iteration=done + iterate.iteration) for iterate in part.history if iterate.iteration
+        ]
         done += part.iterations
     counts = {
         name: sum(getattr(part, name) for part in parts) for name in ("analyses", "gradient_evaluations", "failures")

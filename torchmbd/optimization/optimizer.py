@@ -153,7 +153,7 @@ def convergence_figure(results: Sequence[OptimizationResult], best: Optimization
 
     names = {f"start {result.start}": result.history for result in results if result.history}
     values, violations = (
-        {name: [getattr(one, what) for one in history] for name, history in names.items()}
+        {name: [getattr(iterate, what) for iterate in history] for name, history in names.items()}
         for what in ("objective", "violation")
     )
     return convergence(values, violations, None if best is None else f"start {best.start}", title)
@@ -252,10 +252,10 @@ def register(name: str) -> Callable[[Method], Method]:
     return enter
 
 
-def find_method(name: str, options: dict[str, Any], own: Iterable[str] = ()) -> Method:
+def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = ()) -> Method:
     """Return the method `name`; InputError for an unknown name or an option that it does not have.
 
-    own  the other arguments of the function that takes the options, of which one may be meant
+    arguments  the other arguments of the function that takes the options, of which one may be meant
     """
     if not isinstance(name, str) or name not in OPTIMIZERS:
         raise unknown("method", name, OPTIMIZERS)
@@ -263,8 +263,8 @@ def find_method(name: str, options: dict[str, Any], own: Iterable[str] = ()) -> 
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            given = f"option {option!r} does not exist for method {name!r} (it is {options[option]!r})"
-            raise InputError(given + nearest(option, [*allowed, *own]))
+            fault = f"option {option!r} does not exist for method {name!r} (it is {options[option]!r})"
+            raise InputError(fault + nearest(option, [*allowed, *arguments]))
     return method
 
 
@@ -311,15 +311,15 @@ def require_problem(problem: Any) -> None:
         )
 
 
-def as_numbers(name: str, given: Any) -> np.ndarray:
+def as_numbers(name: str, values: Any) -> np.ndarray:
     """Return numbers as an array of one's own; InputError if they are none."""
     try:
-        numbers = np.asarray(given)
+        numbers = np.asarray(values)
         if numbers.dtype.kind in "US":  # NumPy would read the text
             raise TypeError
         return numbers.astype(float)
     except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: a tensor that requires a gradient
-        raise InputError(f"{name} is {given!r}; allowed: numbers") from error
+        raise InputError(f"{name} is {values!r}; allowed: numbers") from error
 
 
 def checked_names(problem: Box, size: int) -> list[str]:

@@ -169,14 +169,14 @@ def pareto_front(
     cache = MemoryCachedProblem(problem)
     searches = ScalarizedSearches(cache, run_one, box, feasibility, max_lanes, ended)
     anchors = _anchors(searches, points, list(problem.criteria))
-    found, failed = _points_between(searches, anchors, divisions, points if everywhere else points[:0])
-    points = [*anchors, *(point for point in found if point.weights.min() >= -NEGATIVE_WEIGHT)]
+    inner_points, failed = _points_between(searches, anchors, divisions, points if everywhere else points[:0])
+    points = [*anchors, *(point for point in inner_points if point.weights.min() >= -NEGATIVE_WEIGHT)]
     span = np.ptp([anchor.criteria for anchor in anchors], axis=0)
     keep = non_dominated(np.array([point.criteria for point in points]), SAME * span)
     return Front(
         [points[i] for i in keep],
         anchors,
-        len(anchors) + len(found) - len(keep),
+        len(anchors) + len(inner_points) - len(keep),
         failed,
         cache.computed,
         cache.batches,

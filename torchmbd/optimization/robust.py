@@ -108,23 +108,23 @@ class RobustProblem:
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n], all their neighbors in one batch, all their steepest corners in another."""
         count, n = self.shifts.shape
-        found = self.problem.evaluate((X[:, None, :n] + self.shifts).reshape(-1, n), gradients)
-        around = [found[k * count : (k + 1) * count] for k in range(len(X))]
+        evaluations = self.problem.evaluate((X[:, None, :n] + self.shifts).reshape(-1, n), gradients)
+        around = [evaluations[k * count : (k + 1) * count] for k in range(len(X))]
         corners, rows = zip(*(self._steepest(x[:n], group) for x, group in zip(X, around, strict=True)), strict=True)
         designs = np.concatenate(corners)
         ends = iter(self.problem.evaluate(designs, gradients) if len(designs) else [])
         there = [[next(ends) for _ in corner] for corner in corners]
-        return [self._combined(*given) for given in zip(X, around, there, rows, strict=True)]
+        return [self._combined(*arguments) for arguments in zip(X, around, there, rows, strict=True)]
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
         """The same point [n] with the least beta that its rows allow: its objective is its worst case."""
         return self.extra.tightened(x, evaluation)
 
-    def _steepest(self, x: np.ndarray, found: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:
+    def _steepest(self, x: np.ndarray, evaluations: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners [k, n] that constraints rise to most steeply, and for each constraint which of them [m]."""
-        if self.kind == "worst" or not all(e.ok for e in found):
+        if self.kind == "worst" or not all(e.ok for e in evaluations):
             return np.zeros((0, x.size)), np.zeros(0, dtype=int)
-        c = np.array([np.atleast_1d(e.constraints) for e in found])
+        c = np.array([np.atleast_1d(e.constraints) for e in evaluations])
         signs = np.zeros((c.shape[1], x.size))
         signs[:, np.flatnonzero(self.tolerance)] = np.where(c[2::2] >= c[1::2], 1.0, -1.0).T
         distinct, rows = np.unique(signs, axis=0, return_inverse=True)

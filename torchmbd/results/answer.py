@@ -112,7 +112,7 @@ class Verification(Summary):
         return f"{VERIFIED}: the objective changed by {self.change:z.2f} %, in a finer model by {self.finer:z.2f} %"
 
     def _summary(self) -> list[tuple[str, Any]]:
-        rows = [(f"{one.asked} {one.heading}".strip(), f"{one.start} -> {one.best}") for one in self.answers]
+        rows = [(f"{row.asked} {row.heading}".strip(), f"{row.start} -> {row.best}") for row in self.answers]
         return [("status", self.status), *rows]
 
     def to_json(self) -> str:

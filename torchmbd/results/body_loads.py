@@ -39,16 +39,16 @@ class BodyLoads(NamedTuple):
 
 def interpolations(system: System, body: FlexibleBody) -> list[InterpolationConstraint]:
     """Nodes, or means of nodes, of a body on which its frames for joints and forces are."""
-    own = [a.interpolation for a in system.topology.attached if a.body is body and a.interpolation is not None]
-    return list(dict.fromkeys(own))
+    constraints = [a.interpolation for a in system.topology.attached if a.body is body and a.interpolation is not None]
+    return list(dict.fromkeys(constraints))
 
 
 def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
     """The loads on one body. Raises InputError where phases of the motion have laws of forces of their own."""
     laws = [law for kind in motion.system.topology.actions for law in kind.laws]
     for kinds in motion.actions:  # of each phase
-        own = [law for kind in kinds for law in kind.laws]
-        if any(x is not y for x, y in zip(own, laws, strict=True)):
+        phase_laws = [law for kind in kinds for law in kind.laws]
+        if any(x is not y for x, y in zip(phase_laws, laws, strict=True)):
             raise InputError(
                 f"loads on {body.name!r}: phases of this motion have laws of forces of their own; allowed: none"
             )

@@ -121,8 +121,8 @@ class BodyMotion(Summary):
         if K2 is None:
             return None
         m = self._T.own_modes[self._flexible()]
-        own = value(K2)[:m, :m, :m, self._index, 0].movedim(-1, 0)
-        return torch.einsum("labc,ltc->ltab", own.expand(self.motion.lanes, m, m, m), self.w)
+        block = value(K2)[:m, :m, :m, self._index, 0].movedim(-1, 0)
+        return torch.einsum("labc,ltc->ltab", block.expand(self.motion.lanes, m, m, m), self.w)
 
     @property
     def mass(self) -> Tensor:
@@ -198,8 +198,8 @@ def _node_positions(motion: MotionData, body: Any) -> Tensor:
     if not varying_nodes(body.mesh):
         return (body.mesh.nodes - body.origin)[None]
     designs = {f"system.{name}": x for name, x in motion.designs.items()}
-    found = call_module(_NodePositions(motion.system, body.name), designs)
-    return found if found.dim() == 3 else found[None]
+    positions = call_module(_NodePositions(motion.system, body.name), designs)
+    return positions if positions.dim() == 3 else positions[None]
 
 
 def point_of(motion: MotionData, frame: Frame) -> Tensor:

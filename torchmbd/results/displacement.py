@@ -25,15 +25,15 @@ LARGE = 0.5
 
 def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
     """Largest displacement by the size [lanes] of every flexible body."""
-    T, found = motion.dynamics.topology, {}
+    T, ratios = motion.dynamics.topology, {}
     second = (
         value(motion.dynamics.data["P0"])[:, :, :, 0].diagonal().sum(-1)
         if T.flexible
         else torch.zeros(0, dtype=torch.float64)
     )
     for k, name in enumerate(T.names[: T.flexible]):
-        found[name] = motion.body(name).w.norm(dim=-1).amax(-1) / second[k].sqrt()
-    return found
+        ratios[name] = motion.body(name).w.norm(dim=-1).amax(-1) / second[k].sqrt()
+    return ratios
 
 
 def warn_of_displacements(motion: Trajectory) -> None:

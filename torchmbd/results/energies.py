@@ -47,9 +47,9 @@ class Energies(Summary):
 
     def _summary(self) -> list[tuple[str, str]]:
         return [
-            (one.name, f"{float(x[0, 0]):.6g} to {float(x[0, -1]):.6g} J, at most {float(x[0].max()):.6g} J (lane 0)")
-            for one in fields(self)
-            for x in (getattr(self, one.name).detach(),)
+            (row.name, f"{float(x[0, 0]):.6g} to {float(x[0, -1]):.6g} J, at most {float(x[0].max()):.6g} J (lane 0)")
+            for row in fields(self)
+            for x in (getattr(self, row.name).detach(),)
         ]
 
     @property
@@ -124,8 +124,10 @@ def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, 
     T, power = motion.dynamics.topology, torch.zeros_like(v[0])
     for k, actions in enumerate(motion.actions or (T.actions,)):
         if actions:
-            own = replace(T, actions=actions)
-            forces = equations.generalized_forces(own, data, at, equations.applied_on_vectors(own, data, at, v))
+            topology = replace(T, actions=actions)
+            forces = equations.generalized_forces(
+                topology, data, at, equations.applied_on_vectors(topology, data, at, v)
+            )
             power = torch.where(phase == k, dot(torch.cat([x.flatten(0, 1) for x in forces]), v), power)
     return power
 

@@ -102,9 +102,9 @@ class History:
             steps = x.new_zeros(most, *x.shape[1:])
             steps[: len(x)] = x
             for lane, (history, source, _) in self.refined.items():
-                own = history.segment if k == len(self.states) else history.states[k]
-                assert own is not None
-                steps[: len(own), ..., lane] = own[..., source]
+                state = history.segment if k == len(self.states) else history.states[k]
+                assert state is not None
+                steps[: len(state), ..., lane] = state[..., source]
             result.append(steps)
         return [*result[:4], counts, *result[4:]]
 

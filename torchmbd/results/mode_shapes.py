@@ -121,6 +121,6 @@ def shape_tangents(system: Any, designs: Mapping[str, Tensor], directions: Mappi
         return torch.func.jvp(shapes_of, (moving,), (direction,))[1]
 
     with torch.no_grad():
-        found: Any = torch.func.vmap(push)(dict(directions))
+        tangents: Any = torch.func.vmap(push)(dict(directions))
     lanes = max(len(x) for x in moving.values())
-    return found if found.dim() == 5 else found[:, None].expand(-1, lanes, -1, -1, -1)
+    return tangents if tangents.dim() == 5 else tangents[:, None].expand(-1, lanes, -1, -1, -1)

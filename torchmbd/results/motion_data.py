@@ -266,18 +266,18 @@ class MotionData(Summary):
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Self:
         """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""
-        one = slice(lane, lane + 1)
-        there = {name: getattr(moment, name)[one, None] for name in ("q", "v", "a", "lam")}
+        row = slice(lane, lane + 1)
+        there = {name: getattr(moment, name)[row, None] for name in ("q", "v", "a", "lam")}
         return replace(
             self,
             t=t[None],
             signals=TensorSignals(there),
-            status=self.status[one],
+            status=self.status[row],
             dynamics=self.dynamics.select_lanes([lane]),
             shapes=SomeLanes(self.shapes, [lane]),
-            designs={name: x[one] for name, x in self.designs.items()},
+            designs={name: x[row] for name, x in self.designs.items()},
             parameters=(),
-            good=None if self.good is None else self.good[one],
+            good=None if self.good is None else self.good[row],
             switches=[],
             known=None,
             variables={},

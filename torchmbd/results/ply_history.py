@@ -84,8 +84,8 @@ class PlyHistory:
         _, strength = self._rule(criterion)
         size = max(1, _CHUNK // len(self.points))
         rows = []
-        for basis, w, own in zip(self.basis.stress.detach(), self.w.detach(), strength.detach(), strict=True):
-            index = FailureForms(criterion, basis, own)
+        for basis, w, numbers in zip(self.basis.stress.detach(), self.w.detach(), strength.detach(), strict=True):
+            index = FailureForms(criterion, basis, numbers)
             rows.append(torch.cat([index(part).argmax(-1) for part in w.split(size)]))
         return torch.stack(rows)
 
@@ -118,7 +118,7 @@ class PlyHistory:
         if layer is not None:
             basis = basis[:, self.points[:, 1] == layer]
         rows = zip(basis.detach(), self.w.detach(), strict=True)
-        point = torch.stack([(w @ own.mT).argmax(-1) for own, w in rows])
+        point = torch.stack([(w @ stress.mT).argmax(-1) for stress, w in rows])
         lane = torch.arange(len(point))[:, None]
         return (basis[lane, point] * self.w).sum(-1)
 
@@ -142,8 +142,8 @@ def _strength(body: Any, lanes: int) -> Tensor | None:
 
 def of_plies(plies: Sequence[Any]) -> Float[Tensor, "*lanes layers 8"] | None:
     """Strength numbers of plies; None where one has none."""
-    found = [ply.strength.numbers() for ply in plies if ply.strength is not None]
-    return torch.stack(torch.broadcast_tensors(*found), -2) if len(found) == len(plies) else None
+    strengths = [ply.strength.numbers() for ply in plies if ply.strength is not None]
+    return torch.stack(torch.broadcast_tensors(*strengths), -2) if len(strengths) == len(plies) else None
 
 
 def require_plies(body: object) -> None:

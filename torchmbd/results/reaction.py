@@ -58,10 +58,10 @@ def reaction(motion: MotionData, name: str) -> JointReaction:
 def joint_named(system: System, name: str) -> Joint:
     """The one joint of that name; InputError if there is none, or several."""
     one_of("joint", name, [joint.name for joint in system.joints])
-    found = [joint for joint in system.joints if joint.name == name]
-    if len(found) > 1:
-        raise InputError(f"joint name {name!r} is used {len(found)} times; allowed here: a unique name")
-    return found[0]
+    joints = [joint for joint in system.joints if joint.name == name]
+    if len(joints) > 1:
+        raise InputError(f"joint name {name!r} is used {len(joints)} times; allowed here: a unique name")
+    return joints[0]
 
 
 def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
@@ -116,8 +116,8 @@ def placement_at_times(motion: MotionData) -> tuple[equations.Data, equations.Pl
     """Data of attached vectors and laws of forces, and the placement of bodies, with lanes x times as lanes."""
     T, data = motion.dynamics.topology, motion.dynamics.data
     lanes, times = motion.lanes, len(motion.t)
-    own = {key: value(x) for key, x in data.items() if key in equations.ATTACHED or key.startswith("law ")}
-    wide = {key: x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x for key, x in own.items()}
+    vectors = {key: value(x) for key, x in data.items() if key in equations.ATTACHED or key.startswith("law ")}
+    wide = {key: x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x for key, x in vectors.items()}
     schedule = T.schedule(motion.t, {name: value(x) for name, x in data.items()})
     prescribed = as_lanes(schedule, lanes, lanes_first=True)._replace(t=motion.t.repeat(lanes))
     return wide, equations.placement(T, wide, in_lanes(motion.q), prescribed)

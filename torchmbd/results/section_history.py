@@ -108,10 +108,10 @@ class SectionHistory:
         self._section(key)
         made = self._made[key]
         stress = torch.einsum("lpcs,lesm->lepcm", made.unit[:, :, _OF_PLY], made.forces)
-        own = made.strength
-        if own is not None:
-            own = own[:, None].expand(-1, stress.shape[1], -1, -1).flatten(1, 2)
-        return stress.flatten(1, 2), own
+        strength = made.strength
+        if strength is not None:
+            strength = strength[:, None].expand(-1, stress.shape[1], -1, -1).flatten(1, 2)
+        return stress.flatten(1, 2), strength
 
     def critical(self, criterion: str = "tsai_wu", part: str | None = None) -> Int[Tensor, "lanes times 2"]:
         """Which end and which point of a part is nearest to failure, at each time."""
@@ -119,8 +119,10 @@ class SectionHistory:
         _rule(criterion)
         made, rows, strength = self._made[key], [], self._strength(key)
         ends, points = made.forces.shape[1], made.unit.shape[1]
-        for forces, unit, w, own in zip(*(x.detach() for x in (made.forces, made.unit, self.w, strength)), strict=True):
-            index = FailureForms(criterion, unit[:, _OF_PLY], own)
+        for forces, unit, w, numbers in zip(
+            *(x.detach() for x in (made.forces, made.unit, self.w, strength)), strict=True
+        ):
+            index = FailureForms(criterion, unit[:, _OF_PLY], numbers)
             for some in w.split(max(1, _CHUNK // (ends * points))):
                 loads = torch.einsum("esm,tm->tes", forces, some).flatten(0, 1)
                 rows.append(index(loads).unflatten(0, (-1, ends)).flatten(1).argmax(-1))
@@ -161,19 +163,19 @@ class SectionHistory:
 
     def _strength(self, key: str) -> Float[Tensor, "lanes points 8"]:
         self._section(key)
-        found = self._made[key].strength
-        if found is None:
+        strength = self._made[key].strength
+        if strength is None:
             raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
-        return found
+        return strength
 
 
 def beams_of(body: object) -> dict[str, Beams]:
     """The beams of a body; InputError where it has none."""
-    found = getattr(body, "beams", None)
-    if not found:
+    beams = getattr(body, "beams", None)
+    if not beams:
         name = getattr(body, "name", body)
         raise InputError(f"body {name!r} has no beams; allowed here: FlexibleBody.beam(...), or a model with beams")
-    return found
+    return beams
 
 
 def laminated(body: object) -> dict[str, Section]:

@@ -45,7 +45,7 @@ class SingularPosition:
 
 def singular_positions(motion: MotionData) -> list[SingularPosition]:
     """The singular positions that a motion came near to, at its output times."""
-    return [found for lane in range(motion.lanes) for found in positions_of_lane(motion, lane)]
+    return [position for lane in range(motion.lanes) for position in positions_of_lane(motion, lane)]
 
 
 def positions_of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:

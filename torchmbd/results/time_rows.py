@@ -36,9 +36,9 @@ class Signals:
 
     def values(self, name: str, rows: Rows = None) -> Tensor:
         """[lanes, times, k]."""
-        found = self._once("values", name, rows)
-        assert found is not None
-        return found
+        result = self._once("values", name, rows)
+        assert result is not None
+        return result
 
     def tangents(self, name: str, rows: Rows = None) -> Tensor | None:
         """[lanes, times, k, n_b]."""

@@ -58,8 +58,8 @@ def answers_page(verification: Verification) -> str:
 def comparison(first: Verification | None, second: Verification | None) -> list[tuple[str, str, str]]:
     """Return what two best designs answer: response, of the first, of the second; "-" where one has none."""
     columns = [
-        {} if one is None else {f"{row.asked} {row.heading}".strip(): str(row.best) for row in one.answers}
-        for one in (first, second)
+        {} if side is None else {f"{row.asked} {row.heading}".strip(): str(row.best) for row in side.answers}
+        for side in (first, second)
     ]
     names = dict.fromkeys(name for column in columns for name in column)
     return [(name, *(column.get(name, "-") for column in columns)) for name in names]  # type: ignore[misc]
@@ -68,12 +68,12 @@ def comparison(first: Verification | None, second: Verification | None) -> list[
 def _rows(answers: Sequence[Answer]) -> list[list[str]]:
     return [
         [
-            one.asked,
-            one.heading,
-            str(one.start),
-            str(one.best),
-            "" if one.limit is None else f"{one.limit:.6g}",
-            one.margin_text,
+            answer.asked,
+            answer.heading,
+            str(answer.start),
+            str(answer.best),
+            "" if answer.limit is None else f"{answer.limit:.6g}",
+            answer.margin_text,
         ]
-        for one in answers
+        for answer in answers
     ]

@@ -80,8 +80,8 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
         kind, combine = Scenarios, data.combine or Combine()
         systems = scenario_systems(data.model, data.options, data.scenarios, folder)
         named: dict[str, Any] = {s.name or f"scenario {k + 1}": dict(s.settings) for k, s in enumerate(data.scenarios)}
-        for settings, own in zip(named.values(), systems, strict=True):
-            settings |= {} if own is None else {SYSTEM: own}
+        for settings, variant in zip(named.values(), systems, strict=True):
+            settings |= {} if variant is None else {SYSTEM: variant}
         more |= {"scenarios": named, "weights": [s.weight for s in data.scenarios], **combine.model_dump()}
     return kind(
         system,

@@ -175,11 +175,11 @@ def _design_fault(name: str, variable: Variable, construct: Any) -> Fault | None
         if not keys:
             return Fault(("design", name), f": {error}")
         value = getattr(variable, keys[0])
-        given = "is not given, and the model is built with" if value is None else f"= {value}:"
+        value_text = "is not given, and the model is built with" if value is None else f"= {value}:"
         hint = ""
         if "degrees?" in rest:
-            given, hint = f"= {value} with unit: {variable.unit}:", ", or unit: deg"
-        return Fault(("design", name, keys[0]), f"{given} {rest.lstrip()}{hint}")
+            value_text, hint = f"= {value} with unit: {variable.unit}:", ", or unit: deg"
+        return Fault(("design", name, keys[0]), f"{value_text} {rest.lstrip()}{hint}")
     return None
 
 
@@ -187,18 +187,18 @@ def _add_scenarios(faults: Faults, sections: Sections, system: System, folder: F
     """Add the faults of scenarios: options that cannot be built, parameters that they cannot set."""
     scenarios: Sequence[Scenario] = sections.get("scenarios") or ()
     for k, scenario in enumerate(scenarios):
-        own, path, before = system, ("scenarios", k), len(faults)
+        variant, path, before = system, ("scenarios", k), len(faults)
         options = {**sections["options"], **scenario.options}
         builder = find_model(sections["model"], folder)
         faults += [Fault((*path, *fault.path), fault.text) for fault in option_faults(builder, options)]
         if scenario.options and len(faults) == before:
             try:
-                own = build_model(builder, options)
+                variant = build_model(builder, options)
             except InputError as error:
                 faults.append(Fault((*path, "options"), f"= {shown(scenario.options)}: {error}"))
         for name, x in scenario.settings.items():
             try:
-                settings_of(own, list(sections.get("design", ())), str(k), {name: x})
+                settings_of(variant, list(sections.get("design", ())), str(k), {name: x})
             except InputError as error:
                 text = str(error).removeprefix(f"{name} in scenario '{k}' ").removeprefix(f"is {x!r}; ")
                 if "mbd.variable" in text:

@@ -35,19 +35,19 @@ class Columns:
         units    parameter -> unit of its numbers; parameters that are missing have none
         scalars  parameters of one number
         """
-        own = [label.rpartition("[")[0] if label.endswith("]") else label for label in labels]
-        parameters = list(dict.fromkeys(own))
+        owners = [label.rpartition("[")[0] if label.endswith("]") else label for label in labels]
+        parameters = list(dict.fromkeys(owners))
         words = [parameter.rpartition(".")[2] for parameter in parameters]
         names = []
-        for label, parameter in zip(labels, own, strict=True):
+        for label, parameter in zip(labels, owners, strict=True):
             word = _singular(parameter.rpartition(".")[2])
             if words.count(parameter.rpartition(".")[2]) > 1:
                 word = f"{parameter.partition('.')[0]}_{word}"
             number = "" if label == parameter or parameter in scalars else f"_{int(label[len(parameter) + 1 : -1]) + 1}"
             unit = units.get(parameter, "none")
             names.append(f"{word}{number}{'' if unit == 'none' else f'_{unit}'}")
-        found = tuple(units.get(parameter, "none") for parameter in own)
-        return cls(tuple(labels), tuple(names), found, np.array([UNITS[unit] for unit in found]))
+        unit_names = tuple(units.get(parameter, "none") for parameter in owners)
+        return cls(tuple(labels), tuple(names), unit_names, np.array([UNITS[unit] for unit in unit_names]))
 
     def by_name(self, x: np.ndarray) -> dict[str, float]:
         """Return a design vector [SI] by name, in the units of the study."""
@@ -66,13 +66,13 @@ class Columns:
 
         Angles to a hundredth, other numbers to four digits.
         """
-        own = range(min(len(x), len(self.names)))
-        values = (np.asarray(x, dtype=float)[: len(own)] / self.factors[: len(own)]).tolist()
-        shown = [round(values[k], 2) if self.units[k] == "deg" else values[k] for k in own]
+        indices = range(min(len(x), len(self.names)))
+        values = (np.asarray(x, dtype=float)[: len(indices)] / self.factors[: len(indices)]).tolist()
+        shown = [round(values[k], 2) if self.units[k] == "deg" else values[k] for k in indices]
         numbers = [f"{float(f'{value:.4g}') + 0.0:g}" for value in shown]
-        if len({self.units[k] for k in own}) > 1:
-            words = [self.heading(k).partition(" [")[0] for k in own]
-            units = ["" if self.units[k] == "none" else f" {self.units[k]}" for k in own]
+        if len({self.units[k] for k in indices}) > 1:
+            words = [self.heading(k).partition(" [")[0] for k in indices]
+            units = ["" if self.units[k] == "none" else f" {self.units[k]}" for k in indices]
             return ", ".join(f"{word} {x}{unit}" for word, x, unit in zip(words, numbers, units, strict=True))
         return ", ".join(numbers) + ("" if self.units[0] == "none" else f" {self.units[0]}")
 

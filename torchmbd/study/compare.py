@@ -55,22 +55,22 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     if entry is None:
         console.print(f"No studies yet in {escape(str(store))}.", soft_wrap=True)
         return
-    found = [child for child in children(store, entry) if "objective" in child.metrics][:count]
-    names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
+    best = [child for child in children(store, entry) if "objective" in child.metrics][:count]
+    names = list(dict.fromkeys(name for child in best for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
-    criteria = criterion_metrics((child.metrics for child in found), sign)
+    criteria = criterion_metrics((child.metrics for child in best), sign)
     titles = [gain_heading(sign) if name == gain_metric(sign) else metric_heading(name) for name in criteria]
     for title in ("", *titles, "viol.", *map(metric_heading, names), "status"):
         table.add_column(escape(wrapped_heading(title)), justify="right", no_wrap=True)
-    for child in found:
+    for child in best:
         cells = [child.name, *(_cell(child, name, gain_metric(sign)) for name in criteria)]
         violation = child.metrics.get("violation")
         cells.append("-" if violation is None else violation_cell(violation))
         cells += [number_text(name, child.metrics[name]) if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
     if not print_table(table, console, drop_order(2 + len(criteria), len(names), [-1, 2])):
-        for child in found:
+        for child in best:
             values = ", ".join(
                 f"{metric_heading(name)} {number_text(name, child.metrics[name])}"
                 for name in names
@@ -116,10 +116,10 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
         table.add_row(*map(escape, row))
     table.add_section()
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
-        verified = [stored_verification(store, one, Path(scratch)) for one in (first, second)]
+        verified = [stored_verification(store, entry, Path(scratch)) for entry in (first, second)]
     for row in comparison(*verified):
         table.add_row(*map(escape, row))
-    table.add_row("verification", *(escape(one.tags.get(VERIFICATION, "-")) for one in (first, second)))
+    table.add_row("verification", *(escape(entry.tags.get(VERIFICATION, "-")) for entry in (first, second)))
     table.add_section()
     shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
     for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):
@@ -134,13 +134,13 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
 
 def differences(first: Entry, second: Entry) -> list[tuple[str, str, str]]:
     """Return the parameters and tags in which two studies differ: name, value of the first, value of the second."""
-    found = []
-    for left, right in ((first.params, second.params), (first.tags, second.tags)):
-        for name in dict.fromkeys([*left, *right]):
-            values = left.get(name, "-"), right.get(name, "-")
+    rows = []
+    for a, b in ((first.params, second.params), (first.tags, second.tags)):
+        for name in dict.fromkeys([*a, *b]):
+            values = a.get(name, "-"), b.get(name, "-")
             if values[0] != values[1] and not name.startswith(_IGNORED):
-                found.append((name, *map(hidden, values)))
-    return found
+                rows.append((name, *map(hidden, values)))
+    return rows
 
 
 def _table(title: str) -> Table:

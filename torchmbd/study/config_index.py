@@ -11,8 +11,8 @@ RUNS = "mlartifacts"  # folder of the files of runs, copies of experiment files 
 def configs(folder: str | Path) -> dict[Path, str]:
     """Return the experiment files below a folder and the first comment of each."""
     files = sorted(file for pattern in ("*.yaml", "*.yml") for file in Path(folder).rglob(pattern))
-    own = (file for file in files if not any(x == RUNS or x[0] == "." for x in file.relative_to(folder).parts))
-    return {file: question(file) for file in own}
+    experiments = (file for file in files if not any(x == RUNS or x[0] == "." for x in file.relative_to(folder).parts))
+    return {file: question(file) for file in experiments}
 
 
 def question(file: Path) -> str:

@@ -162,8 +162,8 @@ def _group_sizes(study: StudySettings, starts: int) -> list[int]:
     criteria = getattr(study.problem, "criteria", ())
     if not criteria:
         return [starts]
-    given = {key: study.options[key] for key in ("divisions", "everywhere") if key in study.options}
-    return group_sizes(len(criteria), starts, **given)
+    settings = {key: study.options[key] for key in ("divisions", "everywhere") if key in study.options}
+    return group_sizes(len(criteria), starts, **settings)
 
 
 def _clocks() -> tuple[float, float]:
@@ -211,8 +211,8 @@ def _response_rows(problem: Problem, motion: Trajectory) -> Tensor:
     rows = []
     for measure in (problem.objective, *(constraint.measure for constraint in problem.constraints)):
         histories = [history for history, _ in histories_of(measure)]
-        found = [history.values(motion).sum(-1)[:, None].expand(-1, measure.rows) for history in histories]
-        rows += found or [measure.value(motion).reshape(motion.lanes, -1)]
+        sums = [history.values(motion).sum(-1)[:, None].expand(-1, measure.rows) for history in histories]
+        rows += sums or [measure.value(motion).reshape(motion.lanes, -1)]
     return torch.cat(rows, 1)
 
 
@@ -305,8 +305,8 @@ def _steps_line(problem: Problem, share: float, reason: str) -> str:
         return f"{text}; {reason}"
     if share <= LIMIT:
         return f"{text}; the largest error at the start design is {100.0 * share:.1g} %"
-    found = "do not resolve it" if math.isnan(share) else f"leave an error of {100.0 * share:.2g} %"
-    return f"warning: {text}, {found}; allowed: {advice(problem, share / LIMIT)}"
+    accuracy = "do not resolve it" if math.isnan(share) else f"leave an error of {100.0 * share:.2g} %"
+    return f"warning: {text}, {accuracy}; allowed: {advice(problem, share / LIMIT)}"
 
 
 def _modes_text(cost: Estimate) -> str:
@@ -329,11 +329,11 @@ def _over_scenarios(problem: Problem) -> str:
 def _print_truncation(problem: Problem, console: Console) -> None:
     """Print the error of the retained modes, if the system checks it."""
     limit = problem.system.truncation
-    found = None if limit is None else problem.system.static_truncation()
-    if limit is None or found is None:
+    truncation = None if limit is None else problem.system.static_truncation()
+    if limit is None or truncation is None:
         return
-    small = f"make joints and forces {100 * max(found.share, 0.0):.1g} % too stiff at most"
-    text = f"retained modes: {small}" if found.share <= limit else f"warning: {found}"
+    small = f"make joints and forces {100 * max(truncation.share, 0.0):.1g} % too stiff at most"
+    text = f"retained modes: {small}" if truncation.share <= limit else f"warning: {truncation}"
     console.print(text, markup=False, soft_wrap=True)
 
 

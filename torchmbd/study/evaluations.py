@@ -128,13 +128,13 @@ class Evaluations:
     def visited(self, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Return every design [m, n] of this problem on disk with its objective [m], nan where it failed."""
         query = "select design, gradients, m, status, numbers from evaluations where problem = ?"
-        found = {
+        values = {
             row[0]: numbers
             for *row, sealed in self._select(query, (self.problem,))
             if (numbers := self._checked((row[0], row[1], row[2], row[3]), sealed)) is not None
         }
-        designs = np.array([np.frombuffer(design) for design in found]).reshape(-1, n)
-        return designs, np.array([np.frombuffer(numbers)[0] for numbers in found.values()])
+        designs = np.array([np.frombuffer(design) for design in values]).reshape(-1, n)
+        return designs, np.array([np.frombuffer(numbers)[0] for numbers in values.values()])
 
     def close(self) -> None:
         self._base.close()

@@ -75,10 +75,10 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
 
 
 def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
-    given = fetch(store, entry, "config_as_given.yaml", scratch)
+    original = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
     _require_files(store, entry)
-    asked = entry.tags.get("question") or (question(given) if given else QUESTION_MISSING)
+    asked = entry.tags.get("question") or (question(original) if original else QUESTION_MISSING)
     took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
     parts = [
         f"<h1>{escape(entry.name if asked == QUESTION_MISSING else asked)}</h1>",
@@ -97,7 +97,10 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
         page = escape(motion.read_text(encoding="utf-8"), quote=True)
         parts += ["<h2>Motion of the best design</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
     if config:
-        parts += ["<h2>Experiment</h2>", f"<pre>{escape(hidden((given or config).read_text(encoding='utf-8')))}</pre>"]
+        parts += [
+            "<h2>Experiment</h2>",
+            f"<pre>{escape(hidden((original or config).read_text(encoding='utf-8')))}</pre>",
+        ]
     parts += ["<h2>Where it comes from</h2>", _rows({k: hidden(entry.tags[k]) for k in _PROVENANCE if k in entry.tags})]
     head = '<!doctype html><html lang="en"><head><meta charset="utf-8">'
     head += f'<meta name="viewport" content="width=device-width"><title>{escape(entry.name)}</title>'
@@ -123,27 +126,27 @@ def _rows(values: dict[str, str]) -> str:
 
 def _children(store: StoreURI, entry: Entry) -> str:
     """Return a table of the starts or points, the best first."""
-    found = children(store, entry)
-    if not found:
+    runs = children(store, entry)
+    if not runs:
         return ""
-    names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
+    names = list(dict.fromkeys(name for child in runs for name in child.metrics if is_design(name)))
     columns = [
-        *criterion_metrics(child.metrics for child in found),
+        *criterion_metrics(child.metrics for child in runs),
         INCREASE,
         "violation",
         *names,
         ITERATIONS,
         ANALYSES,
     ]
-    columns = [name for name in columns if any(name in child.metrics for child in found)]
+    columns = [name for name in columns if any(name in child.metrics for child in runs)]
     head = "".join(f"<th>{escape(metric_heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []
-    for child in found:
+    for child in runs:
         cells = [child.name, *(number_text(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
         cells.append(child.tags.get("status", child.status.lower()).replace("_", " "))
         best = ' class="best"' * (child.tags.get("best") == "true")
         rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
-    return f"<h2>{len(found)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
+    return f"<h2>{len(runs)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
 
 
 def _pictures(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:

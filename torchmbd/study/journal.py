@@ -85,11 +85,11 @@ class Journal:
 
     def _columns(self, kind: str) -> list[str]:
         """Return the columns of the table of the children in MLflow."""
-        own = {"sweep": ["ratio"], "front": ["violation"]}.get(
+        extra_metrics = {"sweep": ["ratio"], "front": ["violation"]}.get(
             kind, [gain_metric(self.study.sign), "violation", ITERATIONS, FAILED]
         )
         first = list(self.criteria.values()) if kind == "front" else ["objective"]
-        names = [*first, *own, *(DESIGN + name for name in self.study.columns.names)]
+        names = [*first, *extra_metrics, *(DESIGN + name for name in self.study.columns.names)]
         return [*(f"metrics.{name}" for name in names), "tags.status"]
 
     @property
@@ -179,12 +179,16 @@ class Journal:
 
     def verified(self, verification: Verification) -> None:
         """File the responses of start and best design with their errors, and whether the best design is verified."""
-        ends = [f"_{one.unit}" if one.unit in UNITS else "" for one in verification.answers]
-        names = unique([legal_key(one.words + end) for one, end in zip(verification.answers, ends, strict=True)])
+        ends = [f"_{answer.unit}" if answer.unit in UNITS else "" for answer in verification.answers]
+        names = unique([legal_key(answer.words + end) for answer, end in zip(verification.answers, ends, strict=True)])
         numbers: dict[str, float] = {}
-        for name, one in zip(names, verification.answers, strict=True):
-            numbers |= {START + name: one.start.value, BEST + name: one.best.value, ERROR + name: one.best.error}
-            numbers |= {} if one.margin is None else {MARGIN + name: one.margin}
+        for name, answer in zip(names, verification.answers, strict=True):
+            numbers |= {
+                START + name: answer.start.value,
+                BEST + name: answer.best.value,
+                ERROR + name: answer.best.error,
+            }
+            numbers |= {} if answer.margin is None else {MARGIN + name: answer.margin}
         self.summary(numbers, {VERIFICATION: verification.status})
         self.text(ANSWER, verification.to_json())
 
@@ -194,7 +198,7 @@ class Journal:
         space = getattr(self.study.simulated, "space", None)
         if space is not None:  # with the entries that follow others
             designs = space.designs(np.asarray(x)[None, : len(space.names)])
-            values = {name: found.reshape(-1).tolist() for name, found in designs.items()}
+            values = {name: entries.reshape(-1).tolist() for name, entries in designs.items()}
         else:
             for label, value in zip(self.study.columns.labels, x.tolist(), strict=False):
                 values.setdefault(label.rpartition("[")[0] or label, []).append(value)

@@ -151,15 +151,15 @@ MEANINGS = {
 
 def _operations(kind: str) -> dict[str, Any]:
     """Operations on responses of a kind, and functions of one's own."""
-    one: dict[str, Any] = {"$ref": f"#/$defs/{kind}"}
-    several = {"type": "array", "minItems": 2, "items": {"anyOf": [one, {"type": "number"}]}}
+    operand: dict[str, Any] = {"$ref": f"#/$defs/{kind}"}
+    several = {"type": "array", "minItems": 2, "items": {"anyOf": [operand, {"type": "number"}]}}
     function = {
         "type": "string",
         "description": "package.module:function or path/to/file.py:function; more keys are its options",
     }
     return (
         {name: several | {"description": MEANINGS[name]} for name in SEVERAL}
-        | {name: one | {"description": MEANINGS[name]} for name in (*SINGLE, SCALED)}
+        | {name: operand | {"description": MEANINGS[name]} for name in (*SINGLE, SCALED)}
         | {FUNCTION: function, "by": {"type": "number", "description": MEANINGS["by"]}}
     )
 

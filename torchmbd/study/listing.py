@@ -27,14 +27,14 @@ _COMPARED = 32  # runs in the link of a comparison, at most
 
 def print_configs(folder: Path, console: Console) -> None:
     """Print the experiment files below a folder with their questions."""
-    found = configs(folder)
-    if not found:
+    questions = configs(folder)
+    if not questions:
         console.print(f"No experiment files in {escape(str(folder))}.", soft_wrap=True)
         return
     table = Table(title="experiment files", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("file", no_wrap=True)  # a name in one piece can be copied
     table.add_column("question")
-    for file, question in found.items():
+    for file, question in questions.items():
         table.add_row(escape(str(file)), escape(question))
     print_table(table, console)
 
@@ -42,8 +42,8 @@ def print_configs(folder: Path, console: Console) -> None:
 def print_studies(uri: str | None, console: Console) -> None:
     """Print the studies of a store, the newest first."""
     store = store_uri(uri)
-    found = studies(store)
-    if not found:
+    entries = studies(store)
+    if not entries:
         console.print(f"No studies yet in {escape(str(store))}.", soft_wrap=True)
         return
     table = Table(title=f"studies in {escape(str(store))}", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
@@ -56,21 +56,21 @@ def print_studies(uri: str | None, console: Console) -> None:
             no_wrap=not name,
             overflow="fold" if name else "ellipsis",
         )
-    for entry in found:
+    for entry in entries:
         table.add_row(*map(escape, _cells(entry)))
     print_table(table, console, [2, 4, 0, 7])
 
 
 def print_links(store: StoreURI, base: str, console: Console) -> None:
     """Print the links of every experiment and of the latest studies."""
-    found = studies(store)
-    if not found:
+    entries = studies(store)
+    if not entries:
         console.print(f"{base}  (no studies yet)", soft_wrap=True)
         return
-    for experiment_id, name in {entry.experiment_id: entry.experiment for entry in found}.items():
+    for experiment_id, name in {entry.experiment_id: entry.experiment for entry in entries}.items():
         console.print(f"all runs of {escape(name)}", style="bold")
         print_links_of({"runs": experiment_link(base, experiment_id)}, console)
-    for entry in found[:_RECENT]:
+    for entry in entries[:_RECENT]:
         console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
         links = study_links(base, entry.experiment_id, entry.run_id, entry.kind, entry.status)
         runs = [run.run_id for run in children(store, entry)]

@@ -40,8 +40,8 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
 
 def search_options(front: Callable[..., Any] | None = None) -> list[str]:
     """Return the options that all methods share: of `multistart`, or of the function that finds fronts."""
-    own = {"problem", "method", "starts", "callback", "ended", "max_iterations", "options", "progress"}
-    return [name for name in inspect.signature(front or multistart).parameters if name not in own]
+    arguments = {"problem", "method", "starts", "callback", "ended", "max_iterations", "options", "progress"}
+    return [name for name in inspect.signature(front or multistart).parameters if name not in arguments]
 
 
 def _option_types(function: Callable[..., Any]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def is_design(metric: str) -> bool:
 
 def criterion_metrics(metrics: Iterable[Mapping[str, float]], sign: float = 1.0) -> list[str]:
     """Return the names of the criteria of a front, or of the objective and its improvement."""
-    criteria = dict.fromkeys(name for found in metrics for name in found if name.startswith(CRITERION))
+    criteria = dict.fromkeys(name for numbers in metrics for name in numbers if name.startswith(CRITERION))
     return list(criteria) or ["objective", gain_metric(sign)]
 
 

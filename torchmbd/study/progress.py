@@ -115,8 +115,8 @@ class Progress:
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
-        own, headings = ["start", "iter", "objective", gain_heading(self.sign), "viol."], self.columns.headings
-        table = table_of(title, [*own, *headings, "sims"])
+        basics, headings = ["start", "iter", "objective", gain_heading(self.sign), "viol."], self.columns.headings
+        table = table_of(title, [*basics, *headings, "sims"])
         for start, iterate in enumerate(self.latest):
             if iterate is None:
                 table.add_row(str(start), "-")
@@ -124,7 +124,7 @@ class Progress:
             values = [f"{value:z.2f}" for value in self.columns.by_name(iterate.x).values()]
             numbers = outcome_cells(self.first, iterate.objective, iterate.violation, self.sign)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
-        return fit_to_width(table, self.console, drop_order(len(own), len(headings), [-1, 4, 3]))
+        return fit_to_width(table, self.console, drop_order(len(basics), len(headings), [-1, 4, 3]))
 
 
 class SearchCounter:
@@ -187,13 +187,13 @@ def shown_rows(count: int, best: int | None = None) -> list[int]:
 
 def fit_to_width(table: Table, console: Console, optional: Sequence[int] = ()) -> Table:
     """Return the table without as many of its `optional` columns (in this order) as do not fit the terminal."""
-    left = list(range(len(table.columns)))
+    indices = list(range(len(table.columns)))
     part = table
     for index in (k % len(table.columns) for k in optional):
         if _width(part, console) <= console.width:
             break
-        left.remove(index)
-        part = _part(table, left)
+        indices.remove(index)
+        part = _part(table, indices)
     return part
 
 
@@ -201,11 +201,11 @@ def _width(table: Table, console: Console) -> int:
     return Measurement.get(console, console.options.update(width=1000), table).maximum
 
 
-def _part(table: Table, left: Sequence[int]) -> Table:
-    """Return the columns `left` of a table, with one column of dots for those that are left out."""
+def _part(table: Table, indices: Sequence[int]) -> Table:
+    """Return the columns `indices` of a table, with one column of dots for those that are left out."""
     part = Table(title=table.title, title_justify="left", box=table.box, pad_edge=False, padding=table.padding)
-    gap = next(k for k in range(len(table.columns)) if k not in left)
-    shown = sorted([*left, gap])
+    gap = next(k for k in range(len(table.columns)) if k not in indices)
+    shown = sorted([*indices, gap])
     for k in shown:
         column = table.columns[k]
         heading = "..." if k == gap else column.header

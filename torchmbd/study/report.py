@@ -33,9 +33,9 @@ from torchmbd.viz import (
 from torchmbd.viz.panels import histories_of
 
 
-def print_results(study: StudySettings, found: MultistartResult, failures: Sequence[str], console: Console) -> None:
+def print_results(study: StudySettings, outcome: MultistartResult, failures: Sequence[str], console: Console) -> None:
     """Print a table of the starts, the best first, and the failed evaluations."""
-    if not found.results:
+    if not outcome.results:
         console.print("No start came to a result.")
         return
     columns = [
@@ -48,11 +48,11 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
         "sims",
         "status",
     ]
-    table = table_of(f"{study.name}: {len(found.results)} starts, {found.converged} converged", columns)
-    best = found.best
-    moved = [result for result in found.results if result.start == 0 and result.history]
+    table = table_of(f"{study.name}: {len(outcome.results)} starts, {outcome.converged} converged", columns)
+    best = outcome.best
+    moved = [result for result in outcome.results if result.start == 0 and result.history]
     first = moved[0].history[0].objective if moved else float("nan")
-    ranked = sorted(found.results, key=lambda r: (not r.violation <= study.feasibility, r.value))
+    ranked = sorted(outcome.results, key=lambda r: (not r.violation <= study.feasibility, r.value))
     for result in ranked[:ROWS]:
         angles = [f"{value:z.2f}" for value in study.columns.by_name(result.x).values()]
         cells = [str(result.start), *outcome_cells(first, result.value, result.violation, study.sign), *angles]
@@ -76,13 +76,13 @@ Evaluated = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
 
 
 def save_pictures(
-    study: StudySettings, found: MultistartResult, evaluated: Evaluated, journal: Journal, console: Console
+    study: StudySettings, outcome: MultistartResult, evaluated: Evaluated, journal: Journal, console: Console
 ) -> None:
     """Draw and track the pictures of a study: responses over iterations and time, start and best design, all starts."""
-    searches = {f"start {r.start}": r.history for r in found.results if r.history}
-    if not searches or not any(np.isfinite(r.value) for r in found.results):  # nothing could be evaluated
+    searches = {f"start {r.start}": r.history for r in outcome.results if r.history}
+    if not searches or not any(np.isfinite(r.value) for r in outcome.results):  # nothing could be evaluated
         return
-    best, problem = found.best, study.simulated
+    best, problem = outcome.best, study.simulated
     objective = heading(problem.stated_objective) if isinstance(problem, Problem) else "objective"
     chosen, title = None if best is None else f"start {best.start}", study.question or study.name
     save_figure(
@@ -95,23 +95,25 @@ def save_pictures(
         best=chosen,
         ylabel=objective,
     )
-    save_figure(design_map, ["design_map.png"], journal, console, **_map_arguments(study, found, evaluated, objective))
+    save_figure(
+        design_map, ["design_map.png"], journal, console, **_map_arguments(study, outcome, evaluated, objective)
+    )
     save_figure(
         parallel_coordinates,
         ["parallel_coordinates.png"],
         journal,
         console,
-        **_coordinate_arguments(study, found, objective),
+        **_coordinate_arguments(study, outcome, objective),
         title=title,
     )
     if (
         isinstance(problem, Problem) and study.problem is problem
     ):  # over tolerances the numbers are those of many designs
-        given = {"problem": problem, "searches": searches, "best": chosen, "title": title}
-        save_figure(criteria_over_iterations, _png_and_pdf("criteria_over_iterations"), journal, console, **given)
+        arguments = {"problem": problem, "searches": searches, "best": chosen, "title": title}
+        save_figure(criteria_over_iterations, _png_and_pdf("criteria_over_iterations"), journal, console, **arguments)
     with missing_picture_reported(console):
         # After an interruption nothing more is simulated.
-        if best is not None and not found.interrupted and isinstance(problem, Problem):
+        if best is not None and not outcome.interrupted and isinstance(problem, Problem):
             _motion_pictures(study, np.stack([problem.start, best.x[: len(problem.start)]]), problem, journal, console)
 
 
@@ -147,12 +149,12 @@ def missing_picture_reported(console: Console) -> Iterator[None]:
 
 
 def _map_arguments(
-    study: StudySettings, found: MultistartResult, evaluated: Evaluated, objective: str
+    study: StudySettings, outcome: MultistartResult, evaluated: Evaluated, objective: str
 ) -> dict[str, Any]:
     """Return the arguments of `design_map`: the paths of the starts, and the minimum in which each ended."""
     columns = study.columns
-    moved = [result for result in found.results if result.history]
-    ends = {f"start {start}": k for k, minimum in enumerate(found.minima) for start in minimum.starts}
+    moved = [result for result in outcome.results if result.history]
+    ends = {f"start {start}": k for k, minimum in enumerate(outcome.minima) for start in minimum.starts}
     # Not with an extra variable: the objectives on disk are not the largest rows, nor the worst case.
     seen = None if study.has_extra_variable else (columns.in_units(evaluated[0]), study.sign * evaluated[1])
     return {
@@ -165,9 +167,9 @@ def _map_arguments(
     }
 
 
-def _coordinate_arguments(study: StudySettings, found: MultistartResult, objective: str) -> dict[str, Any]:
+def _coordinate_arguments(study: StudySettings, outcome: MultistartResult, objective: str) -> dict[str, Any]:
     """Return the arguments of `parallel_coordinates`: the final designs of the starts."""
-    ended = [result for result in found.results if np.isfinite(result.value)]
+    ended = [result for result in outcome.results if np.isfinite(result.value)]
     columns = study.columns
     return {
         "designs": columns.in_units(np.array([result.x for result in ended]).reshape(-1, len(study.problem.start))),
@@ -193,16 +195,16 @@ def _motion_pictures(
     labels = ["start design", "best design"]
     if designs.shape[1] <= _SHOWN:
         labels = [f"{label} ({study.columns.sentence(x)})" for label, x in zip(labels, designs, strict=True)]
-    given = {"motion": motion, "labels": labels, "title": title}
-    save_figure(criteria_over_time, _png_and_pdf("criteria_over_time"), journal, console, problem=problem, **given)
-    save_figure(weighted_parts, _png_and_pdf("weighted_parts"), journal, console, problem=problem, **given)
+    arguments = {"motion": motion, "labels": labels, "title": title}
+    save_figure(criteria_over_time, _png_and_pdf("criteria_over_time"), journal, console, problem=problem, **arguments)
+    save_figure(weighted_parts, _png_and_pdf("weighted_parts"), journal, console, problem=problem, **arguments)
     measures = [problem.objective, *(constraint.measure for constraint in problem.constraints)]
     indices = [
         history for measure in measures for history, _ in histories_of(measure) if isinstance(history, PlyFailure)
     ]
     for body, criterion in dict.fromkeys((index.body, index.criterion) for index in indices):
         name = f"failure_{body}_{criterion}"
-        save_figure(failure_map, _png_and_pdf(name), journal, console, body=body, criterion=criterion, **given)
+        save_figure(failure_map, _png_and_pdf(name), journal, console, body=body, criterion=criterion, **arguments)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         title = f"{study.name}: {label}"
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=title, problem=problem)

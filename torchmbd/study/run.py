@@ -166,7 +166,7 @@ def _search(
             if trouble := journal.tracker.trouble:
                 progress.note(f"{trouble}; the study goes on, and sends it later")
 
-        found = multistart(
+        outcome = multistart(
             target,
             study.method,
             list(points),
@@ -176,37 +176,37 @@ def _search(
             progress=False,  # the terminal shows the starts already
             **options,
         )
-    best = found.best
-    print_results(study, found, journal.failures, console)
-    _summarize(found, study.sign, journal)
+    best = outcome.best
+    print_results(study, outcome, journal.failures, console)
+    _summarize(outcome, study.sign, journal)
     if best is not None:
         journal.best(best)
-    elif not found.interrupted:
-        reason = _no_design_reason(found, study)
+    elif not outcome.interrupted:
+        reason = _no_design_reason(outcome, study)
         journal.summary({}, {"message": reason})
         console.print(f"No design to report: {reason}", soft_wrap=True, highlight=False, markup=False)
-    result, interrupted = found, found.interrupted
+    result, interrupted = outcome, outcome.interrupted
     if best is not None and any(study.increments) and not interrupted:
-        result = search_on_steps(study, target, points, options, found, journal, console)
+        result = search_on_steps(study, target, points, options, outcome, journal, console)
         interrupted = result.status == "interrupted"
     verified = None
     if best is not None and not interrupted:
         last = result.best
         verified = verify_best(
-            study, best if last is None else last, found if result is found else None, journal, console
+            study, best if last is None else last, outcome if result is outcome else None, journal, console
         )
     visited = store.visited(len(study.simulated.start))
-    save_pictures(study, found, visited, journal, console)
+    save_pictures(study, outcome, visited, journal, console)
     if interrupted:
         return result, "KILLED", None
     return result, "FINISHED" if best is not None else "FAILED", verified
 
 
-def _no_design_reason(found: MultistartResult, study: StudySettings) -> str:
+def _no_design_reason(outcome: MultistartResult, study: StudySettings) -> str:
     """Return why no start ended with a feasible design: what the nearest one violates, or why none was evaluated."""
-    ended = [result for result in found.results if math.isfinite(result.violation)]
+    ended = [result for result in outcome.results if math.isfinite(result.violation)]
     if not ended:
-        return found.results[0].message if found.results else "no start was evaluated"
+        return outcome.results[0].message if outcome.results else "no start was evaluated"
     near = min(ended, key=lambda result: result.violation)
     rows = np.array(near.constraints, dtype=float).reshape(-1)
     equal = getattr(study.problem, "equalities", np.zeros(0, dtype=int))

@@ -131,7 +131,7 @@ class RunRecord:
         run = record.runs[PARENT]
         base = record.uri.page if record.uri.served else DEFAULT_BASE
         links = study_links(base, record.experiment_id, run, kind, status)
-        if own := own_files(record.uri, run):
+        if folder := own_files(record.uri, run):
             self.console.print("To look at it: torchmbd ui, then", highlight=False)
-            links["on disk"] = os.path.relpath(own) if own.is_relative_to(Path.cwd()) else str(own)
+            links["on disk"] = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
         print_links_of(links, self.console)

@@ -29,8 +29,8 @@ class Setting(Section):
 
     @property
     def si(self) -> Numbers:
-        one = UNITS[self.unit]
-        return [one * x for x in self.value] if isinstance(self.value, list) else one * self.value
+        factor = UNITS[self.unit]
+        return [factor * x for x in self.value] if isinstance(self.value, list) else factor * self.value
 
 
 class Scenario(Section):

@@ -85,10 +85,10 @@ class Variable(Section):
 
     @field_validator("tolerance", "step")
     @classmethod
-    def _not_negative(cls, given: Numbers | None) -> Numbers | None:
-        if given is not None and min(given if isinstance(given, list) else [given]) < 0.0:
-            raise fault(f"= {shown(given)}: must not be negative")
-        return given
+    def _not_negative(cls, numbers: Numbers | None) -> Numbers | None:
+        if numbers is not None and min(numbers if isinstance(numbers, list) else [numbers]) < 0.0:
+            raise fault(f"= {shown(numbers)}: must not be negative")
+        return numbers
 
     @model_validator(mode="after")
     def _bounds_in_degrees(self) -> Self:
@@ -149,14 +149,14 @@ class Constraint(Section):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or "measure" in data:
             return data
-        own = {key: data[key] for key in (*LIMIT_KINDS, "scale", "unit") if key in data}
-        return {"measure": {key: x for key, x in data.items() if key not in own}} | own
+        limit = {key: data[key] for key in (*LIMIT_KINDS, "scale", "unit") if key in data}
+        return {"measure": {key: x for key, x in data.items() if key not in limit}} | limit
 
     @model_validator(mode="after")
     def _one_limit_in_its_unit(self) -> Self:
-        given = [key for key in LIMIT_KINDS if getattr(self, key) is not None]
-        if len(given) != 1:
-            raise fault(f": has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(LIMIT_KINDS)}")
+        kinds = [key for key in LIMIT_KINDS if getattr(self, key) is not None]
+        if len(kinds) != 1:
+            raise fault(f": has {' and '.join(kinds) or 'no limit'}; must have exactly one of {', '.join(LIMIT_KINDS)}")
         si = unit(measure_of(self.measure))
         numbers = [x for x in (self.limit, self.scale) if isinstance(x, float)]
         if self.unit is None and si == "rad" and numbers:
@@ -178,8 +178,8 @@ class Constraint(Section):
 
     def resolved(self) -> dict[str, Any]:
         """Return the constraint in the form of the file."""
-        own = {key: given for key in ("scale", "unit") if (given := getattr(self, key)) is not None}
-        return {**self.measure, self.kind: self.limit, **own}
+        scale_and_unit = {key: value for key in ("scale", "unit") if (value := getattr(self, key)) is not None}
+        return {**self.measure, self.kind: self.limit, **scale_and_unit}
 
     def si(self, x: float | str | None) -> Any:
         """A limit or a scale in SI units; a word as it is."""
@@ -241,10 +241,10 @@ class Range(Section):
     count: int = Field(ge=2, le=100_000)
 
 
-def _known_store(given: Any) -> StoreURI:
-    if not isinstance(given, str):
-        raise fault(f"= {shown(given)}: must be a valid string")
-    uri = StoreURI(given)
+def _known_store(uri_text: Any) -> StoreURI:
+    if not isinstance(uri_text, str):
+        raise fault(f"= {shown(uri_text)}: must be a valid string")
+    uri = StoreURI(uri_text)
     if text := uri_fault(uri):
         raise fault(f"= {shown(str(uri))}: {text}")
     return uri
@@ -317,12 +317,12 @@ class StudyFile(Section):
 
     @model_validator(mode="after")
     def _one_question(self) -> Self:
-        given = [key for key in OBJECTIVE_KEYS if getattr(self, key) is not None]
-        if not given:
+        keys = [key for key in OBJECTIVE_KEYS if getattr(self, key) is not None]
+        if not keys:
             text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
             raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
-        if len(given) > 1:
-            raise fault(f"and {given[0]} are both given; allowed: one of {', '.join(OBJECTIVE_KEYS)}", given[1])
+        if len(keys) > 1:
+            raise fault(f"and {keys[0]} are both given; allowed: one of {', '.join(OBJECTIVE_KEYS)}", keys[1])
         tolerant = any(variable.tolerance is not None for variable in self.design.values())
         if self.robust is not None and not tolerant:
             raise fault(f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design", "robust")

@@ -44,8 +44,8 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_empty_value(cls, given: Any) -> Any:
+    def _no_empty_value(cls, value: Any) -> Any:
         """A key without a value was most likely forgotten: its default is that of no key."""
-        if given is None:
+        if value is None:
             raise fault("= null: no value; allowed: a value, or the file without this key")
-        return given
+        return value

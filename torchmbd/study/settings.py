@@ -94,9 +94,9 @@ class StudySettings(Summary):
         self.columns = self._columns(units)
         self._start = checked_box(problem)[0]
         if starts is not None and not isinstance(starts, Starts):  # extra variables begin as those of the start
-            own = len(self.columns.names)
+            count = len(self.columns.names)
             full = [np.asarray(point, dtype=float).reshape(-1) for point in starts]
-            full = [np.append(x, self._start[own:]) if x.size == own else x for x in full]
+            full = [np.append(x, self._start[count:]) if x.size == count else x for x in full]
             starts = given([checked_box(problem, point)[0] for point in full])
         self.starts = recipe(starts, self._start)
         self.increments = self._checked_increments(increments)
@@ -107,7 +107,7 @@ class StudySettings(Summary):
         names = list(self.problem.names)
         names = names[:-1] if self.has_extra_variable else names
         period = np.asarray(getattr(self.problem, "period", np.zeros(len(names))), dtype=float)
-        own = {name.rpartition("[")[0]: "deg" for name, turn in zip(names, period, strict=False) if turn > 0.0}
+        angles = {name.rpartition("[")[0]: "deg" for name, turn in zip(names, period, strict=False) if turn > 0.0}
         parameters = [name.rpartition("[")[0] or name for name in names]
         if units is not None and not isinstance(units, Mapping):
             raise InputError(f"units is {units!r}; allowed: parameter -> unit")
@@ -117,19 +117,19 @@ class StudySettings(Summary):
             if unit not in UNITS:
                 raise unknown("unit", unit, UNITS)
         scalars = [] if self.system is None else [n for n, x in self.system.named_parameters() if not x.ndim]
-        return Columns.of(names, own | dict(units or {}), scalars)
+        return Columns.of(names, angles | dict(units or {}), scalars)
 
-    def _checked_increments(self, given: Mapping[str, float] | None) -> list[float | None]:
+    def _checked_increments(self, increments: Mapping[str, float] | None) -> list[float | None]:
         """Return the increment of each design variable [SI], None where it takes any value."""
-        if given is not None and not isinstance(given, Mapping):
-            raise InputError(f"increments is {given!r}; allowed: parameter -> step")
+        if increments is not None and not isinstance(increments, Mapping):
+            raise InputError(f"increments is {increments!r}; allowed: parameter -> step")
         names = list(self.problem.names)
-        for parameter, step in (given or {}).items():
+        for parameter, step in (increments or {}).items():
             if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
                 raise unknown("increments of parameter", parameter, names)
             if isinstance(step, bool) or not isinstance(step, (int, float)) or not 0.0 < step < np.inf:
                 raise InputError(f"increments of {parameter} is {step!r}; allowed: a positive number [SI]")
-        known = given or {}
+        known = increments or {}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
         if any(steps) and (self.front or self.has_extra_variable):
             raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
@@ -137,22 +137,22 @@ class StudySettings(Summary):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
         return [None if step is None else float(step) for step in steps]
 
-    def _sweep_values(self, given: Mapping[str, tuple[float, float, int]] | None) -> tuple[int, np.ndarray] | None:
+    def _sweep_values(self, spans: Mapping[str, tuple[float, float, int]] | None) -> tuple[int, np.ndarray] | None:
         """Return the index of the swept variable and its values [SI]; None without a sweep."""
-        if given is None:
+        if spans is None:
             return None
-        if not isinstance(given, Mapping) or any(np.shape(span) != (3,) for span in given.values()):
-            raise InputError(f"sweep is {given!r}; allowed: one variable -> (first, last, count)")
+        if not isinstance(spans, Mapping) or any(np.shape(span) != (3,) for span in spans.values()):
+            raise InputError(f"sweep is {spans!r}; allowed: one variable -> (first, last, count)")
         others = {"a tolerance": isinstance(self.problem, RobustProblem), "a tradeoff": self.front}
         others["a step"] = any(self.increments)
         for other, is_asked in others.items():
             if is_asked:
                 raise InputError(f"sweep and {other} are both given; allowed: one of them")
-        if len(given) != 1:
-            raise InputError(f"sweep is {given!r}; allowed: one variable")
+        if len(spans) != 1:
+            raise InputError(f"sweep is {spans!r}; allowed: one variable")
         if self.has_extra_variable:
             raise InputError("minimize has several rows; allowed in a sweep: one number, such as max")
-        [(name, span)] = given.items()
+        [(name, span)] = spans.items()
         index = _swept_index(name, list(self.problem.names))
         first, last, count = span
         for what, value in (("first value", first), ("last value", last)):

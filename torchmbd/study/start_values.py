@@ -62,9 +62,9 @@ def start_values(problem: Problem, criteria: int = 1, errors: Sequence[ResponseE
     factor, name = _shown(unit(problem.stated_objective))
     shares = _error_shares(problem, errors)
     values = [Value(what, words(problem.stated_objective), factor * value, name, "", shares[0])]
-    own = evaluation.constraints[problem.peaks :]
+    constraints = evaluation.constraints[problem.peaks :]
     for constraint, rows, share in zip(problem.constraints, problem.constraint_rows, shares[1:], strict=True):
-        c, limits, scales = own[rows], problem.limits[rows], problem.reference.scale[rows]
+        c, limits, scales = constraints[rows], problem.limits[rows], problem.reference.scale[rows]
         worst = int(governing_row(constraint, c))
         limit, value = float(limits[worst]), float(limits[worst] + c[worst] * scales[worst])
         violation = abs(c[worst]) if constraint.kind == "equal" else c[worst]
@@ -98,7 +98,7 @@ def _error_shares(problem: Problem, errors: Sequence[ResponseError]) -> list[flo
 
 def worst_share(values: Sequence[Value]) -> float:
     """Return the size of the largest error of the responses, a share; nan where one is not resolved."""
-    sizes = [abs(one.error) for one in values]
+    sizes = [abs(value.error) for value in values]
     return math.nan if any(map(math.isnan, sizes)) else max(sizes)
 
 
@@ -125,14 +125,20 @@ def print_start_values(values: list[Value] | str, console: Console) -> None:
         return
     console.print("at the start design:", markup=False)
     rows = [
-        (f"  {one.asked}", one.words, f"{one.value:.6g} {one.unit or ''}".rstrip(), _error_text(one.error), one.note)
-        for one in values
+        (
+            f"  {value.asked}",
+            value.words,
+            f"{value.value:.6g} {value.unit or ''}".rstrip(),
+            _error_text(value.error),
+            value.note,
+        )
+        for value in values
     ]
     asked, _, number, error, note = (max(map(len, column)) for column in zip(*rows, strict=True))
     width = max(console.width - asked - number - error - note - 8, 16)
     for row in rows:
         lines = textwrap.wrap(row[1], width)
-        wide = min(width, max(len(one.words) for one in values))
+        wide = min(width, max(len(value.words) for value in values))
         told = f"{row[0]:<{asked}}  {lines[0]:<{wide}}  {row[2]:<{number}}  {row[3]:<{error}}  {row[4]}"
         console.print(told.rstrip(), **_PLAIN)
         for line in lines[1:]:

@@ -133,21 +133,21 @@ def _model_folder(config: Document, named: list[str | Path]) -> Path:
 def _set_design(study: StudySettings, data: object, source: str, lines: dict) -> np.ndarray:
     """Set the parameters of the system to the design in `data`, and return it as a vector [n]."""
     problem = study.simulated
-    own = dict(problem.system.named_parameters())
+    parameters = dict(problem.system.named_parameters())
     faults, parts = [], []
     values = data if isinstance(data, dict) else {}
     for name in problem.space.variables:
-        found = values.get(name)
+        numbers = values.get(name)
         if (
-            not isinstance(found, list)
-            or not all(isinstance(x, float) for x in found)
-            or len(found) != own[name].numel()
+            not isinstance(numbers, list)
+            or not all(isinstance(x, float) for x in numbers)
+            or len(numbers) != parameters[name].numel()
         ):
-            faults.append(Fault((name,), f"= {found!r}: must be a list of {own[name].numel()} numbers"))
+            faults.append(Fault((name,), f"= {numbers!r}: must be a list of {parameters[name].numel()} numbers"))
             continue
-        parts.append(np.array(found))
+        parts.append(np.array(numbers))
         with torch.no_grad():
-            own[name].copy_(torch.tensor(found, dtype=own[name].dtype).reshape(own[name].shape))
+            parameters[name].copy_(torch.tensor(numbers, dtype=parameters[name].dtype).reshape(parameters[name].shape))
     if faults:
         raise StudyError(source, located(faults, lines))
     entries = np.concatenate(parts)

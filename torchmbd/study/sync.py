@@ -72,11 +72,11 @@ def _send(study: StudyState) -> str:
     return study.name
 
 
-def _store(study: StudyState, given: StoreURI | None) -> StoreURI:
-    """Return the URI of a study's store, its user part from the experiment file (`given`) or the environment."""
+def _store(study: StudyState, file_uri: StoreURI | None) -> StoreURI:
+    """Return the URI of a study's store, its user part from the experiment file (`file_uri`) or the environment."""
     if not study.uri.masked:
         return study.uri
-    whole = store_uri(None if given is None or given.masked else given)
+    whole = store_uri(None if file_uri is None or file_uri.masked else file_uri)
     if str(whole) != str(study.uri):
         raise MbdError("its user and password are on no disk; allowed: the whole URI as MLFLOW_TRACKING_URI")
     return whole

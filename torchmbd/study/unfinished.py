@@ -134,13 +134,13 @@ def claim_study(
 
 def unsent() -> list[StudyState]:
     """Return the studies that no process runs and that are not, or not wholly, in their store."""
-    found = []
+    states = []
     for file in sorted(studies_folder().glob(f"*/{_FILE}")):
         with contextlib.suppress(FileNotFoundError), _locked(file.parent) as locked:  # it may be removed now
             study = _read(file.parent) if locked else None
             if study is not None and not study.sent:
-                found.append(study)
-    return found
+                states.append(study)
+    return states
 
 
 def _read(folder: Path) -> StudyState | None:

@@ -91,7 +91,7 @@ def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Faul
         values[path] = _shown_input(details, path)
         if text not in texts.setdefault(path, []):
             texts[path].append(text)
-    return [Fault(path, _either(found, values[path])) for path, found in texts.items()]
+    return [Fault(path, _either(alternatives, values[path])) for path, alternatives in texts.items()]
 
 
 def _path(details: ErrorDetails, data: Any) -> Path:

@@ -20,16 +20,16 @@ from torchmbd.study.settings import StudySettings
 
 
 def verify_best(
-    study: StudySettings, best: Any, found: MultistartResult | None, journal: Journal, console: Console
+    study: StudySettings, best: Any, searches: MultistartResult | None, journal: Journal, console: Console
 ) -> Verification | None:
     """Verify the best design of a study, print and file it; None where nothing is simulated.
 
-    found  the ends of the starts, among which it is the best; None: it is on the steps of its variables
+    searches  the ends of the starts, among which it is the best; None: it is on the steps of its variables
     """
     if not isinstance(study.simulated, Problem):
         return None
     begin_stage("verifying start and best design with half the steps and more modes")
-    others = [] if found is None else other_ends(found)
+    others = [] if searches is None else other_ends(searches)
     result = verification(study.problem, best.x, best.value, others, study.points[0], study.feasibility)
     journal.verified(result)
     print_answers(result, console)

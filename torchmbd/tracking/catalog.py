@@ -46,29 +46,29 @@ def studies(uri: StoreURI | str) -> list[Entry]:
         return []
     client = open_store(uri)
     names = {e.experiment_id: e.name for e in client.search_experiments()}
-    found = []
+    entries = []
     if names:
         end_killed(client, list(names))
     for kind in KINDS:
         runs = all_runs(client, list(names), f"tags.kind = '{kind}'") if names else []
-        found += [_entry(run, kind, names[run.info.experiment_id]) for run in runs]
-    return sorted(found, key=lambda entry: entry.began, reverse=True)
+        entries += [_entry(run, kind, names[run.info.experiment_id]) for run in runs]
+    return sorted(entries, key=lambda entry: entry.began, reverse=True)
 
 
 def find(uri: StoreURI | str, run: str) -> Entry:
     """Return the latest study with a run id that begins with `run`, or of the name `run`; InputError if there is none."""
-    found = studies(uri)
-    for entry in found:
+    entries = studies(uri)
+    for entry in entries:
         if entry.run_id.startswith(run) or entry.name == run:
             return entry
-    names = dict.fromkeys(entry.name for entry in found)
+    names = dict.fromkeys(entry.name for entry in entries)
     raise InputError(f"run {run!r} is not in {store_uri(uri)}{nearest(run, names)}, or a run id")
 
 
 def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:
     """Copy a file of a run into a folder and return its path; None if the run has no such file."""
-    if own := own_files(uri, entry.run_id):
-        return Path(shutil.copy(own / name, folder)) if (own / name).is_file() else None
+    if source := own_files(uri, entry.run_id):
+        return Path(shutil.copy(source / name, folder)) if (source / name).is_file() else None
     client = open_store(uri)
     parent = str(Path(name).parent) if "/" in name else None
     if all(item.path != name for item in client.list_artifacts(entry.run_id, parent)):
@@ -78,8 +78,8 @@ def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:
 
 def files(uri: StoreURI, entry: Entry, folder: str) -> list[str]:
     """Return the names of the files in a folder of a run; "": those beside the folders."""
-    if own := own_files(uri, entry.run_id):
-        return sorted(str(path.relative_to(own)) for path in (own / folder).glob("*") if path.is_file())
+    if source := own_files(uri, entry.run_id):
+        return sorted(str(path.relative_to(source)) for path in (source / folder).glob("*") if path.is_file())
     return [item.path for item in open_store(uri).list_artifacts(entry.run_id, folder or None) if not item.is_dir]
 
 
@@ -88,10 +88,10 @@ def children(uri: StoreURI | str, entry: Entry) -> list[Entry]:
     parent = f"tags.mlflow.parentRunId = '{entry.run_id}'"
     order = [f"metrics.objective {'DESC' if entry.tags.get(GOAL) == MAXIMIZE else 'ASC'}"]
     runs = all_runs(open_store(uri), [entry.experiment_id], parent, order)
-    found = [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
+    entries = [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
     feasible = float(entry.params.get("optimizer.feasibility", FEASIBLE))
-    violations = {child.run_id: child.metrics.get("violation", 0.0) for child in found}
-    return sorted(found, key=lambda child: max(violations[child.run_id] - feasible, 0.0))
+    violations = {child.run_id: child.metrics.get("violation", 0.0) for child in entries}
+    return sorted(entries, key=lambda child: max(violations[child.run_id] - feasible, 0.0))
 
 
 def history(uri: StoreURI | str, entry: Entry, metric: str) -> list[float]:

@@ -47,30 +47,30 @@ _SETTINGS = {  # of MLflow
 
 def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
     """Return the URI of the store to use, a SQLite path made absolute; InputError if it is no URI of a store."""
-    given = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
-    chosen = checked_uri(uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}", given)
+    name = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
+    chosen = checked_uri(uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}", name)
     if chosen.masked:
         raise InputError(
-            f"{given} = {chosen!r}: {MASK} stands for what is not written down; allowed: the whole URI, as MLFLOW_TRACKING_URI"
+            f"{name} = {chosen!r}: {MASK} stands for what is not written down; allowed: the whole URI, as MLFLOW_TRACKING_URI"
         )
     if chosen.file is None:
         return chosen
     paths = [text for text in (str(chosen.file), str(Path.cwd())) if utf8(text) != text]
     if paths and not chosen.file.exists():  # MLflow writes both into a new store
         raise InputError(
-            f"{given} = {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} is not of this locale, whose names are in "
+            f"{name} = {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} is not of this locale, whose names are in "
             f"{sys.getfilesystemencoding()}; allowed: PYTHONUTF8=1, or a locale of UTF-8"
         )
     return StoreURI(f"sqlite:///{chosen.file}")
 
 
-def checked_uri(uri: str | StoreURI, given: str = "uri") -> StoreURI:
-    """Return the URI of a store as it is; InputError, which names the argument `given`, if it is none."""
+def checked_uri(uri: str | StoreURI, name: str = "uri") -> StoreURI:
+    """Return the URI of a store as it is; InputError, which names the argument `name`, if it is none."""
     if not isinstance(uri, (str, StoreURI)):
-        raise InputError(f"{given} is {uri!r}; allowed: a store such as sqlite:///mlflow.db")
+        raise InputError(f"{name} is {uri!r}; allowed: a store such as sqlite:///mlflow.db")
     checked = StoreURI(uri)
     if fault := uri_fault(checked):
-        raise InputError(f"{given} = {checked!r}: {fault}")
+        raise InputError(f"{name} = {checked!r}: {fault}")
     return checked
 
 
@@ -142,12 +142,12 @@ def _require_file(file: Path) -> None:
 def experiment_id(client: MlflowClient, name: str, uri: StoreURI) -> str:
     """Return the id of an experiment, creating it if it is new."""
     with _store_lock(uri):
-        found = client.get_experiment_by_name(name)
-        if found is None:
+        experiment = client.get_experiment_by_name(name)
+        if experiment is None:
             return client.create_experiment(name, artifact_location=ARTIFACTS if uri.file else None)
-    if found.lifecycle_stage != "active":
+    if experiment.lifecycle_stage != "active":
         raise TrackingError(f"experiment {name!r} is deleted in {uri}; restore it there or choose another name")
-    return found.experiment_id
+    return experiment.experiment_id
 
 
 def all_runs(client: MlflowClient, experiments: list[str], condition: str, order: list[str] | None = None) -> list[Run]:

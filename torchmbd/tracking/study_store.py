@@ -129,12 +129,12 @@ class StudyStore:
 
     def _upload(self, client: MlflowClient, id: str, file: Path, folder: str) -> None:
         """Add a file to a run; beside a SQLite store it is copied, which needs no server."""
-        own = own_files(self.uri, id)
-        if own is None:
+        target = own_files(self.uri, id)
+        if target is None:
             client.log_artifact(id, str(file), folder or None)
             return
-        (own / folder).mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, own / folder / file.name)
+        (target / folder).mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, target / folder / file.name)
 
     def _is_known(self, client: MlflowClient, run: str, point: Point) -> bool:
         """Whether an earlier process has written a metric at its step."""

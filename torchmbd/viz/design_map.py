@@ -61,9 +61,9 @@ def design_map(
     X = X.reshape(-1, len(headings))
     seen = np.isfinite(y)
     if len(headings) == 1:
-        _one(axes, X[seen], y[seen])
+        _line_of_designs(axes, X[seen], y[seen])
     else:
-        _two(axes, X[seen], y[seen], objective, contours=not flat)
+        _plane_of_designs(axes, X[seen], y[seen], objective, contours=not flat)
     named = set()
     for name, path in paths.items():
         end = None if ends is None else ends.get(name)
@@ -113,12 +113,12 @@ def _projected(
     return {name: plane(path) for name, path in paths.items()}, seen, names
 
 
-def _one(axes: Axes, X: np.ndarray, y: np.ndarray) -> None:
+def _line_of_designs(axes: Axes, X: np.ndarray, y: np.ndarray) -> None:
     order = np.argsort(X[:, 0])
     axes.plot(X[order, 0], y[order], ".", color="#c0c0c0", ms=4, zorder=1)
 
 
-def _two(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str, contours: bool) -> None:
+def _plane_of_designs(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str, contours: bool) -> None:
     if not len(X):
         return
     wide = y.min() > 0.0 and y.max() > _WIDE * y.min()

@@ -51,8 +51,8 @@ def failure_map(
         raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
     owner: Any = motion.system.body(body)
     if getattr(owner, "plates", None):
-        found = _of_plates(motion, body, criterion)
-        return titled(_on_mesh(owner, found, labels, criterion), title)
+        indices = _of_plates(motion, body, criterion)
+        return titled(_on_mesh(owner, indices, labels, criterion), title)
     if laminated(owner):
         return titled(_along_beams(motion, body, labels, criterion), title)
     raise InputError(f"body {body!r} has no plies; allowed: a plate or a beam of laminated sections")
@@ -65,9 +65,9 @@ def _of_plates(motion: Trajectory, body: str, criterion: str) -> list[tuple[np.n
         plies.failure(criterion)  # raises InputError
     assert plies.strength is not None
     cells = int(plies.points[:, 0].max()) + 1
-    found = []
-    for basis, w, own in zip(plies.basis.stress.detach(), plies.w.detach(), plies.strength.detach(), strict=True):
-        largest, when = _largest(FailureForms(criterion, basis, own), w, len(basis))
+    indices = []
+    for basis, w, strength in zip(plies.basis.stress.detach(), plies.w.detach(), plies.strength.detach(), strict=True):
+        largest, when = _largest(FailureForms(criterion, basis, strength), w, len(basis))
         most = torch.full((cells,), -torch.inf, dtype=largest.dtype).scatter_reduce(
             0, plies.points[:, 0], largest, "amax"
         )
@@ -75,8 +75,8 @@ def _of_plates(motion: Trajectory, body: str, criterion: str) -> list[tuple[np.n
         cell, layer, face = plies.points[point].tolist()
         place = f"{float(largest[point]):.3g} at t = {float(motion.t[when[point]]):.4g} s"
         place += f", cell {cell}, layer {layer + 1}, {_FACES[face]}"
-        found.append((most.numpy(), place))
-    return found
+        indices.append((most.numpy(), place))
+    return indices
 
 
 def _largest(index: Any, w: Tensor, points: int) -> tuple[Tensor, Tensor]:
@@ -91,18 +91,18 @@ def _largest(index: Any, w: Tensor, points: int) -> tuple[Tensor, Tensor]:
     return largest, when
 
 
-def _on_mesh(owner: Any, found: list[tuple[np.ndarray, str]], labels: Sequence[str], criterion: str) -> Figure:
+def _on_mesh(owner: Any, indices: list[tuple[np.ndarray, str]], labels: Sequence[str], criterion: str) -> Figure:
     from matplotlib.collections import PolyCollection
 
     mesh = owner.mesh
     flat, names = _flat(mesh.nodes.detach().numpy())
     corners = [flat[cell] for cells in (mesh.triangles, mesh.quads) for cell in cells.numpy()]
-    shown = [values for values, _ in found]
+    shown = [values for values, _ in indices]
     low, high = min(0.0, *(float(v.min()) for v in shown)), max(float(v.max()) for v in shown)
     width, height = np.ptp(flat, axis=0)
-    figure, rows = figure_of(1.7 + len(found) * min(3.2, 0.8 + 5.0 * height / width), rows=len(found))
+    figure, rows = figure_of(1.7 + len(indices) * min(3.2, 0.8 + 5.0 * height / width), rows=len(indices))
     parts = None
-    for axes, (values, place), label in zip(rows, found, labels, strict=True):
+    for axes, (values, place), label in zip(rows, indices, labels, strict=True):
         parts = PolyCollection(corners, array=values[: len(corners)], cmap="viridis", edgecolors="face", linewidths=0.2)
         parts.set_clim(low, high)
         axes.add_collection(parts)

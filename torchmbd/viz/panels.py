@@ -30,21 +30,21 @@ class Panel:
 
 def panels_of(problem: Problem) -> list[Panel]:
     """Return a panel for each history, objective first."""
-    found: list[Panel] = []
+    panels: list[Panel] = []
     limits = first_limits(problem)
     for asked, limit in [(problem.stated_objective, None), *zip(problem.constraints, limits, strict=True)]:
         outer = asked.measure if isinstance(asked, Constraint) else asked
         for history, measure in histories_of(outer):
-            panel = next((known for known in found if known.history == history), None)
+            panel = next((known for known in panels if known.history == history), None)
             if panel is None:
-                found.append(panel := Panel(history))
+                panels.append(panel := Panel(history))
             panel.asked.append(_question_words(asked, limit, "minimize" if problem.sign > 0.0 else "maximize"))
             # Only limits of the history itself are drawn, not those of its integral or of other functions of it.
             if isinstance(asked, Constraint) and measure is outer and _of_one_unit(measure, history):
                 panel.limits.append((float(limit or 0.0), asked.kind))
             if (window := getattr(measure, "window", None)) is not None:
                 panel.windows.append(window)
-    return found
+    return panels
 
 
 def _of_one_unit(measure: Measure, history: History) -> bool:
@@ -85,5 +85,5 @@ def display_unit(si: str | None) -> tuple[float, str]:
 def full_name(history: History) -> str:
     """Return a history in words, with its point and direction."""
     node, axis = (getattr(history, name, None) for name in ("node", "axis"))
-    own = [node, None if isinstance(axis, str) else axis]
-    return ", ".join([words(history), *(str(x) for x in own if x is not None)])
+    place = [node, None if isinstance(axis, str) else axis]
+    return ", ".join([words(history), *(str(x) for x in place if x is not None)])

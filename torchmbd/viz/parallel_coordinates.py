@@ -56,9 +56,9 @@ def parallel_coordinates(
     all_ = np.column_stack([X, y])
     low, high = np.nanmin(all_, axis=0), np.nanmax(all_, axis=0)
     if bounds is not None:
-        for edge, given in zip((low, high), bounds, strict=True):
-            own = np.broadcast_to(np.asarray(given, dtype=float), len(headings))
-            edge[:-1] = np.where(np.isfinite(own), own, edge[:-1])
+        for edge, bound in zip((low, high), bounds, strict=True):
+            values = np.broadcast_to(np.asarray(bound, dtype=float), len(headings))
+            edge[:-1] = np.where(np.isfinite(values), values, edge[:-1])
     span = np.where(high > low, high - low, 1.0)
     share = np.where(high > low, (all_ - low) / span, 0.5)
     figure, (axes,) = figure_of(4.0)

@@ -59,8 +59,8 @@ def _fibers(mesh: Any, plates: Iterable[Any]) -> dict[str, np.ndarray]:
     for part in plates:
         angles, matrices = part.laminate.layer_angles.detach(), part.matrices
         for k, theta in enumerate(angles.unbind(-1)):
-            own = (theta[matrices.zones] if theta.ndim else theta)[..., None]
-            direction = own.cos() * matrices.axes[:, 0] + own.sin() * matrices.axes[:, 1]
+            angle = (theta[matrices.zones] if theta.ndim else theta)[..., None]
+            direction = angle.cos() * matrices.axes[:, 0] + angle.sin() * matrices.axes[:, 1]
             fields.setdefault(f"fiber_{k + 1}", np.zeros((_cell_count(mesh), 3)))[matrices.members] = direction
     return fields
 

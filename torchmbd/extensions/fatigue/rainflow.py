@@ -56,8 +56,8 @@ class _Pairs(torch.autograd.Function):
     @staticmethod
     def forward(y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         flat = y.detach().reshape(-1, y.shape[-1]).cpu().numpy()
-        found = (torch.from_numpy(x).to(y.device) for x in cycle_pairs(flat))
-        first, second, count = (x.reshape(*y.shape[:-1], y.shape[-1] - 1) for x in found)
+        pairs = (torch.from_numpy(x).to(y.device) for x in cycle_pairs(flat))
+        first, second, count = (x.reshape(*y.shape[:-1], y.shape[-1] - 1) for x in pairs)
         return first, second, count.to(y.dtype)
 
     @staticmethod

@@ -77,10 +77,10 @@ class FiberField:
         if radius is None:
             m, n = _counts(controls)
             along = _axes(places, axes)
-            found = _spline(places[:, along].numpy(), (m, n), _degree(degree, (m, n)))
-            W, two = (torch.as_tensor(x) for x in found)
+            arrays = _spline(places[:, along].numpy(), (m, n), _degree(degree, (m, n)))
+            W, in_plane = (torch.as_tensor(x) for x in arrays)
             slopes = torch.zeros(len(places), 3, m * n, dtype=torch.float64)
-            slopes[:, along] = two
+            slopes[:, along] = in_plane
         else:
             if axes is not None:
                 raise InputError(f"axes is {axes!r} of a FiberField with a radius; allowed: None, it has no axes")
@@ -118,12 +118,12 @@ class FiberField:
 def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
     if cells is None:
         return torch.arange(mesh.cell_count)
-    found = indices("cells of a FiberField", cells)
-    if found.ndim != 1 or not len(found) or int(found.min()) < 0 or int(found.max()) >= mesh.cell_count:
+    numbers = indices("cells of a FiberField", cells)
+    if numbers.ndim != 1 or not len(numbers) or int(numbers.min()) < 0 or int(numbers.max()) >= mesh.cell_count:
         raise InputError(f"cells of a FiberField is {cells!r}; allowed: numbers of cells, 0 to {mesh.cell_count - 1}")
-    if len(found.unique()) < len(found):
+    if len(numbers.unique()) < len(numbers):
         raise InputError("cells of a FiberField has a number twice; allowed: each once")
-    return found
+    return numbers
 
 
 def _middles(mesh: Mesh) -> Float[Tensor, "cells 3"]:

@@ -53,15 +53,15 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     layers = theta.shape[-1]
     figure, rows = figure_of(0.6 + 1.6 * layers, layers)
     top = max(float(curvature.max()), 1e-9)
-    for k, own in enumerate(rows):
-        found = [at(x[:, k]) for x in (theta.cos(), theta.sin(), curvature)]
-        lines = own.streamplot(
-            *plane, *found[:2], color=found[2], density=density, arrowsize=0, linewidth=0.8, cmap="viridis"
+    for k, panel in enumerate(rows):
+        fields = [at(x[:, k]) for x in (theta.cos(), theta.sin(), curvature)]
+        lines = panel.streamplot(
+            *plane, *fields[:2], color=fields[2], density=density, arrowsize=0, linewidth=0.8, cmap="viridis"
         )
         lines.lines.set_clim(0.0, top)
-        own.set_aspect("equal")
-        own.set_title(f"layer {k + 1}", fontsize=9)
-        own.set_ylabel("y [m]")
+        panel.set_aspect("equal")
+        panel.set_title(f"layer {k + 1}", fontsize=9)
+        panel.set_ylabel("y [m]")
     rows[-1].set_xlabel("x [m]")
     bar = figure.colorbar(lines.lines, ax=rows, label="curvature of paths [1/m]")
     bar.ax.tick_params(labelsize=9)
@@ -76,7 +76,7 @@ def _plane(matrices: Any, axes: torch.Tensor) -> tuple[tuple[np.ndarray, np.ndar
     from matplotlib.tri import LinearTriInterpolator, Triangulation
 
     split = {"triangle": [[0, 1, 2]], "quad": [[0, 1, 2], [0, 2, 3]]}
-    cuts = [own.corners[:, part] for kind, own in matrices.kinds.items() for part in split[kind]]
+    cuts = [elements.corners[:, part] for kind, elements in matrices.kinds.items() for part in split[kind]]
     used, numbers = torch.cat(cuts).unique(return_inverse=True)
     x, y = (matrices.mesh.nodes[used] @ axes[:2].T).T.numpy()
     triangulation = Triangulation(x, y, numbers.numpy())
@@ -86,7 +86,7 @@ def _plane(matrices: Any, axes: torch.Tensor) -> tuple[tuple[np.ndarray, np.ndar
         for z, size in zip((x, y), sizes, strict=True)
     ]
     places = np.meshgrid(*grid)
-    rows = matrices.zones.split([len(own.corners) for own in matrices.kinds.values()])
+    rows = matrices.zones.split([len(elements.corners) for elements in matrices.kinds.values()])
     cell = torch.cat([row for row, kind in zip(rows, matrices.kinds, strict=True) for _ in split[kind]])
     count = torch.bincount(numbers.flatten()).double()
 

@@ -125,9 +125,9 @@ class SteeredLaminate(Laminate):
     def paths(self, axes: Float[Tensor, "cells 3 3"]) -> FiberPaths:
         """Curvature and divergence of the fiber paths; axes: rows e1, e2, e3 of the laminate in each cell of the field."""
         theta, slope = self.field.values(self.angles), self.field.gradients(self.angles)
-        one, two = torch.einsum("cix,...ckx->...cki", axes[:, :2], slope).unbind(-1)
+        first, second = torch.einsum("cix,...ckx->...cki", axes[:, :2], slope).unbind(-1)
         c, s = theta.cos(), theta.sin()
-        return FiberPaths(c * one + s * two, c * two - s * one)
+        return FiberPaths(c * first + s * second, c * second - s * first)
 
     def extra_repr(self) -> str:
         low, high = (torch.rad2deg(x.detach()).tolist() for x in (self.angles.amin(-2), self.angles.amax(-2)))
@@ -135,12 +135,12 @@ class SteeredLaminate(Laminate):
         return f"angles=[{ranges}] deg at {self.field.controls} controls, symmetric={self.symmetric}"
 
 
-def _row(name: str, given: Tensor, field: FiberField) -> Tensor:
+def _row(name: str, value: Tensor, field: FiberField) -> Tensor:
     """Numbers of the first control, as the plain laminate checks them."""
-    if given.ndim == 1:
-        return given.detach()
-    if given.ndim != 2 or len(given) != field.controls:
+    if value.ndim == 1:
+        return value.detach()
+    if value.ndim != 2 or len(value) != field.controls:
         raise InputError(
-            f"SteeredLaminate: {name} has shape {tuple(given.shape)}; allowed: [layers], or [{field.controls} controls, layers]"
+            f"SteeredLaminate: {name} has shape {tuple(value.shape)}; allowed: [layers], or [{field.controls} controls, layers]"
         )
-    return given.detach()[0]
+    return value.detach()[0]

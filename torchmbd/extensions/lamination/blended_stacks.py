@@ -147,10 +147,10 @@ class _Guide:
     def _exchanged(self, ends: np.ndarray, stack: np.ndarray, score: Score, movable: int) -> np.ndarray | None:
         """The ends after the best exchange of two of them; None if no exchange is an improvement."""
         best, result = (score[0], score[1] - 1e-12), None
-        for one, two in combinations(range(movable), 2):
-            if ends[one] != ends[two]:
+        for first, second in combinations(range(movable), 2):
+            if ends[first] != ends[second]:
                 other = ends.copy()
-                other[[one, two]] = ends[[two, one]]
+                other[[first, second]] = ends[[second, first]]
                 if (new := self._search(other).score(stack)) < best:
                     best, result = new, other
         return result

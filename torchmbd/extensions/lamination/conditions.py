@@ -56,7 +56,7 @@ def conditions(
     a, b, d = torch.broadcast_tensors(a, b, d)  # of lanes only those vary that are differentiated
     constant, slope = _functions()
     a_f, d_f, b_f = constant + a @ slope.T, constant + d @ slope.T, b @ slope.T
-    alone = [x for own in (a, d) for x in ((own[..., :2] ** 2).sum(-1), _hammer(own))]
+    alone = [x for V in (a, d) for x in ((V[..., :2] ** 2).sum(-1), _hammer(V))]
     bound = 1.0 - 2.0 * a_f * (1.0 - a_f)
     together = [1.0 - a_f, 1.0 + a_f.clamp(min=0.0) ** 3 - d_f, d_f + (1.0 - a_f) ** 3, bound + b_f, bound - b_f]
     return torch.cat([torch.stack(alone, -1), *together], -1)
@@ -66,14 +66,14 @@ def infeasibility_reasons(
     a: Float[Tensor, "*lanes 4"], b: Float[Tensor, "*lanes 4"], d: Float[Tensor, "*lanes 4"]
 ) -> list[str]:
     """Return the reason why no stack has these parameters, one text for each lane; empty where all conditions hold."""
-    found = conditions(a, b, d).reshape(-1, CONDITIONS)
+    rows = conditions(a, b, d).reshape(-1, CONDITIONS)
     reasons = []
-    for row, *own in zip(found, *(x.reshape(-1, 4) for x in (a, b, d)), strict=True):
+    for row, *parameters in zip(rows, *(x.reshape(-1, 4) for x in (a, b, d)), strict=True):
         worst, k = row.max(0)
         which = _ALONE[int(k)] if k < len(_ALONE) else _TOGETHER[(int(k) - len(_ALONE)) // len(_functions()[0])]
-        given = ", ".join(f"{name} = {x.tolist()}" for name, x in zip(_NAMES, own, strict=True) if name in which)
+        text = ", ".join(f"{name} = {x.tolist()}" for name, x in zip(_NAMES, parameters, strict=True) if name in which)
         reasons.append(
-            f"{given}: no stack has these (a condition that is at most 1 is {worst:.4g})"
+            f"{text}: no stack has these (a condition that is at most 1 is {worst:.4g})"
             if worst > 1 + _ROUNDING
             else ""
         )
@@ -81,8 +81,8 @@ def infeasibility_reasons(
 
 
 def _hammer(V: Tensor) -> Tensor:
-    one, two, three, four = V.unbind(-1)
-    return 2 * one**2 * (1 - three) + 2 * two**2 * (1 + three) + three**2 + four**2 - 4 * one * two * four
+    V1, V2, V3, V4 = V.unbind(-1)
+    return 2 * V1**2 * (1 - V3) + 2 * V2**2 * (1 + V3) + V3**2 + V4**2 - 4 * V1 * V2 * V4
 
 
 @cache

@@ -205,9 +205,9 @@ class LaminationParameters(Laminate):
         return ", ".join(f"{name}={x.tolist()}" for name, x in self.named_parameters() if x.numel() <= 4)
 
 
-def _four(name: str, given: Sequence | Tensor, field: FiberField | None) -> nn.Parameter:
-    x = parameter(f"{name} of LaminationParameters", given)
-    if field is not None and x.shape == (4,) and not isinstance(given, nn.Parameter):
+def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.Parameter:
+    x = parameter(f"{name} of LaminationParameters", values)
+    if field is not None and x.shape == (4,) and not isinstance(values, nn.Parameter):
         x = nn.Parameter(x.detach().expand(field.controls, 4).clone())
     wanted = (4,) if field is None else (field.controls, 4)
     if x.shape != wanted:
@@ -216,9 +216,9 @@ def _four(name: str, given: Sequence | Tensor, field: FiberField | None) -> nn.P
     return x
 
 
-def _thickness(given: float | Tensor, field: FiberField | None) -> nn.Parameter:
-    h = parameter("thickness of LaminationParameters", given)
-    if h is not given and h.ndim == 0:
+def _thickness(thickness: float | Tensor, field: FiberField | None) -> nn.Parameter:
+    h = parameter("thickness of LaminationParameters", thickness)
+    if h is not thickness and h.ndim == 0:
         h = nn.Parameter(h.detach(), requires_grad=False)
     if h.ndim and (field is None or h.shape != (field.controls,)):
         raise InputError(

@@ -178,8 +178,8 @@ class StackSearch:
         if changes == 1:
             distances = self._distance(difference + change)
         else:
-            one, two = np.array(changed_plies).T
-            distances = self._distance(difference + change[one][:, :, None] + change[two][:, None, :])
+            first, second = np.array(changed_plies).T
+            distances = self._distance(difference + change[first][:, :, None] + change[second][:, None, :])
         flat = distances.ravel()
         rules_kept = self.rules is None or score[0] == 0
         candidates = np.flatnonzero(flat < score[1] - 1e-12) if rules_kept else np.arange(len(flat))

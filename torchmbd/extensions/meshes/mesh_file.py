@@ -86,12 +86,12 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
         if cells.type in _CELLS:
             data = torch.from_numpy(np.asarray(cells.data, dtype=np.int64))
             kinds[cells.type].append(data)
-            own = torch.arange(len(data))
-            owner[cells.type].append(torch.stack([torch.full_like(own, block), own], dim=1))
+            numbers = torch.arange(len(data))
+            owner[cells.type].append(torch.stack([torch.full_like(numbers, block), numbers], dim=1))
         elif cells.type not in _POINTS_AND_CURVES:
             raise InputError(f"the mesh has elements {cells.type!r}; allowed: triangle, quad")
-    corners = {kind: torch.cat(own) for kind, own in kinds.items()}
-    used = torch.unique(torch.cat([own.flatten() for own in corners.values()]))
+    corners = {kind: torch.cat(parts) for kind, parts in kinds.items()}
+    used = torch.unique(torch.cat([nodes.flatten() for nodes in corners.values()]))
     if not len(used):
         raise InputError("the mesh has no triangles or quadrilaterals")
     if int(used[0]) < 0 or int(used[-1]) >= len(points):
@@ -103,7 +103,7 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
     mesh = Mesh(
         points[used], new_index[corners["triangle"]], _node_sets(source, new_index), quads=new_index[corners["quad"]]
     )
-    owners = torch.cat([torch.cat(own) for own in owner.values()])
+    owners = torch.cat([torch.cat(parts) for parts in owner.values()])
     return MeshFile(mesh, {name: _members(owners, cells) for name, cells in _zones(source).items()})
 
 
@@ -118,7 +118,7 @@ def _groups(source: Any) -> dict[str, list[np.ndarray]]:
     for name, (tag, _) in source.field_data.items():
         tags = source.cell_data.get("gmsh:physical")
         if tags is not None and name not in groups:
-            groups[name] = [np.flatnonzero(own == tag) for own in tags]
+            groups[name] = [np.flatnonzero(tag_numbers == tag) for tag_numbers in tags]
     return groups
 
 
@@ -127,7 +127,7 @@ def _zones(source: Any) -> dict[str, list[np.ndarray]]:
     return {
         name: blocks
         for name, blocks in _groups(source).items()
-        if any(is_flat and len(own) for is_flat, own in zip(flat, blocks, strict=True))
+        if any(is_flat and len(members) for is_flat, members in zip(flat, blocks, strict=True))
     }
 
 
@@ -141,12 +141,12 @@ def _members(owners: Tensor, blocks: list[np.ndarray]) -> Tensor:
 def _node_sets(source: Any, new_index: Tensor) -> dict[str, list[int]]:
     sets = {name: np.asarray(points, dtype=np.int64) for name, points in source.point_sets.items()}
     for name, blocks in _groups(source).items():
-        own = [
+        corners = [
             np.asarray(cells.data)[members].ravel()
             for cells, members in zip(source.cells, blocks, strict=True)
             if cells.type in _POINTS_AND_CURVES and len(members)
         ]
-        if own:
-            sets[name] = np.unique(np.concatenate(own))
+        if corners:
+            sets[name] = np.unique(np.concatenate(corners))
     mapped = {name: new_index[torch.from_numpy(points)].tolist() for name, points in sets.items()}
     return {name: [k for k in nodes if k >= 0] for name, nodes in mapped.items() if any(k >= 0 for k in nodes)}

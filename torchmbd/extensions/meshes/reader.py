@@ -48,7 +48,7 @@ def read_mesh(
     >>> if find_spec("meshio"):
     ...     body = mbd.read_mesh("plate.vtk", "plate", laminate, modes=2, scale="mm")
     """
-    found = mesh_file(path, scale)
-    body = FlexibleBody(name, found.mesh, zone_parts(found, laminate, direction, mass), modes, **options)
-    warn_units(name, found.mesh, body.plates.values(), body.structure)
+    file = mesh_file(path, scale)
+    body = FlexibleBody(name, file.mesh, zone_parts(file, laminate, direction, mass), modes, **options)
+    warn_units(name, file.mesh, body.plates.values(), body.structure)
     return body

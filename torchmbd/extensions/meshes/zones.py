@@ -17,23 +17,23 @@ from torchmbd.fem.materials import Laminate
 
 
 def zone_parts(
-    found: MeshFile, laminate: Laminate | Mapping[str, Laminate], direction: Sequence[float] | Tensor, mass: str
+    file: MeshFile, laminate: Laminate | Mapping[str, Laminate], direction: Sequence[float] | Tensor, mass: str
 ) -> dict[str, Part]:
     """Make a part of each laminate. InputError where a zone does not exist, or a cell has no laminate or two."""
-    mesh, zones = found
+    mesh, zones = file
     if isinstance(laminate, Laminate):
         return {"plate": Plates(mesh, laminate, direction, mass=mass)}
     if not isinstance(laminate, Mapping):
         raise InputError(f"laminate is {laminate!r}; allowed: a Laminate, or one for each zone by its name")
     count = torch.zeros(mesh.cell_count, dtype=torch.long)
     parts: dict[str, Part] = {}
-    for name, own in laminate.items():
+    for name, layup in laminate.items():
         if name not in zones:
             raise unknown("zone", name, zones)
         if not name.isidentifier():
             raise InputError(f"zone {name!r} becomes part of parameter names; allowed: a Python identifier")
         count[zones[name]] += 1
-        parts[name] = Plates(mesh, own, direction, zones[name], mass)
+        parts[name] = Plates(mesh, layup, direction, zones[name], mass)
     wrong = torch.nonzero(count != 1)[:, 0]
     if len(wrong):
         k = int(wrong[0])

@@ -102,14 +102,14 @@ def _vector(data: BulkData, bar: Bar) -> np.ndarray:
 
 def _offsets(data: BulkData, bar: Bar, grids: list[np.ndarray]) -> list[np.ndarray]:
     """From the grids to the ends of the bar, in basic axes."""
-    found = []
+    offsets = []
     for k, (start, end) in enumerate(((11, "A"), (14, "B"))):
         w = np.array([bar.card.real(start + i, f"W{i + 1}{end}", 0.0) for i in range(3)])
         if w.any():
             local = _offset_flags(bar)[1 + k] == "O"
             w = w @ (_axes(bar, grids, _vector(data, bar)) if local else data.displacement_axes(bar.grids[k]))
-        found.append(w)
-    return found
+        offsets.append(w)
+    return offsets
 
 
 def _axes(bar: Bar, ends: list[np.ndarray], vector: np.ndarray) -> np.ndarray:

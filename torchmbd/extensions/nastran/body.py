@@ -145,15 +145,15 @@ def _beams(data: BulkData, bulk: BulkMesh, scale: Units) -> dict[str, Part]:
     """Return the beams of each property as a part, with their orientations."""
     parts: dict[str, Part] = {}
     pairs = torch.tensor(bulk.bars.nodes, dtype=torch.long)
-    vectors, offsets = (torch.from_numpy(np.array(own)) for own in (bulk.bars.orientation, bulk.bars.offset))
+    vectors, offsets = (torch.from_numpy(np.array(values)) for values in (bulk.bars.orientation, bulk.bars.offset))
     numbers = torch.tensor([bar.property for bar in data.bars], dtype=torch.long)
     for number in dict.fromkeys(numbers.tolist()):
-        own = numbers == number
+        rows = numbers == number
         card = data.properties[number]
-        line, offset = _Line(bulk.mesh.nodes, pairs[own]), offsets[own] * scale.length
-        _, e_y, e_z = BeamMatrices(line, vectors[own]).axes.unbind(1)
+        line, offset = _Line(bulk.mesh.nodes, pairs[rows]), offsets[rows] * scale.length
+        _, e_y, e_z = BeamMatrices(line, vectors[rows]).axes.unbind(1)
         across = torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
-        parts[f"{card.name.lower()}_{number}"] = Beams(line, section_of(data, card, scale), vectors[own], across)
+        parts[f"{card.name.lower()}_{number}"] = Beams(line, section_of(data, card, scale), vectors[rows], across)
     return parts
 
 
@@ -169,10 +169,10 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     turning |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
     turning |= {grid for link in data.links for grid in link.grids}
     needed = {grid: set("123456" if grid in turning else "123") for grid in components}
-    held = [index[grid] for grid, own in components.items() if own >= needed[grid] and grid in index]
-    partly = sorted(grid for grid, own in components.items() if not own >= needed[grid])
+    held = [index[grid] for grid, freedoms in components.items() if freedoms >= needed[grid] and grid in index]
+    partly = sorted(grid for grid, freedoms in components.items() if not freedoms >= needed[grid])
     if partly:
-        first = next(own for own in data.supports if partly[0] in own.grids)
+        first = next(entry for entry in data.supports if partly[0] in entry.grids)
         warn(
             f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}, components "
             f"{''.join(sorted(components[partly[0]]))} by {first.card}): the body moves there as if they were not in the file; "

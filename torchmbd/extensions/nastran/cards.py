@@ -68,8 +68,8 @@ def parse_cards(lines: Lines) -> list[Card]:
             if not name or repeats(data):
                 wrong = "without a card" if not name else "that repeats another"
                 raise InputError(f"{where}: a continuation {wrong}: {line.strip()!r}")
-            if (own := head.lstrip("+*")) not in ("", before):
-                others[own] = where
+            if (label := head.lstrip("+*")) not in ("", before):
+                others[label] = where
             fields.extend(data)
             continue
         if name:
@@ -88,9 +88,9 @@ def parse_cards(lines: Lines) -> list[Card]:
             name, fields, place, steps = made.name, [*made.fields, *[""] * (len(data) - len(made.fields))], where, data
         else:
             name, fields, place, steps = head.rstrip("*"), data, where, []
-    for own in others.keys() & marks:
+    for label in others.keys() & marks:
         raise InputError(
-            f"{others[own]}: the continuation {own!r} is not below the line that it continues; allowed: below it"
+            f"{others[label]}: the continuation {label!r} is not below the line that it continues; allowed: below it"
         )
     if name:
         cards.append(Card(name, tuple(_trimmed(fields)), place))
@@ -141,12 +141,12 @@ class _Files:
         for base in (file.parent, self.folder):
             try:
                 target = (base / relative).resolve()
-                found = target.is_file()
+                is_file = target.is_file()
             except (OSError, ValueError):
                 continue
-            if found and not target.is_relative_to(self.folder):
+            if is_file and not target.is_relative_to(self.folder):
                 raise InputError(f"{where}: INCLUDE of {named!r} is outside of {self.folder}; allowed: a file inside")
-            if found:
+            if is_file:
                 return target
         raise InputError(f"{where}: INCLUDE of {named!r}; allowed: a file that exists")
 

@@ -161,8 +161,8 @@ class BulkData:
                 data._sort_card(card)
         data._check()
         for name, numbers in (
-            ("SPC", {own.set for own in data.supports} - {0}),
-            ("MPC", {own.card.integer(1, "SID") for own in data.constraints}),
+            ("SPC", {support.set for support in data.supports} - {0}),
+            ("MPC", {constraint.card.integer(1, "SID") for constraint in data.constraints}),
         ):
             unions = [set(card.integers(2, ())) for card in data.unions if card.name == f"{name}ADD"]
             if len(numbers) > 1 and not any(numbers <= union for union in unions):
@@ -271,10 +271,10 @@ class BulkData:
                     f"{support.card}: it holds {support.components!r}; allowed: components 1 to 6, as in 123"
                 )
         taken: dict[tuple[str, int], Card] = {}
-        for own in (*self.shells, *self.bars, *self.solids, *self.panels, *self.links, *self.masses, *self.rigids):
-            kind = "" if isinstance(own, (Shell, Bar)) else own.card.name
-            if (first := taken.setdefault((kind, own.card.integer(1, "EID")), own.card)) is not own.card:
-                raise InputError(f"{own.card}: its number stands twice, first in {first}")
+        for entry in (*self.shells, *self.bars, *self.solids, *self.panels, *self.links, *self.masses, *self.rigids):
+            kind = "" if isinstance(entry, (Shell, Bar)) else entry.card.name
+            if (first := taken.setdefault((kind, entry.card.integer(1, "EID")), entry.card)) is not entry.card:
+                raise InputError(f"{entry.card}: its number stands twice, first in {first}")
 
     def _check_grids(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:
@@ -351,8 +351,8 @@ def _supports(card: Card, grids: Collection[int]) -> list[Support]:
     number = card.integer(1, "SID")
     if card.name == "SPC1":
         return [Support(card, number, card.text(2), tuple(card.integers(3, grids)))]
-    found = []
+    supports = []
     for start in (2, 5):
         if card.text(start):
-            found.append(Support(card, number, card.text(start + 1), (card.integer(start, "G"),)))
-    return found
+            supports.append(Support(card, number, card.text(start + 1), (card.integer(start, "G"),)))
+    return supports

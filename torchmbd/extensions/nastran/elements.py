@@ -107,11 +107,11 @@ def read_link(card: Card) -> Link:
 def rbar_grids(card: Card) -> tuple[int, int]:
     """Return leader and follower of an RBAR."""
     names = ("CNA", "CNB", "CMA", "CMB")
-    own = {name: set(card.text(4 + k)) - {"0"} for k, name in enumerate(names)}
+    components = {name: set(card.text(4 + k)) - {"0"} for k, name in enumerate(names)}
     whole = set("123456")
-    if own["CNA"] == whole and not own["CNB"] and own["CMB"] in (set(), whole):
+    if components["CNA"] == whole and not components["CNB"] and components["CMB"] in (set(), whole):
         return card.integer(2, "GA"), card.integer(3, "GB")
-    if own["CNB"] == whole and not own["CNA"] and own["CMA"] in (set(), whole):
+    if components["CNB"] == whole and not components["CNA"] and components["CMA"] in (set(), whole):
         return card.integer(3, "GB"), card.integer(2, "GA")
-    given = [card.text(4 + k) for k in range(4)]
-    raise InputError(f"{card}: CNA to CMB are {given}; allowed: 123456 at one end, blank at the other")
+    texts = [card.text(4 + k) for k in range(4)]
+    raise InputError(f"{card}: CNA to CMB are {texts}; allowed: 123456 at one end, blank at the other")

@@ -67,14 +67,14 @@ def ply_of(card: Card, units: Units, weight_to_mass: float = 1.0) -> Ply:
 def with_density(cards: dict[int, Card], density: float, units: Units, weight_to_mass: float) -> dict[int, Card]:
     """Return materials whose blank RHO is replaced by a density [kg/m3], in units of the file."""
     text = repr(density / units.density / weight_to_mass).upper()
-    found = {}
+    materials = {}
     for number, card in cards.items():
         place = {"MAT1": 5, "MAT2": 8, "MAT8": 8, "MAT9": 23}.get(card.name, 0)
         fields = [*card.fields, *[""] * (place - len(card.fields))]
         if place and not fields[place - 1]:
             fields[place - 1] = text
-        found[number] = Card(card.name, tuple(fields), card.where)
-    return found
+        materials[number] = Card(card.name, tuple(fields), card.where)
+    return materials
 
 
 def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -> float:

@@ -51,11 +51,13 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
     shells = sorted(data.shells, key=lambda shell: len(shell.grids))  # triangles first, else in the order of the file
     corners = [[index[grid] for grid in shell.grids] for shell in shells]
     lines = [*bars.nodes, *bars.followed]
-    rings = [(*own.grids, own.grids[0]) for own in (*data.solids, *data.panels)]
+    rings = [(*element.grids, element.grids[0]) for element in (*data.solids, *data.panels)]
     lines += [(index[a], index[b]) for ring in rings for a, b in itertools.pairwise(ring)]
     lines += [(index[link.grids[0]], index[link.grids[1]]) for link in data.links]
     lines += [(index[rigid.grid], index[other]) for rigid in data.rigids for other in rigid.others]
-    lines += [(index[own.grids[0]], index[other]) for own in data.constraints for other in own.grids[1:]]
+    lines += [
+        (index[constraint.grids[0]], index[other]) for constraint in data.constraints for other in constraint.grids[1:]
+    ]
     mesh = Mesh(
         nodes,
         _cells(corners, 3),
@@ -97,7 +99,7 @@ def _used(data: BulkData) -> list[int]:
 
 
 def _cells(corners: list[list[int]], count: int) -> Tensor:
-    return torch.tensor([own for own in corners if len(own) == count], dtype=torch.long).reshape(-1, count)
+    return torch.tensor([nodes for nodes in corners if len(nodes) == count], dtype=torch.long).reshape(-1, count)
 
 
 def _direction(data: BulkData, shell: Shell) -> list[float]:

@@ -28,11 +28,11 @@ _SMALL = 1.01  # F up to this is a share of the panel's area
 
 def shear_panels(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units) -> GivenElements:
     """All CSHEAR of the model."""
-    found = [_panel(data, own) for own in data.panels]
-    nodes = torch.tensor([[index[grid] for grid in own.grids] for own in data.panels], dtype=torch.long)
+    pairs = [_panel(data, panel) for panel in data.panels]
+    nodes = torch.tensor([[index[grid] for grid in panel.grids] for panel in data.panels], dtype=torch.long)
     freedoms = (6 * nodes[:, :, None] + torch.arange(3)).flatten(1)
-    K = torch.from_numpy(np.array([stiffness for stiffness, _ in found])) * units.mass
-    mass = torch.tensor([own for _, own in found], dtype=torch.float64).repeat_interleave(4) / 4.0
+    K = torch.from_numpy(np.array([stiffness for stiffness, _ in pairs])) * units.mass
+    mass = torch.tensor([panel_mass for _, panel_mass in pairs], dtype=torch.float64).repeat_interleave(4) / 4.0
     mass = mass * units.mass * data.weight_to_mass
     heavy = mass > 0.0
     return GivenElements(mesh, [freedoms], [K], nodes.flatten()[heavy], mass[heavy])
@@ -40,10 +40,10 @@ def shear_panels(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units
 
 def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
     """Stiffness [12, 12] and mass in units of the file."""
-    own = data.property_of(panel.card, "PSHEAR", panel.property)
-    material = data.material(own, own.integer(2, "MID"))
+    card = data.property_of(panel.card, "PSHEAR", panel.property)
+    material = data.material(card, card.integer(2, "MID"))
     E, G, _ = moduli_of(material)
-    t = own.real(3, "T")
+    t = card.real(3, "T")
     x = np.array([data.grids[grid] for grid in panel.grids])
     normal = np.cross(x[2] - x[0], x[3] - x[1])
     area = 0.5 * float(np.linalg.norm(normal))
@@ -62,10 +62,10 @@ def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
     K = G * t * area * np.outer(b, b)
     sides = list(pairwise((0, 1, 2, 3, 0)))
     for k, name in ((0, "F1"), (1, "F2")):
-        factor = own.real(5 + k, name, 0.0)
+        factor = card.real(5 + k, name, 0.0)
         lengths = [float(np.linalg.norm(x[j] - x[i])) for i, j in sides[k::2]]
         if factor < 0.0 or not min(lengths) > 0.0:
-            raise InputError(f"{own}: {name} is {factor:g}, sides {lengths}; allowed: {name} >= 0, sides > 0")
+            raise InputError(f"{card}: {name} is {factor:g}, sides {lengths}; allowed: {name} >= 0, sides > 0")
         width = 2.0 * area / sum(lengths)
         section = 0.5 * factor * t * (width if factor <= _SMALL else t)
         for (i, j), length in zip(sides[k::2], lengths, strict=True):
@@ -73,4 +73,4 @@ def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
             g[j] = (x[j] - x[i]) / length
             g[i] = -g[j]
             K = K + E * section / length * np.outer(g.ravel(), g.ravel())
-    return K, (material.real(5, "RHO", 0.0) * t + own.real(4, "NSM", 0.0)) * area
+    return K, (material.real(5, "RHO", 0.0) * t + card.real(4, "NSM", 0.0)) * area

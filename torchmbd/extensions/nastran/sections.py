@@ -48,17 +48,21 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
         raise InputError(f"{card}: {error}") from None
 
 
-def _section(own: SectionNumbers, length: float, E: float, G: float, density: float) -> GivenSection:
+def _section(numbers: SectionNumbers, length: float, E: float, G: float, density: float) -> GivenSection:
     """Stiffness and mass in meters; axial force and bending act at the neutral axis, shear at the center of shear."""
-    A, fourth = own.A * length**2, length**4
-    I1, I2, I12 = own.I1 * fourth, own.I2 * fourth, own.I12 * fourth
+    A, fourth = numbers.A * length**2, length**4
+    I1, I2, I12 = numbers.I1 * fourth, numbers.I2 * fourth, numbers.I12 * fourth
     direct, shear, mass = (torch.zeros(6, 6, dtype=torch.float64) for _ in range(3))
     direct[0, 0] = E * A
     direct[4:, 4:] = E * _second(I1, I2, I12)
-    shear.diagonal()[1:4] = torch.tensor([G * A * own.K1, G * A * own.K2, G * own.J * fourth], dtype=torch.float64)
+    shear.diagonal()[1:4] = torch.tensor(
+        [G * A * numbers.K1, G * A * numbers.K2, G * numbers.J * fourth], dtype=torch.float64
+    )
     mass.diagonal()[:4] = density * torch.tensor([A, A, A, I1 + I2], dtype=torch.float64)
     mass[4:, 4:] = density * _second(I1, I2, I12)
-    at = line_transform(length * torch.tensor(own.center, dtype=torch.float64), torch.zeros((), dtype=torch.float64))
+    at = line_transform(
+        length * torch.tensor(numbers.center, dtype=torch.float64), torch.zeros((), dtype=torch.float64)
+    )
     return GivenSection(at @ direct @ at.T + shear, at @ mass @ at.T)
 
 
@@ -93,9 +97,12 @@ def _named_beam(card: Card) -> tuple[SectionNumbers, float]:
             raise InputError(f"{card}: SO is {word!r}; allowed: {', '.join(STATIONS)}, after each station")
         place = _station(card, start + 1)
         stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
-    found = {x: (*_shape(card, kind, own[:-1])._replace(center=(0.0, 0.0))[:7], own[-1]) for x, own in stations.items()}
-    centers = [_shape(card, kind, own[:-1]).center for own in stations.values()]
-    *numbers, extra = _mean(card, {x: list(own) for x, own in found.items()})
+    sections = {
+        x: (*_shape(card, kind, station[:-1])._replace(center=(0.0, 0.0))[:7], station[-1])
+        for x, station in stations.items()
+    }
+    centers = [_shape(card, kind, station[:-1]).center for station in stations.values()]
+    *numbers, extra = _mean(card, {x: list(section) for x, section in sections.items()})
     if any(center != centers[0] for center in centers):
         warn(f"{card}: its center of shear moves along the bar; taken as at end A")
     return SectionNumbers(*numbers, center=centers[0]), extra  # pyright: ignore[reportArgumentType]

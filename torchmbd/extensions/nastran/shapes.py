@@ -164,20 +164,20 @@ def _box(width: float, h: float, flange: float, web: float) -> Outline:
     return _box1(width, h, flange, flange, web, web)
 
 
-def _box1(width: float, h: float, top: float, bottom: float, left: float, right: float) -> Outline:
+def _box1(width: float, h: float, top: float, bottom: float, left_wall: float, right_wall: float) -> Outline:
     inner = h - top - bottom
     parts = [
         Rectangle((h - top) / 2, 0.0, top, width, False),
         Rectangle((bottom - h) / 2, 0.0, bottom, width, False),
-        Rectangle((bottom - top) / 2, (left - width) / 2, inner, left, True),
-        Rectangle((bottom - top) / 2, (width - right) / 2, inner, right, True),
+        Rectangle((bottom - top) / 2, (left_wall - width) / 2, inner, left_wall, True),
+        Rectangle((bottom - top) / 2, (width - right_wall) / 2, inner, right_wall, True),
     ]
-    if not (inner > 0.0 and width > left + right):
+    if not (inner > 0.0 and width > left_wall + right_wall):
         raise ValueError("walls that leave a cell free")
-    a, b = width - (left + right) / 2, h - (top + bottom) / 2
+    a, b = width - (left_wall + right_wall) / 2, h - (top + bottom) / 2
     A = sum(r.area for r in parts)
     middle = (sum(r.area * r.y for r in parts) / A, sum(r.area * r.z for r in parts) / A)
-    return parts, middle, 4.0 * (a * b) ** 2 / (a / top + a / bottom + b / left + b / right)
+    return parts, middle, 4.0 * (a * b) ** 2 / (a / top + a / bottom + b / left_wall + b / right_wall)
 
 
 def _h(inner: float, flanges: float, h: float, web: float) -> Outline:

@@ -44,8 +44,8 @@ def laminate_of(data: BulkData, card: Card, units: Units, offset: float = 0.0) -
 def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     middle, bending, shear = card.integer(2, "MID1", 0), card.integer(4, "MID2", 0), card.integer(6, "MID3", 0)
     if middle < 1 or bending < 0 or card.text(11):
-        given = [card.text(k) for k in (2, 4, 6, 11)]
-        raise InputError(f"{card}: MID1 to MID4 are {given}; allowed: MID1, MID2 >= 0, no MID4")
+        texts = [card.text(k) for k in (2, 4, 6, 11)]
+        raise InputError(f"{card}: MID1 to MID4 are {texts}; allowed: MID1, MID2 >= 0, no MID4")
     thickness = card.real(3, "T") * units.length
     solid, ratio = card.real(5, "12I/T**3", 1.0), card.real(7, "TS/T", _SHEAR)
     material = data.material(card, middle)

@@ -32,19 +32,19 @@ def constant_parts(data: BulkData, mesh: Mesh, index: dict[int, int], units: Uni
     """The parts of rods, springs, bushings and solids."""
     parts: dict[str, Part] = {}
     for kind in LINKS:
-        own = [link for link in data.links if link.card.name == kind]
-        if own:
-            parts[kind.lower()] = _link_part(data, mesh, index, units, own)
+        links = [link for link in data.links if link.card.name == kind]
+        if links:
+            parts[kind.lower()] = _link_part(data, mesh, index, units, links)
     if data.solids:
         parts["solids"] = _solids(data, mesh, index, units)
     return parts
 
 
-def _link_part(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units, own: list[Link]) -> Part:
-    stiffness, masses = zip(*(_link_matrix(data, link) for link in own), strict=True)
+def _link_part(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units, links: list[Link]) -> Part:
+    stiffness, masses = zip(*(_link_matrix(data, link) for link in links), strict=True)
     scale = torch.tensor([1.0, 1.0, 1.0, units.length, units.length, units.length] * 2, dtype=torch.float64)
     K = torch.from_numpy(np.array(stiffness)) * units.mass * scale[:, None] * scale
-    nodes = torch.tensor([[index[grid] for grid in link.grids] for link in own], dtype=torch.long)
+    nodes = torch.tensor([[index[grid] for grid in link.grids] for link in links], dtype=torch.long)
     freedoms = (6 * nodes[:, :, None] + torch.arange(6)).flatten(1)
     mass = torch.tensor(masses, dtype=torch.float64).repeat_interleave(2) / 2.0 * units.mass * data.weight_to_mass
     heavy = mass > 0.0
@@ -109,8 +109,8 @@ def _spring(data: BulkData, link: Link) -> np.ndarray:
 
 
 def _bushing(data: BulkData, link: Link) -> np.ndarray:
-    own = data.property_of(link.card, "PBUSH", link.property or 0)
-    k = _bushing_stiffness(own)
+    bush = data.property_of(link.card, "PBUSH", link.property or 0)
+    k = _bushing_stiffness(bush)
     a, b = (np.array(data.grids[grid]) for grid in link.grids)
     axes = _bushing_axes(data, link, a, b, k)
     share = link.card.real(9, "S", 0.5)
@@ -161,11 +161,11 @@ def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: l
 def _solids(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units) -> Part:
     freedoms, matrices, nodes, masses = [], [], [], []
     groups: dict[tuple[int, int], list[Solid]] = {}
-    for own in data.solids:
-        groups.setdefault((own.property, len(own.grids)), []).append(own)
+    for solid in data.solids:
+        groups.setdefault((solid.property, len(solid.grids)), []).append(solid)
     for (number, corners), group in groups.items():
         D, density = _solid_material(data, group[0].card, number, units)
-        members = torch.tensor([[index[grid] for grid in own.grids] for own in group], dtype=torch.long)
+        members = torch.tensor([[index[grid] for grid in solid.grids] for solid in group], dtype=torch.long)
         K, share = _oriented_matrices(mesh, members, D, group)
         freedoms.append((6 * members[:, :, None] + torch.arange(3)).flatten(1))
         matrices.append(K)
@@ -189,8 +189,8 @@ def _oriented_matrices(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid
 
 def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tuple[Tensor, float]:
     """D [6, 6] in mesh axes [Pa] and density [kg/m3]."""
-    own = data.property_of(card, "PSOLID", number)
-    material = data.material(own, own.integer(2, "MID"))
+    solid = data.property_of(card, "PSOLID", number)
+    material = data.material(solid, solid.integer(2, "MID"))
     if material.name == "MAT1":
         E, G, nu = moduli_of(material)
         C = np.zeros((6, 6))
@@ -198,18 +198,18 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
         C[range(6), range(6)] = [1 / E] * 3 + [1 / G] * 3
         return torch.from_numpy(np.linalg.inv(C)) * units.stress, density_of(material, 5, units, data.weight_to_mass)
     if material.name != "MAT9":
-        raise InputError(f"{own}: {material} is the material of a solid; allowed: MAT1, MAT9")
+        raise InputError(f"{solid}: {material} is the material of a solid; allowed: MAT1, MAT9")
     D = np.zeros((6, 6))
     D[np.triu_indices(6)] = [material.real(2 + k, "G", 0.0) for k in range(21)]
     D = D + np.triu(D, 1).T
     if not np.linalg.eigvalsh(D)[0] > 0.0:
         raise InputError(f"{material}: its matrix G is not positive definite; allowed: an elastic material")
-    system = own.integer(3, "CORDM", 0)
+    system = solid.integer(3, "CORDM", 0)
     if system < 0:
-        raise InputError(f"{own}: CORDM is {system}; allowed: 0 or a system, with MAT9")
-    if data.systems.curved(system, own):
-        raise InputError(f"{own}: CORDM {system} is no rectangular system; allowed: a rectangular one, with MAT9")
-    T = _strain_transformation(data.systems.axes(system, own, np.zeros(3)))
+        raise InputError(f"{solid}: CORDM is {system}; allowed: 0 or a system, with MAT9")
+    if data.systems.curved(system, solid):
+        raise InputError(f"{solid}: CORDM {system} is no rectangular system; allowed: a rectangular one, with MAT9")
+    T = _strain_transformation(data.systems.axes(system, solid, np.zeros(3)))
     return torch.from_numpy(T.T @ D @ T) * units.stress, density_of(material, 23, units, data.weight_to_mass)
 
 

@@ -87,24 +87,24 @@ class Systems:
             raise InputError(
                 f"{card}: systems refer to one another in a chain of more than {NESTED}; allowed: {NESTED}"
             )
-        own = self._cards[number]
-        origin, up, side = self._points(own, (*opened, number))
+        definition = self._cards[number]
+        origin, up, side = self._points(definition, (*opened, number))
         z, x = up - origin, side - origin
         normal = np.cross(z, x)
         if np.linalg.norm(normal) <= 1e-9 * np.linalg.norm(z) * np.linalg.norm(x):
-            raise InputError(f"{own}: its three points lie on a line")
+            raise InputError(f"{definition}: its three points lie on a line")
         z, y = z / np.linalg.norm(z), normal / np.linalg.norm(normal)
-        self._systems[number] = origin, np.stack([np.cross(y, z), y, z]), own.name[-1]
+        self._systems[number] = origin, np.stack([np.cross(y, z), y, z]), definition.name[-1]
         return self._systems[number]
 
-    def _points(self, own: Card, opened: tuple[int, ...]) -> list[np.ndarray]:
-        if own.name.startswith("CORD1"):
-            numbers = [own.integer(k, f"G{k - 1}") for k in (2, 3, 4)]
+    def _points(self, card: Card, opened: tuple[int, ...]) -> list[np.ndarray]:
+        if card.name.startswith("CORD1"):
+            numbers = [card.integer(k, f"G{k - 1}") for k in (2, 3, 4)]
             for k in numbers:
                 if k not in self._grids:
-                    raise InputError(f"{own}: GRID {k} does not exist")
+                    raise InputError(f"{card}: GRID {k} does not exist")
             return [np.array(self.position(self._grids[k], opened)) for k in numbers]
-        reference = own.integer(2, "RID", 0)
+        reference = card.integer(2, "RID", 0)
         names = [f"{letter}{k}" for letter in "ABC" for k in (1, 2, 3)]
-        x = np.array([own.real(3 + k, name, 0.0) for k, name in enumerate(names)]).reshape(3, 3)
-        return [self._basic(reference, point, own, opened) for point in x]
+        x = np.array([card.real(3 + k, name, 0.0) for k, name in enumerate(names)]).reshape(3, 3)
+        return [self._basic(reference, point, card, opened) for point in x]

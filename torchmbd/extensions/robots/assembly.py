@@ -77,9 +77,9 @@ def robot(
         "drives": drives,
         "controls": controls,
     }
-    for key, given in named.items():
-        if given is not None and not isinstance(given, Mapping):
-            raise InputError(f"{key} is {given!r}; allowed: names -> values")
+    for key, argument in named.items():
+        if argument is not None and not isinstance(argument, Mapping):
+            raise InputError(f"{key} is {argument!r}; allowed: names -> values")
     names = None if isinstance(locked, str) or not isinstance(locked, Iterable) else list(locked)
     if names is None or not all(isinstance(name, str) for name in names):
         raise InputError(f"locked is {locked!r}; allowed: names of joints")
@@ -106,14 +106,14 @@ class _Builder:
         self.flexible, self.drives = dict(flexible), drives
         moving = [joint.name for joint in robot.joints if joint.kind in MOVING]
         unlocked = [name for name in moving if name not in locked]
-        for key, given, allowed in (
+        for key, keys, allowed in (
             ("flexible", self.flexible, [link for link in robot.links if link != robot.root or not fixed_base]),
             ("positions", positions, moving),
             ("velocities", velocities, unlocked),
             ("drives", drives, unlocked),
             ("locked", sorted(locked), moving),
         ):
-            for name in given:
+            for name in keys:
                 if name not in allowed:
                     raise unknown(f"{key}:", name, allowed)
         for link, body in self.flexible.items():
@@ -216,12 +216,12 @@ class _Builder:
             raise InputError(f"link {link!r}, with what is fixed to it, has no mass; allowed: a mass > 0 of what moves")
         J, possible = _physical(link, J, mass)
         speed = [at.velocity.tolist(), (at.pose.axes.T @ at.spin).tolist()] if self.rate else [None, None]
-        given = J if possible else np.trace(J) / 3.0 * np.eye(3)
+        inertia = J if possible else np.trace(J) / 3.0 * np.eye(3)
         try:
             body = RigidBody(
                 identifier(link),
                 mass,
-                given.tolist(),
+                inertia.tolist(),
                 center.tolist(),
                 at.pose.position.tolist(),
                 at.pose.axes.tolist(),
@@ -276,8 +276,8 @@ class _Builder:
                 continue
             stop = AxialStop if joint.kind == "prismatic" else RotationalStop
             lower, upper = joint.limits
-            given = {"lower": lower, "upper": upper, "stiffness": stop_stiffness, "damping": stop_damping}
-            forces.append(stop(a, b, "z", **given, name=f"{name}_stop"))
+            options = {"lower": lower, "upper": upper, "stiffness": stop_stiffness, "damping": stop_damping}
+            forces.append(stop(a, b, "z", **options, name=f"{name}_stop"))
         if unlimited:
             warn(f"limits of joints {unlimited} are about a turn apart, or more: they are left out")
         forces += actuator_forces(self.robot.actuators, ends, controls)

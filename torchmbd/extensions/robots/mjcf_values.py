@@ -36,8 +36,8 @@ class Values:
             for path in ("compiler", "option", "option/flag")
         )
         for key, allowed in COMPILER.items():
-            if (given := self.compiler.get(key, allowed)) != allowed:
-                raise InputError(f"{file}, compiler: {key} is {given!r}; allowed: {allowed!r}")
+            if (value := self.compiler.get(key, allowed)) != allowed:
+                raise InputError(f"{file}, compiler: {key} is {value!r}; allowed: {allowed!r}")
         for key in ("passive", "spring", "damper", "actuation"):
             if self.is_disabled(key):
                 raise InputError(f"{file}, option: flag {key} is 'disable'; allowed: 'enable'")
@@ -68,11 +68,11 @@ class Values:
         name = "main" if parent is None else element.get("class", "")
         if not name:
             raise InputError(f"{self.file}: a <default> in another has no class")
-        own = self.classes[name] = {tag: dict(x) for tag, x in self.classes[parent or "main"].items()}
+        defaults = self.classes[name] = {tag: dict(x) for tag, x in self.classes[parent or "main"].items()}
         for child in element:
             if child.tag != "default":
                 tag = "actuator" if child.tag in ACTUATORS else child.tag
-                own[tag] = own.get(tag, {}) | {key: x for key, x in child.attrib.items() if key != "class"}
+                defaults[tag] = defaults.get(tag, {}) | {key: x for key, x in child.attrib.items() if key != "class"}
         for child in element.findall("default"):
             self.add_defaults(child, name)
 
@@ -92,11 +92,11 @@ class Values:
         return self.numbers(where, attributes, key, default, 1)[0]
 
     def direction(self, where: str, attributes: Attributes, key: str, default: str) -> np.ndarray:
-        found = np.array(self.numbers(where, attributes, key, default, 3))
-        length = float(np.linalg.norm(found))
+        vector = np.array(self.numbers(where, attributes, key, default, 3))
+        length = float(np.linalg.norm(vector))
         if not length > 1e-9:
             raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: a direction")
-        return found / length
+        return vector / length
 
     def pose(self, where: str, attributes: Attributes) -> Pose:
         return Pose(np.array(self.numbers(where, attributes, "pos", "0 0 0", 3)), self.axes(where, attributes))
@@ -152,7 +152,7 @@ def shape_inertia(kind: str, size: list[float]) -> tuple[float, list[float]]:
     """Return volume [m3] and inertia over mass [m2] about the axes of a shape."""
     r, h = size[0], 0.0 if kind == "sphere" else size[1]
     if kind in ("box", "ellipsoid"):
-        x, y, z = (own * own for own in size[:3])
+        x, y, z = (half * half for half in size[:3])
         share, volume = (1.0 / 3.0, 8.0) if kind == "box" else (0.2, 4.0 / 3.0 * math.pi)
         return volume * math.prod(size[:3]), [share * (y + z), share * (x + z), share * (x + y)]
     if kind == "cylinder":

@@ -55,6 +55,6 @@ def read_mjcf(path: str | Path, flexible: Mapping[str, FlexibleBody] | None = No
     >>> mbd.read_mjcf("pendulum.xml").body("bob").mass.item()
     2.0
     """
-    found = mjcf_robot(path)
-    options.setdefault("gravity", found.gravity)
-    return System(**robot(found, flexible or {}, **options))
+    file = mjcf_robot(path)
+    options.setdefault("gravity", file.gravity)
+    return System(**robot(file, flexible or {}, **options))

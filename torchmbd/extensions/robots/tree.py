@@ -146,9 +146,9 @@ def combined_mass(parts: Iterable[tuple[float, np.ndarray, np.ndarray]]) -> tupl
         return 0.0, np.zeros(3), np.zeros((3, 3))
     center = np.sum([m * c for m, c, _ in parts], axis=0) / mass
     J = np.zeros((3, 3))
-    for m, c, own in parts:
+    for m, c, inertia in parts:
         d = c - center
-        J += own + m * (d @ d * np.eye(3) - np.outer(d, d))
+        J += inertia + m * (d @ d * np.eye(3) - np.outer(d, d))
     return mass, center, 0.5 * (J + J.T)
 
 
@@ -199,12 +199,12 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
 
 def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]:
     """Return links or joints by name; InputError where a name is repeated."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for x in items:
-        if x.name in found:
+        if x.name in entries:
             raise InputError(f"{file}: {kind} {x.name!r} stands twice")
-        found[x.name] = x
-    return found
+        entries[x.name] = x
+    return entries
 
 
 def numbers(where: str, text: str, count: int | None = None) -> list[float]:

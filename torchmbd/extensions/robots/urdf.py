@@ -73,7 +73,7 @@ def _named(file: str, element: ET.Element) -> str:
     return name
 
 
-def _one(where: str, element: ET.Element | None, key: str, default: float | None = None) -> float:
+def _number(where: str, element: ET.Element | None, key: str, default: float | None = None) -> float:
     text = None if element is None else element.get(key)
     if text is None:
         if default is None:
@@ -104,13 +104,13 @@ def _link(file: str, element: ET.Element) -> Link:
     if inertial is None:
         return Link(name, 0.0, np.zeros(3), np.zeros((3, 3)))
     pose = _pose(where, inertial.find("origin"))
-    mass = _one(where, inertial.find("mass"), "value")
-    own = inertial.find("inertia")
-    xx, xy, xz, yy, yz, zz = (_one(where, own, key, 0.0) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    mass = _number(where, inertial.find("mass"), "value")
+    tensor = inertial.find("inertia")
+    xx, xy, xz, yy, yz, zz = (_number(where, tensor, key, 0.0) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass < 0.0:
         raise InputError(f"{where}: mass is {mass:g}; allowed: zero or positive")
-    if own is None and mass:
+    if tensor is None and mass:
         warn(f"{where}: it has no <inertia>; taken as a point of {mass:g} kg")
     return Link(name, mass, pose.position, pose.axes @ J @ pose.axes.T)
 
@@ -122,22 +122,22 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
         raise unknown(f"{where}: type", kind, KINDS)
     ends = []
     for end in ("parent", "child"):
-        own = element.find(end)
-        if own is None or not own.get("link"):
+        link = element.find(end)
+        if link is None or not link.get("link"):
             raise InputError(f"{where}: {end} is missing; allowed: <{end} link=...>")
-        ends.append(own.get("link", ""))
-    given = element.find("axis")
-    axis = np.array(numbers(f"{where}: axis", "1 0 0" if given is None else given.get("xyz", "1 0 0"), 3))
+        ends.append(link.get("link", ""))
+    axis_element = element.find("axis")
+    axis = np.array(numbers(f"{where}: axis", "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"), 3))
     length = float(np.linalg.norm(axis))
     if kind != "fixed" and not length > 1e-9:
         raise InputError(f"{where}: axis is {axis.tolist()}; allowed: a direction")
     limit, dynamics, limits = element.find("limit"), element.find("dynamics"), None
     if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
-        limits = _one(where, limit, "lower", 0.0), _one(where, limit, "upper", 0.0)
+        limits = _number(where, limit, "lower", 0.0), _number(where, limit, "upper", 0.0)
         if limits[0] > limits[1]:  # the convention of Bullet
             warn(f"{where}: lower is {limits[0]:g}, upper {limits[1]:g}; taken as no limits")
             limits = None
-    losses = [_one(where, dynamics, key, 0.0) for key in ("damping", "friction")]
+    losses = [_number(where, dynamics, key, 0.0) for key in ("damping", "friction")]
     if min(losses) < 0.0:
         raise InputError(f"{where}: damping, friction are {losses}; allowed: zero or positive")
     origin = _pose(where, element.find("origin"))

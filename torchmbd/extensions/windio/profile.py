@@ -197,12 +197,12 @@ def _faces(profile: Profile, s: Array, depth: Array, order: int) -> list[Array]:
     p = profile.at(s)
     p[-1] = p[0]
     ends = _untangled(s, p, at_station, normal)
-    found = []
+    faces = []
     for k in range(closed):
         low, high = ends[k], ends[k + 1]
         middle = 0.5 * (low + high)
-        found.append(np.stack([low, high] if order == 1 else [low, middle, high]))
-    return found
+        faces.append(np.stack([low, high] if order == 1 else [low, middle, high]))
+    return faces
 
 
 def _untangled(s: Array, p: Array, depth: Array, normal: Array) -> Array:

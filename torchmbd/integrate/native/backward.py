@@ -128,11 +128,11 @@ class NativeAdjointSolver(AdjointSolver):
         data, times = self.grid.dynamics.data, schedule.t
         wanted = {name for name, x in data.items() if value(x).requires_grad}
         plain = {name: value(x).detach() for name, x in data.items()}
-        found = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)
-        arrays = [_blocks(found.strengths), _blocks(found.slopes), of_strengths]
+        adjoint = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)
+        arrays = [_blocks(adjoint.strengths), _blocks(adjoint.slopes), of_strengths]
         job.strengths, job.law_slopes, job.strength_bars = addresses(arrays)
         job.kept = arrays
-        return found, of_strengths
+        return adjoint, of_strengths
 
 
 def _lanes(x: Tensor, lanes: int) -> Tensor:

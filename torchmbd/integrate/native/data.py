@@ -32,26 +32,26 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     parts.append(value(parts[0]).new_zeros(varied, 1, 1))
 
     def tangents(x: Any) -> Tensor:
-        found = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), n_b, 1)
-        return found.expand(-1, -1, lanes)
+        tangent = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), n_b, 1)
+        return tangent.expand(-1, -1, lanes)
 
     return torch.cat([value(x).expand(-1, 1, lanes) for x in parts]), torch.cat([tangents(x) for x in parts])
 
 
 def _in_memory(dynamics: Dynamics) -> dict[str, Any]:
     """Data in the order in which they stand in memory [..., pair, lanes]."""
-    found: dict[str, Any] = {}
+    parts: dict[str, Any] = {}
     for name in kind_of(dynamics).data:
         order = memory_order(SHAPES[name])
-        found[name] = linear(lambda y, order=order: y.permute(*order, -2, -1), dynamics.data[name])
+        parts[name] = linear(lambda y, order=order: y.permute(*order, -2, -1), dynamics.data[name])
     for i, p in enumerate(dynamics.topology.primitives):
         if p.constants:
-            found[constants_name(i)] = p.numbers.movedim(1, 0)
-    for i, (one, some) in enumerate(groups(dynamics.topology).items()):
-        if numbers_of(one.law):
+            parts[constants_name(i)] = p.numbers.movedim(1, 0)
+    for i, (key, some) in enumerate(groups(dynamics.topology).items()):
+        if numbers_of(key.law):
             rows = [form(law)[1] for _, _, law in some]  # [actions][numbers]
-            found[f"~law {i}"] = cat([_number(x, dynamics) for row in rows for x in row])
-    return found
+            parts[f"~law {i}"] = cat([_number(x, dynamics) for row in rows for x in row])
+    return parts
 
 
 def _number(x: Any, dynamics: Dynamics) -> Any:
@@ -64,22 +64,22 @@ def _number(x: Any, dynamics: Dynamics) -> Any:
 
 def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
     """Cotangents of the data [component..., rows, lanes] out of those of what stands in memory [n, rows, lanes]."""
-    found = {name: by.new_zeros(*x.shape[:-2], *by.shape[1:]) for name, x in dynamics.data.items()}
+    result = {name: by.new_zeros(*x.shape[:-2], *by.shape[1:]) for name, x in dynamics.data.items()}
     T = dynamics.topology
     start, laws = 0, iter(groups(T).items())
     constants = {constants_name(i) for i in range(len(T.primitives))}  # no design varies them
     for name, x in _in_memory(dynamics).items():
         n = value(x).shape[:-2].numel()
-        own = by[start : start + n]
+        part = by[start : start + n]
         start += n
         if name in SHAPES:
             order = memory_order(SHAPES[name])
             back = [order.index(d) for d in range(len(order))]
-            found[name] = own.reshape(*value(x).shape[:-2], *by.shape[1:]).permute(*back, -2, -1).contiguous()
+            result[name] = part.reshape(*value(x).shape[:-2], *by.shape[1:]).permute(*back, -2, -1).contiguous()
         elif name not in constants:
             some = next(members for form_, members in laws if numbers_of(form_.law))
             numbers = [y for _, _, law in some for y in form(law)[1]]
             for k, y in enumerate(numbers):
                 if isinstance(y, tuple):
-                    found[y[0]][y[1]] += own[k]
-    return found
+                    result[y[0]][y[1]] += part[k]
+    return result

@@ -58,16 +58,16 @@ def elimination(n: int, first: int, row: NDArray[np.int64], column: NDArray[np.i
     base = np.concatenate([[0], np.cumsum(1 + 2 * count)])
     target, scattered = _targets(later, base)
     flat = np.concatenate([*later, np.empty(0, dtype=np.int64)]).astype(np.int64)
-    own = np.repeat(np.arange(n), count)
+    step = np.repeat(np.arange(n), count)
     within = np.arange(len(flat)) - np.repeat(start[:-1], count)
-    upper = base[:-1][own] + 1 + within
-    lower = upper + count[own]
+    upper = base[:-1][step] + 1 + within
+    lower = upper + count[step]
     order_array = np.array(order, dtype=np.int64)
     r = np.empty(base[-1], dtype=np.intc)
     c = np.empty(base[-1], dtype=np.intc)
-    for address, i, j in ((base[:-1], np.arange(n), np.arange(n)), (upper, own, flat), (lower, flat, own)):
+    for address, i, j in ((base[:-1], np.arange(n), np.arange(n)), (upper, step, flat), (lower, flat, step)):
         r[address], c[address] = order_array[i], order_array[j]
-    keys = np.concatenate([np.arange(n) * (n + 1), own * n + flat, flat * n + own])
+    keys = np.concatenate([np.arange(n) * (n + 1), step * n + flat, flat * n + step])
     addresses = np.concatenate([base[:-1], upper, lower])
     sorting = np.argsort(keys)
 

@@ -111,11 +111,11 @@ class Feedback:
 
     def run(self, f: Callable[[], int]) -> int:
         """f() by native code, which calls back; raises what is raised there."""
-        found, error = self.laws.with_parameters(self.parameters, f), self.error
+        status, error = self.laws.with_parameters(self.parameters, f), self.error
         if error is not None:
             self.error = None
             raise error
-        return found
+        return status
 
     def _call(self, what: int, step: int, block: int) -> int:
         try:
@@ -139,16 +139,16 @@ class Feedback:
                 y if move is None else (all_ if all_.shape[1] == 1 else y).expand(-1, count).clone().requires_grad_()
                 for y, all_, move in zip(p, self.parameters, self.weight_tangents, strict=True)
             ]
-        found = [link.control.with_jacobian(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
-        _put(strengths, self.laws.strengths([u.detach() for u, _ in found]))
-        _put(slopes, self.laws.slopes([J for _, J in found]))
+        pairs = [link.control.with_jacobian(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
+        _put(strengths, self.laws.strengths([u.detach() for u, _ in pairs]))
+        _put(slopes, self.laws.slopes([J for _, J in pairs]))
         if what == _TANGENTS:
             tangents.zero_()
-        for (u, _), link, a, move in zip(found, links, p, self.weight_tangents, strict=True):
+        for (u, _), link, a, move in zip(pairs, links, p, self.weight_tangents, strict=True):
             if what == _TANGENTS and move is not None:
                 by = torch.stack([derivative(y, a) for y in u])
-                own = torch.einsum("okl,ksl->osl", by, move if move.shape[-1] == 1 else move[..., lanes])
-                _put(tangents, tangents[..., :count] + torch.einsum("no,osl->snl", link.writes, own))
+                output_tangents = torch.einsum("okl,ksl->osl", by, move if move.shape[-1] == 1 else move[..., lanes])
+                _put(tangents, tangents[..., :count] + torch.einsum("no,osl->snl", link.writes, output_tangents))
 
 
 class FeedbackAdjoint:
@@ -171,20 +171,20 @@ class FeedbackAdjoint:
         ]
         self.outputs: list[list[Tensor]] = []
         with torch.enable_grad():
-            found = laws.with_parameters(
+            pairs = laws.with_parameters(
                 self.parameters, lambda: [self._at(x, t) for x, t in zip(signals, times, strict=True)]
             )
-        self.strengths, self.slopes = (torch.stack(x) for x in zip(*found, strict=True))
+        self.strengths, self.slopes = (torch.stack(x) for x in zip(*pairs, strict=True))
 
     def _at(self, signals: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
         """Strengths and slopes at one time."""
-        found, laws = [], self.laws
+        pairs, laws = [], self.laws
         for link, p, x in zip(laws.links, self.parameters, laws.inputs(signals, t), strict=True):
             u, J = link.control.with_jacobian(p[:0] if p.shape[1] == 1 else p, x, t)
             link.control.check_attached(u, p, t)
-            found.append((u, J))
-        self.outputs.append([u for u, _ in found])
-        return laws.strengths([u.detach() for u, _ in found]), laws.slopes([J for _, J in found])
+            pairs.append((u, J))
+        self.outputs.append([u for u, _ in pairs])
+        return laws.strengths([u.detach() for u, _ in pairs]), laws.slopes([J for _, J in pairs])
 
     def cotangents(self, of_strengths: Tensor) -> dict[str, Tensor]:
         """Cotangents of the weights [k, rows, lanes] by those of all strengths [steps, rows, n, lanes]."""

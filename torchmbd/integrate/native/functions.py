@@ -69,12 +69,12 @@ class _Traced:
 
     def state(self, sizes: Sequence[AnySize]) -> list[Any]:
         """Parts of the state as pairs [n, 1, 1]."""
-        found, start = [], 0
+        parts, start = [], 0
         for n in sizes:
             x, dx = (Array.input(self.program, name, (n, 1, 1), start) for name in ("x", "dx"))
-            found.append(Pair.of(x, dx))
+            parts.append(Pair.of(x, dx))
             start = start + n
-        return found
+        return parts
 
     def of_step(self, *shape: AnySize) -> Any:
         """The next number of a step: weights of the method and what drives prescribe, for each lane."""
@@ -174,12 +174,12 @@ class _Traced:
 
 def _names(program: Program) -> set[str]:
     """Names of all sizes that a program may use."""
-    found = {"B", "F", "M", "V", "W", "C"}
+    result = {"B", "F", "M", "V", "W", "C"}
 
     def add(size: AnySize) -> None:
         if isinstance(size, Size):
             for names, _ in size.terms:
-                found.update(names)
+                result.update(names)
 
     def index(x: Index) -> None:
         add(x.offset)
@@ -199,16 +199,16 @@ def _names(program: Program) -> set[str]:
             index(write.index)
             for v in write.variables:
                 add(v.size)
-    return found
+    return result
 
 
 def _tables(program: Program) -> set[str]:
-    found: set[str] = set()
+    tables: set[str] = set()
 
     def index(x: Index) -> None:
         for _, atom in x.terms:
             if isinstance(atom, Lookup):
-                found.add(atom.table)
+                tables.add(atom.table)
                 index(atom.index)
 
     for node, op in enumerate(program.op):
@@ -217,7 +217,7 @@ def _tables(program: Program) -> set[str]:
     for buffer in program.buffers.values():
         for write in buffer.writes:
             index(write.index)
-    return found
+    return tables
 
 
 def _written(program: Program, buffer: str, x: Any, start: AnySize) -> list[Write]:
@@ -265,10 +265,10 @@ class _Step(_Traced):
 
     def matrix(self) -> list[Write]:
         blocks, slopes = self.step.matrix(self.z)
-        found = [blocks[name] for name, _ in self.blocks.shapes()]
+        entries = [blocks[name] for name, _ in self.blocks.shapes()]
         if slopes is not None:
-            found += [slopes[0][name] for name, _ in self.blocks.action_shapes()] + [slopes[1]]
-        return self.output("entries", [x.as_array() for x in found if 0 not in x.shape])
+            entries += [slopes[0][name] for name, _ in self.blocks.action_shapes()] + [slopes[1]]
+        return self.output("entries", [x.as_array() for x in entries if 0 not in x.shape])
 
 
 class _Saddle:
@@ -281,11 +281,11 @@ class _Saddle:
         self, data: Any, placed: Any, stiffness: Any = 0.0, damping: Any = 0.0, v: Any = None, *rest: Any
     ) -> Any:
         """Blocks by name, and the slopes of the actions or None."""
-        found = self.blocks(data, placed, stiffness, damping, v, *rest)
+        blocks = self.blocks(data, placed, stiffness, damping, v, *rest)
         if v is None or not self.blocks.T.actions:
-            return found, None
+            return blocks, None
         states = equations.action_states(self.blocks.T, data, placed, v)
-        return found, self.blocks.action_slopes(data, placed, states, stiffness, damping)
+        return blocks, self.blocks.action_slopes(data, placed, states, stiffness, damping)
 
 
 def _step(kind: Kind) -> str:

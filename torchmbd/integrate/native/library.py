@@ -77,8 +77,8 @@ def with_backend(dynamics: Dynamics, backend: str, kind: str | None = "step", al
     "auto": native where there is a compiler and the code of the system can be written and compiled in reasonable time; the
     obstacle is a warning, once. "native": InputError where it cannot be. Kinds other than steps are built when needed.
     """
-    left = dynamics.condensed() if kind == "step" else dynamics
-    why = None if backend == "eager" else _obstacle(left, backend, kind, also)
+    model = dynamics.condensed() if kind == "step" else dynamics
+    why = None if backend == "eager" else _obstacle(model, backend, kind, also)
     if backend == "native" and why is not None:
         raise InputError(f"backend is 'native', but {why}; allowed: 'eager' or 'auto'")
     if why is not None and why not in _warned:
@@ -160,10 +160,10 @@ _mechanisms: WeakKeyDictionary[Topology, dict[str, Any]] = WeakKeyDictionary()
 
 def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> Any:
     """Counts and tables of a system, made once for its topology."""
-    own, name = _mechanisms.setdefault(T, {}), key(known, kind)
-    if name not in own:
-        own[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
-    return own[name]
+    mechanisms, name = _mechanisms.setdefault(T, {}), key(known, kind)
+    if name not in mechanisms:
+        mechanisms[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
+    return mechanisms[name]
 
 
 def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
@@ -213,7 +213,7 @@ def with_traced_laws(dynamics: Dynamics) -> Dynamics:
     """The same dynamics with laws of forces of a known form; raises Untraceable where there is one that cannot be."""
     old = dynamics.topology.actions
     new = tuple(replace(action, laws=tuple(native_law(law) for law in action.laws)) for action in old)
-    if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
+    if all(x.laws == y.laws for x, y in zip(new, old, strict=True)):
         return dynamics
     return replace(dynamics, topology=replace(dynamics.topology, actions=new))
 

@@ -58,13 +58,13 @@ class Mechanism:
 
     def _members(self) -> list[tuple[list[torch.Tensor], np.ndarray]]:
         """Of each form of action: vectors of its arguments, and numbers of its actions."""
-        found, start = [], 0
+        result, start = [], 0
         for some in self.groups.values():
             kind = self.T.actions[some[0][0]]
             index = torch.tensor([i for _, i, _ in some])
-            found.append(([m[index] for m in kind.members], np.arange(start, start + len(some))))
+            result.append(([m[index] for m in kind.members], np.arange(start, start + len(some))))
             start += len(some)
-        return found
+        return result
 
     def _sizes(self) -> dict[str, int]:
         T, rows, actions = self.T, self.blocks.rows, self.blocks.actions
@@ -91,7 +91,7 @@ class Mechanism:
         forces = [b if x.is_point and b < n else 2 * n for x, b in zip(T.attached, body, strict=True)]
         torques = [n + b if b < n else 2 * n for b in body]
         acting = [i for members, _ in self._members() for m in members for i in m.tolist()]
-        found: dict[str, Any] = {
+        tables: dict[str, Any] = {
             "vector_body": body,
             "vector_origin": T.vector_origin,
             "vector_flexible": T.vector_flexible,
@@ -102,7 +102,7 @@ class Mechanism:
         }
         for name, units in (("row", self.blocks.rows), ("action", self.blocks.actions)):
             left_out = len(units.pairs)
-            found |= {
+            tables |= {
                 f"{name}_pair_body": units.pair_body,
                 f"{name}_argument_vector": units.argument_vector,
                 f"{name}_argument_pair": [left_out if p < 0 else p for p in units.argument_pair],
@@ -113,29 +113,29 @@ class Mechanism:
             }
         if T.beams is not None:
             on = T.beams.bodies
-            found["beam_ends"] = T.beams.ends
-            found["beam_groups"] = [b if b < n else 2 * n for b in on] + [min(n + b, 2 * n) for b in on]
+            tables["beam_ends"] = T.beams.ends
+            tables["beam_groups"] = [b if b < n else 2 * n for b in on] + [min(n + b, 2 * n) for b in on]
         for name, sparse in (("spread", T.spread), ("gather", T.gather)):
             if sparse is not None:
                 row, column = torch.nonzero(sparse.matrix, as_tuple=True)
-                found |= {f"{name}_row": row, f"{name}_column": column}
-        return {name: np.ascontiguousarray(x, dtype=np.intc) for name, x in found.items()}
+                tables |= {f"{name}_row": row, f"{name}_column": column}
+        return {name: np.ascontiguousarray(x, dtype=np.intc) for name, x in tables.items()}
 
     def _constants(self) -> dict[str, np.ndarray]:
         T = self.T
-        found = {"unit": np.eye(T.modes), "ground_A": np.eye(3), "ground_r": np.zeros(3)}
+        constants = {"unit": np.eye(T.modes), "ground_A": np.eye(3), "ground_r": np.zeros(3)}
         for name, sparse in (("spread", T.spread), ("gather", T.gather)):
             if sparse is not None:
-                found[f"{name}_factor"] = sparse.matrix[sparse.matrix != 0.0].numpy()
-        return {name: np.ascontiguousarray(x, dtype=np.float64) for name, x in found.items()}
+                constants[f"{name}_factor"] = sparse.matrix[sparse.matrix != 0.0].numpy()
+        return {name: np.ascontiguousarray(x, dtype=np.float64) for name, x in constants.items()}
 
     def _matrix(self, slopes: bool) -> None:
         """Where the entries of the matrix come from and go to."""
         T = self.T
         row, column, place = saddle_entries(T, self.blocks)
         if T.beams is not None and slopes:
-            own = beams.matrix_entries(T, entry_numbers(self.blocks.shapes())["beam"])
-            row, column, place = (np.concatenate(x) for x in zip((row, column, place), own, strict=True))
+            beam_entries = beams.matrix_entries(T, entry_numbers(self.blocks.shapes())["beam"])
+            row, column, place = (np.concatenate(x) for x in zip((row, column, place), beam_entries, strict=True))
         row, column, place, factor = self._projected(row, column, place)
         total = entry_count(self.blocks.shapes())
         products = self._products(total) if slopes and T.actions else [np.empty(0, dtype=np.int64)] * 6
@@ -173,9 +173,9 @@ class Mechanism:
 
     def _projected(self, row: np.ndarray, column: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, ...]:
         """Entries of P' K P (saddle.Projection) of the entries of K."""
-        which, row, left = self._expanded(row)
-        again, column, right = self._expanded(column[which])
-        return row[again], column, place[which][again], left[again] * right
+        which, row, row_factor = self._expanded(row)
+        again, column, column_factor = self._expanded(column[which])
+        return row[again], column, place[which][again], row_factor[again] * column_factor
 
     def _products(self, total: int) -> list[np.ndarray]:
         """Rows, columns, weights, first and second entries and factors of the slopes of actions."""
@@ -184,18 +184,24 @@ class Mechanism:
         which, rate, factor = self._expanded(rate)
         action, place = action[which], total + place[which]
         weights, count = total + entry_count(shapes), sum(len(some) for some in self.groups.values())
-        found = []
+        products = []
         for i in range(len(self.blocks.actions.pairs) and int(action.max()) + 1):
-            own = np.nonzero(action == i)[0]
-            one, other = (x.ravel() for x in np.meshgrid(own, own, indexing="ij"))
-            weight = np.full(len(one), weights + i)
-            found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
+            members = np.nonzero(action == i)[0]
+            first, second = (x.ravel() for x in np.meshgrid(members, members, indexing="ij"))
+            weight = np.full(len(first), weights + i)
+            products.append(
+                [rate[first], rate[second], weight, place[first], place[second], factor[first] * factor[second]]
+            )
         for pair, (i, j) in enumerate(self.called.pairs):
             both = (np.nonzero(action == self.called.actions[k])[0] for k in (i, j))
-            one, other = (x.ravel() for x in np.meshgrid(*both, indexing="ij"))
-            weight = np.full(len(one), weights + count + pair)
-            found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
-        return [np.concatenate(x) for x in zip(*found, strict=True)] if found else [np.empty(0, dtype=np.int64)] * 6
+            first, second = (x.ravel() for x in np.meshgrid(*both, indexing="ij"))
+            weight = np.full(len(first), weights + count + pair)
+            products.append(
+                [rate[first], rate[second], weight, place[first], place[second], factor[first] * factor[second]]
+            )
+        return (
+            [np.concatenate(x) for x in zip(*products, strict=True)] if products else [np.empty(0, dtype=np.int64)] * 6
+        )
 
     def struct(self, code: ctypes.CDLL) -> Any:
         """The mechanism as a library takes it; what it points to lives as long as it."""

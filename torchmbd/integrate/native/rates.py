@@ -82,17 +82,17 @@ class RightHandSide:
     def __call__(self, t: Tensor, y: Tensor) -> Tensor:
         """dy/dt [n_z, 1 + n_b, lanes] at time t."""
         reach(t)
-        found = self._compiled(t, y)
-        if found is None:
+        result = self._compiled(t, y)
+        if result is None:
             return augment(self.dynamics.rates(t, Pair(y) if y.shape[1] > 1 else y), self.dynamics)
         self.dynamics.statistics["evaluations"] += 1
-        return found[0]
+        return result[0]
 
     def accelerations(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Accelerations [n_v, 1 + n_b, lanes] and multipliers [rows, ...]."""
-        n, found = self.dynamics.topology.n_q, self._compiled(t, y)
-        if found is not None:
-            return found[0][n:], found[1]
+        n, result = self.dynamics.topology.n_q, self._compiled(t, y)
+        if result is not None:
+            return result[0][n:], result[1]
         z = Pair(y) if y.shape[1] > 1 else y
         a, lam = self.dynamics.accelerations(t, z[:n], z[n:])
         return augment(a, self.dynamics), augment(lam, self.dynamics)
@@ -100,10 +100,10 @@ class RightHandSide:
     def _compiled(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
         # A state may carry the direction of time (of an event) where the data carry none: eager.
         fast = self.fast if y.shape[1] - 1 <= self.dynamics.tangents else None
-        found = None if fast is None else fast(t, y)
-        if found is None:  # its factors cannot be relied on: from now on eager
+        result = None if fast is None else fast(t, y)
+        if result is None:  # its factors cannot be relied on: from now on eager
             self.fast = None
-        return found
+        return result
 
 
 def augment(x: Any, dynamics: Dynamics) -> Tensor:

@@ -124,9 +124,9 @@ class NativeStepper(EagerStepper):
         arrays += [blocks(self.passes[None, None]), counted, scale]
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
-        *found, passes, counted_at, scale_at = addresses(arrays)
+        *pointers, passes, counted_at, scale_at = addresses(arrays)
         back = None if self.feedback is None else self.feedback.address
-        job = Job(*numbers, *found, self.library.address, passes, back, counted_at, scale_at)
+        job = Job(*numbers, *pointers, self.library.address, passes, back, counted_at, scale_at)
         if self._called(partial(self.code.run_steps, ctypes.byref(job))):
             self.code = None
             return False

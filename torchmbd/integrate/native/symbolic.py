@@ -107,12 +107,12 @@ def form(law: Any) -> tuple[Any, list[Any]]:
 
 def groups(T: Topology) -> dict[Form, list[tuple[int, int, Any]]]:
     """Actions of each form: number of the kind, number among these, law."""
-    found: dict[Form, list[tuple[int, int, Any]]] = {}
+    members: dict[Form, list[tuple[int, int, Any]]] = {}
     for a, action in enumerate(T.actions):
         for i, law in enumerate(action.laws):
             center = float(getattr(law, "center", 0.0)) if isinstance(action, Turn) else 0.0
-            found.setdefault(Form(type(action), form(law)[0], center), []).append((a, i, law))
-    return found
+            members.setdefault(Form(type(action), form(law)[0], center), []).append((a, i, law))
+    return members
 
 
 @dataclass(frozen=True)
@@ -186,14 +186,14 @@ def action_count(i: int) -> Size:
 
 def shapes(kind: Kind) -> dict[str, tuple[AnySize, ...]]:
     """Of all data that code of a kind takes, those of the laws included, in order; see `moving_shapes`."""
-    found = {name: SHAPES[name] for name in kind.data}
+    result = {name: SHAPES[name] for name in kind.data}
     for i, (primitive, _) in enumerate(kind.primitives):
         if primitive.constants:
-            found[constants_name(i)] = (primitive.constants, primitive_count(i))
-    for i, one in enumerate(kind.forms):
-        if numbers_of(one.law):
-            found[f"~law {i}"] = (numbers_of(one.law), action_count(i))  # stored [actions, numbers]
-    return found
+            result[constants_name(i)] = (primitive.constants, primitive_count(i))
+    for i, action_form in enumerate(kind.forms):
+        if numbers_of(action_form.law):
+            result[f"~law {i}"] = (numbers_of(action_form.law), action_count(i))  # stored [actions, numbers]
+    return result
 
 
 def moving_shapes(kind: Kind) -> dict[str, tuple[AnySize, ...]]:
@@ -225,7 +225,7 @@ class SymbolicTopology:
             self.spread = _SparseMap(program, "spread", E, self.n_rates)
             self.gather = _SparseMap(program, "gather", G, U)
         self.primitives = tuple(self._primitive(program, i, p) for i, (p, _) in enumerate(kind.primitives))
-        self.actions = tuple(self._action(i, one) for i, one in enumerate(kind.forms))
+        self.actions = tuple(self._action(i, action_form) for i, action_form in enumerate(kind.forms))
         self.rows = sum((p.rows * primitive_count(i) for i, p in enumerate(self.primitives)), 0)
         self.links = SymbolicLinks(kind, program)
 
@@ -239,8 +239,8 @@ class SymbolicTopology:
         return primitive
 
     @staticmethod
-    def _action(i: int, one: Form) -> Any:
-        return one.kind((), (_Numbered(f"~law {i}", (), one.law, one.center),))
+    def _action(i: int, action_form: Form) -> Any:
+        return action_form.kind((), (_Numbered(f"~law {i}", (), action_form.law, action_form.center),))
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         result, start = [], 0
@@ -278,17 +278,17 @@ class SymbolicLinks:
         self.count = sum((action_count(i) for i, _ in self._forms()), 0)
 
     def _forms(self) -> list[tuple[int, Form]]:
-        return [(i, one) for i, one in enumerate(self.kind.forms) if one.law is Port]
+        return [(i, action_form) for i, action_form in enumerate(self.kind.forms) if action_form.law is Port]
 
-    def strengths(self, states: list[tuple], own: list[Any], t: Any, data: Any) -> list[Any]:
+    def strengths(self, states: list[tuple], law_strengths: list[Any], t: Any, data: Any) -> list[Any]:
         """Of all forms [n, 1, 1]."""
-        found, start = list(own), 0
+        result, start = list(law_strengths), 0
         for i, _ in self._forms():
             n = action_count(i)
             f, df = (Array.input(self.program, name, (n, 1, 1), start) for name in ("strengths", "strength_tangents"))
-            found[i] = Pair.of(f, df) if isinstance(states[i][0], Pair) else f
+            result[i] = Pair.of(f, df) if isinstance(states[i][0], Pair) else f
             start = start + n
-        return found
+        return result
 
     def signals(self, states: list[tuple]) -> list[Any]:
         """s of all actions whose laws are called back, and then s'."""
@@ -363,10 +363,10 @@ class SymbolicBlocks(SaddleBlocks):
 
 def data_arrays(program: Program, kind: Kind, prefix: str) -> dict[str, Any]:
     """The data of a kind [component..., 1, 1], each in a buffer of its own; `prefix` of tangents."""
-    found = {name: stored_data(program, prefix + buffer_name(name), shape) for name, shape in shapes(kind).items()}
+    arrays = {name: stored_data(program, prefix + buffer_name(name), shape) for name, shape in shapes(kind).items()}
     for name, shape in moving_shapes(kind).items():  # in the order in which they are given
-        found[name] = Array.input(program, prefix + buffer_name(name), shape)[..., None, None]
-    return found
+        arrays[name] = Array.input(program, prefix + buffer_name(name), shape)[..., None, None]
+    return arrays
 
 
 def buffer_name(name: str) -> str:
@@ -377,10 +377,10 @@ def buffer_name(name: str) -> str:
 def stored_data(program: Program, name: str, shape: tuple[AnySize, ...]) -> Array:
     """A datum whose loops are outermost in memory, the last of them first; components innermost."""
     order = memory_order(shape)
-    found = Array.input(program, name, [shape[d] for d in order])
+    memory = Array.input(program, name, [shape[d] for d in order])
     back = [order.index(d) for d in range(len(shape))]
-    numbers = found.numbers.transpose(back)
-    array = Array(program, numbers, tuple(found.loops[d] for d in back))
+    numbers = memory.numbers.transpose(back)
+    array = Array(program, numbers, tuple(memory.loops[d] for d in back))
     return array[..., None, None]
 
 

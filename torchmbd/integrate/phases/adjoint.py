@@ -133,16 +133,16 @@ class PhaseAdjoint:
         entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
         base, c = pick_states(record.base, so_far.lanes), record.condensation
         so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, base)
-        own = [i for i, lane in enumerate(so_far.lanes) if record.left[lane]]  # counted among those of so_far
-        if not own:
+        indices = [i for i, lane in enumerate(so_far.lanes) if record.left[lane]]  # counted among those of so_far
+        if not indices:
             return
-        lanes = [so_far.lanes[i] for i in own]
+        lanes = [so_far.lanes[i] for i in indices]
         phase_model = self.multiphase.phase_models[record.number]
         k, there = record.base_point[lanes], record.exit.lanes(lanes)
         with torch.enable_grad():
             leaves = LaneLeaves(self.multiphase.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
             dynamics = _condensed(record, leaves.dynamics)
-            t, base = leaf(entry[:, own]), pick_states(base, own).map(leaf)
+            t, base = leaf(entry[:, indices]), pick_states(base, indices).map(leaf)
             begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
             size = leaf(there.t - begin)
             event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
@@ -152,21 +152,21 @@ class PhaseAdjoint:
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
         kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
-        found = pulled_back([end, *y], [x[..., own] for x in so_far.exit], inputs, rows)
+        cotangents = pulled_back([end, *y], [x[..., indices] for x in so_far.exit], inputs, rows)
         if g is not None:
             slopes = pulled_back([g], [torch.ones_like(g)[None]], inputs, 1)
-            mu = -found[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
-            found = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(found, slopes, kinds, strict=True)]
-        _, by_t, *by_state = found[: 2 + len(base)]
-        so_far.start[0][..., own] += by_t
-        for key, cotangent in zip(keys, found[2 + len(base) :], strict=True):
-            so_far.add(key, own, cotangent)
+            mu = -cotangents[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
+            cotangents = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(cotangents, slopes, kinds, strict=True)]
+        _, by_t, *by_state = cotangents[: 2 + len(base)]
+        so_far.start[0][..., indices] += by_t
+        for key, cotangent in zip(keys, cotangents[2 + len(base) :], strict=True):
+            so_far.add(key, indices, cotangent)
         for at_end, cotangent in zip(so_far.end, by_state, strict=True):
-            at_end[..., own] += torch.where(k < 0, 0.0, cotangent)
+            at_end[..., indices] += torch.where(k < 0, 0.0, cotangent)
         of_start = [torch.where(k < 0, cotangent, 0.0) for cotangent in by_state]
         of_start = of_start if c is None else c.of_retained_state(of_start)
         for at_start, cotangent in zip(so_far.start[1:], of_start, strict=True):
-            at_start[..., own] += cotangent
+            at_start[..., indices] += cotangent
 
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
@@ -312,14 +312,14 @@ class PhaseAdjoint:
         if direct:
             outputs += record.retained(pick_states(after, direct))
             of_outputs += [x[..., direct] for x in so_far.arrival]
-        own = lane_numbers(~on_grid & (first < len(multiphase.times)))
-        if own:
-            end, begin = multiphase.times[first[own]][None], t[:, own]
-            near = pick_states(record.arrival, [lanes[i] for i in own])
-            some = _condensed(record, lanes_of(dynamics, own))
-            x = record.retained(pick_states(after, own))
+        indices = lane_numbers(~on_grid & (first < len(multiphase.times)))
+        if indices:
+            end, begin = multiphase.times[first[indices]][None], t[:, indices]
+            near = pick_states(record.arrival, [lanes[i] for i in indices])
+            some = _condensed(record, lanes_of(dynamics, indices))
+            x = record.retained(pick_states(after, indices))
             outputs += self.integrator.step_of_size(some, x, end - begin, end, near)
-            of_outputs += [x[..., own] for x in so_far.arrival]
+            of_outputs += [x[..., indices] for x in so_far.arrival]
         between = multiphase.phase_number[:: multiphase.every, lanes] == record.number
         between &= multiphase.every * torch.arange(len(between))[:, None] < first
         for k in lane_numbers(between.any(1)):

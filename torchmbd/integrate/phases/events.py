@@ -285,7 +285,9 @@ class Views:
                 (lanes_of(dynamics, [i]), pick_lanes(t, [i]), x.map(lambda y, i=i: pick_lanes(y, [i])))
                 for i in range(len(lanes))
             ]
-            return join_lanes([self._evaluate(f, [lane], *own) for lane, own in zip(lanes, each, strict=True)])
+            return join_lanes(
+                [self._evaluate(f, [lane], *arguments) for lane, arguments in zip(lanes, each, strict=True)]
+            )
 
     def _evaluate(
         self, f: Callable[[Trajectory], Tensor], lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State

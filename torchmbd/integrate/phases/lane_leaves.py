@@ -52,10 +52,10 @@ def pulled_back(
     if not used or not inputs:
         return zeros(rows, inputs)
     of = [y for y, _ in used]
-    found = [
+    by_row = [
         pull_back(of, inputs, [x[row : row + 1] for _, x in used]) for row in range(rows)
     ]  # steps are not for vmap
-    return [torch.cat(x) for x in zip(*found, strict=True)]
+    return [torch.cat(x) for x in zip(*by_row, strict=True)]
 
 
 def zeros(rows: int, like: Sequence[Tensor]) -> list[Tensor]:

@@ -313,15 +313,15 @@ class _PhaseLoop:
         if self.event is None:
             return None
         near = torch.minimum(g.abs(), self.g.abs()) <= FAR * (g - self.g).abs().maximum(self.change)
-        own = lane_numbers(lanes & near & ~(self.record.on_grid & (self.first == i)))
-        if not own:
+        candidates = lane_numbers(lanes & near & ~(self.record.on_grid & (self.first == i)))
+        if not candidates:
             return None
         event, views = self.event, self.multiphase.views
-        dynamics, condensed = (lanes_of(d, own).values() for d in (self.dynamics, self.condensed))
+        dynamics, condensed = (lanes_of(d, candidates).values() for d in (self.dynamics, self.condensed))
         entering, whole = lane_numbers(self.first == i), self.record.whole
         start = put_states(recent, entering, self.record.retained(pick_states(self.entry.x, entering)))
-        at_start, at_end = (pick_states(y, own).values() for y in (start, x))
-        t = torch.where(self.first == i, value(self.entry.t), self.times[i - 1])[:, own]
+        at_start, at_end = (pick_states(y, candidates).values() for y in (start, x))
+        t = torch.where(self.first == i, value(self.entry.t), self.times[i - 1])[:, candidates]
         h = self.times[i] - t
         before, after = whole(at_start, t), whole(at_end, t + h)
 
@@ -331,13 +331,13 @@ class _PhaseLoop:
 
         def look(size: Tensor) -> tuple[Tensor, Tensor]:
             y = whole(self.integrator.step_of_size(condensed, at_start, size[None], t + size), t + size)
-            return views.rates(event, own, dynamics, t + size, y, slopes(y))
+            return views.rates(event, candidates, dynamics, t + size, y, slopes(y))
 
-        ends = [views.rates(event, own, dynamics, s, y, slopes(y))[1] for s, y in ((t, before), (t + h, after))]
-        found = short_events(event, h[0], (self.g[own], g[own]), (ends[0], ends[1]), look)
-        for k in lane_numbers(found.unclear):
-            self.multiphase.doubt(own[k], self.phase_model, float(t[0, k]))
-        return found.in_lanes(own, self.lanes)
+        ends = [views.rates(event, candidates, dynamics, s, y, slopes(y))[1] for s, y in ((t, before), (t + h, after))]
+        events = short_events(event, h[0], (self.g[candidates], g[candidates]), (ends[0], ends[1]), look)
+        for k in lane_numbers(events.unclear):
+            self.multiphase.doubt(candidates[k], self.phase_model, float(t[0, k]))
+        return events.in_lanes(candidates, self.lanes)
 
     def _note_bases(
         self, lanes: list[int], i: int, states: tuple[State, State], g: Tensor, short: ShortEvents | None
@@ -373,15 +373,17 @@ class _PhaseLoop:
         if self.event is None:
             end = pick_lanes(self.ends, lanes)
             y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), base.x, end - base.t, end)
-            there, found = PhaseExit(end, record.whole(y, end)), finite_lanes(y)
+            there, success = PhaseExit(end, record.whole(y, end)), finite_lanes(y)
         else:
             bracket = Bracket(*(x[lanes] for x in (self.low, self.most, self.g_low)))
-            there, found = located(self.event, lanes, base, bracket, record, self.integrator, self.multiphase.views)
-        self._fail(~found, lanes, "last", base, value(base.t)[0] + most)
-        good = lane_numbers(found)
+            there, success = located(self.event, lanes, base, bracket, record, self.integrator, self.multiphase.views)
+        self._fail(~success, lanes, "last", base, value(base.t)[0] + most)
+        good = lane_numbers(success)
         if good:
-            own, there = [lanes[i] for i in good], there.lanes(good)
-            record.exit = PhaseExit(put_lanes(record.exit.t, own, there.t), put_states(record.exit.x, own, there.x))
+            exit_lanes, there = [lanes[i] for i in good], there.lanes(good)
+            record.exit = PhaseExit(
+                put_lanes(record.exit.t, exit_lanes, there.t), put_states(record.exit.x, exit_lanes, there.x)
+            )
 
     def _time(self, i: int) -> Any:
         """A time of the grid, of all lanes."""

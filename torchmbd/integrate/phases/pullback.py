@@ -62,10 +62,10 @@ class SegmentsPullback:
         lanes: list[int] = []
         parts: list[dict[Key, Tensor]] = []
         for part in self._parts():
-            sources, found = self._of_run(part, bar, rows, names)
+            sources, cotangents = self._of_run(part, bar, rows, names)
             to_batch = dict(zip(part.sources, part.lanes, strict=True))
             lanes += [to_batch[source] for source in sources]
-            parts.append(found)
+            parts.append(cotangents)
         of_lanes = _joined(parts)
         data = self.problem.dynamics.data
         result = {name: self._of_data(lanes, of_lanes.get(("data", name)), data[name], rows) for name in names}

@@ -221,10 +221,10 @@ class MultiphaseRun:
         lanes = lane_numbers(self.entered_lanes(phase_exit))
         if not lanes:
             return state
-        entering, own = phase_exit.lanes(lanes), lanes_of(dynamics, lanes)
+        entering, lane_dynamics = phase_exit.lanes(lanes), lanes_of(dynamics, lanes)
         if number:
-            self._check_closed(number, lanes, own, entering.t, entering.x.q)
-        return put_states(state, lanes, self.after(number, self.views, lanes, own, *entering))
+            self._check_closed(number, lanes, lane_dynamics, entering.t, entering.x.q)
+        return put_states(state, lanes, self.after(number, self.views, lanes, lane_dynamics, *entering))
 
     def after(self, number: int, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> State:
         """The state of some lanes after the switch that begins a phase, from the state before it."""

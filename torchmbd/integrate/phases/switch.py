@@ -65,12 +65,12 @@ def data_with_marks(T: Topology, data: equations.Data, q: Any, locks: Sequence[L
         offset = matvec_t(at.A_of[:, :, point_a], at.g[:, point_b] - at.g[:, point_a])
         data = _set_vector(data, T, point, axes_a, _solve(at.rho[:, axes_a], offset), point_a)
         A, B = at.A_of[:, :, point_b], at.rho[:, axes_b]
-        for j, own in enumerate(axes):
+        for j, axis in enumerate(axes):
             e, other = at.g[:, axes_a[j]], at.g[:, axes_a[(j + 2) % 3]]
             # On a bent body axes are not quite perpendicular; those of the equation of a mark are.
             if axes_a[j] < T.attached_flexible:
                 e = combine(e, -dot(e, other) * reciprocal(dot(other, other)), other)
-            data = _set_vector(data, T, own, axes_b, _solve(B, matvec_t(A, e)), None)
+            data = _set_vector(data, T, axis, axes_b, _solve(B, matvec_t(A, e)), None)
     return data
 
 
@@ -108,13 +108,13 @@ def _set_vector(
 def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) -> tuple:
     """f(dynamics, times [lanes], *state) of lanes at times t [1 + n, lanes] that may depend on the design."""
     now = value(t)[0]
-    found = f(dynamics, now, *state)
+    result = f(dynamics, now, *state)
     if not (isinstance(t, Pair) and bool(t.tangent.any())):
-        return found
+        return result
     plain, values = dynamics.values(), [value(x) for x in state]
     _ = plain.rank  # is found once, outside of the derivative
     _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
-    return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(found, rates, strict=True))
+    return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(result, rates, strict=True))
 
 
 def accelerations(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:

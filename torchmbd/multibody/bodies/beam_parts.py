@@ -29,12 +29,12 @@ def beam_parts(
     """
     if not isinstance(line, BeamLine):
         raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
-    given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
-    if len(given) != len(line.elements):
-        wrong = f"{len(given)} sections for {len(line.elements)} elements of {name!r}"
+    sections: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
+    if len(sections) != len(line.elements):
+        wrong = f"{len(sections)} sections for {len(line.elements)} elements of {name!r}"
         raise InputError(f"{wrong}; allowed: one, or one for each")
     parts: dict[str, Part] = {}
-    for k, own in enumerate(dict.fromkeys(given)):
-        members = [e for e, s in enumerate(given) if s is own]
-        parts[f"section{k}"] = Beams(line, own, orientation, offset, twist, members, mass)
+    for k, cross_section in enumerate(dict.fromkeys(sections)):
+        members = [e for e, s in enumerate(sections) if s is cross_section]
+        parts[f"section{k}"] = Beams(line, cross_section, orientation, offset, twist, members, mass)
     return parts

@@ -48,9 +48,9 @@ def refine(body: Any) -> None:
     mesh, parts, middles = _refined_line(body) if isinstance(body.mesh, BeamLine) else _refined_plates(body)
 
     def on_mesh(item: Any) -> Interface:
-        given = item if isinstance(item, Interface) else Interface(item)
-        nodes = node_indices(body.mesh, given.nodes)
-        return replace(given, nodes=middles.with_middles(nodes) if given.rigid and len(nodes) > 1 else nodes)
+        item = item if isinstance(item, Interface) else Interface(item)
+        nodes = node_indices(body.mesh, item.nodes)
+        return replace(item, nodes=middles.with_middles(nodes) if item.rigid and len(nodes) > 1 else nodes)
 
     reduction, interface, _, rigid = body.arguments
     if isinstance(interface, Mapping):

@@ -112,13 +112,13 @@ class FlexibleBeam(ExactBeam):
         )
         self.node_bodies = [BeamNode(self, k) for k in range(len(line.nodes))]
         with torch.no_grad():
-            found = self.structure()
-        for node, x, m, S in zip(self.node_bodies, line.nodes, found.mass, found.first, strict=True):
-            given = None if v is None and om is None else torch.zeros(3, dtype=torch.float64)
-            if given is not None:
-                given = (given if v is None else v) + A @ torch.linalg.cross(given if om is None else om, x)
+            structure = self.structure()
+        for node, x, m, S in zip(self.node_bodies, line.nodes, structure.mass, structure.first, strict=True):
+            v0 = None if v is None and om is None else torch.zeros(3, dtype=torch.float64)
+            if v0 is not None:
+                v0 = (v0 if v is None else v) + A @ torch.linalg.cross(v0 if om is None else om, x)
             set_start(
-                node, x0 + A @ x, A, given, om if om is not None or v is None else torch.zeros(3, dtype=torch.float64)
+                node, x0 + A @ x, A, v0, om if om is not None or v is None else torch.zeros(3, dtype=torch.float64)
             )
             node.center = S / m
 

@@ -106,13 +106,13 @@ class Point:
         return stacked((self.x, self.y, self.z))
 
 
-def frame_at(name: str, body: Any, given: tuple, axes: Sequence | Tensor | None) -> Frame:
+def frame_at(name: str, body: Any, coordinates: tuple, axes: Sequence | Tensor | None) -> Frame:
     """A frame at a point in body axes [m], whose coordinates may be design variables; InputError names the argument."""
     allowed = "three finite numbers, or mbd.variable(...) of one"
-    point = read_numbers(name, [number(x) for x in given], allowed)
+    point = read_numbers(name, [number(x) for x in coordinates], allowed)
     if point.shape != (3,) or not bool(torch.isfinite(point).all()):
-        raise InputError(f"{name} is {given!r}; allowed: {allowed}")
-    varying = Numbers(Point(*given)) if any(map(is_variable, given)) else None
+        raise InputError(f"{name} is {coordinates!r}; allowed: {allowed}")
+    varying = Numbers(Point(*coordinates)) if any(map(is_variable, coordinates)) else None
     return Frame(body, point, rotation("axes", axes), varying_point=varying)
 
 
@@ -204,10 +204,10 @@ def set_velocities(
     body.velocities_given = tuple(x is not None for x in (velocity, angular_velocity))
 
 
-def set_modal_start(body: Any, *given: Sequence[float] | Tensor | None) -> None:
+def set_modal_start(body: Any, *start_values: Sequence[float] | Tensor | None) -> None:
     """Set the initial modal coordinates and rates [modes] of a flexible body; None: zero."""
     allowed = f"{body.modes} finite numbers, one for each mode, or a torch.nn.Parameter"
-    for key, x in zip(MODAL, given, strict=True):
+    for key, x in zip(MODAL, start_values, strict=True):
         name = f"{key} of {body.name!r}"
         plain = (
             x.detach()
@@ -220,7 +220,7 @@ def set_modal_start(body: Any, *given: Sequence[float] | Tensor | None) -> None:
         if values.shape != (body.modes,) or not bool(torch.isfinite(values).all()):
             raise InputError(f"{name} is {x!r}; allowed: {allowed}")
         register(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else values)
-    body.modal_start_given = any(x is not None for x in given)
+    body.modal_start_given = any(x is not None for x in start_values)
 
 
 def has_modal_start(body: Any) -> bool:
@@ -231,4 +231,4 @@ def has_modal_start(body: Any) -> bool:
 def given_velocities(body: Any) -> list[bool]:
     """Whether a body was given a velocity, and an angular velocity."""
     present = (getattr(body, key) for key in VELOCITIES)
-    return [given or bool(x.any()) for given, x in zip(body.velocities_given, present, strict=True)]
+    return [flag or bool(x.any()) for flag, x in zip(body.velocities_given, present, strict=True)]

@@ -113,16 +113,16 @@ def mesh_of(
     return nodes
 
 
-def _labeled(label: str, given: Any) -> LabeledMatrix:
+def _labeled(label: str, matrix: Any) -> LabeledMatrix:
     """A matrix with its rows out of an array or a sparse matrix."""
-    if isinstance(given, LabeledMatrix):
-        read = given
-    elif isinstance(given, (str, Path)):
-        raise InputError(f"{label} is {str(given)!r}; allowed: numbers, such as mbd.read_matrix reads from a file")
-    elif scipy.sparse.issparse(given):
-        read = LabeledMatrix(scipy.sparse.csr_array(given, dtype=np.float64))
+    if isinstance(matrix, LabeledMatrix):
+        read = matrix
+    elif isinstance(matrix, (str, Path)):
+        raise InputError(f"{label} is {str(matrix)!r}; allowed: numbers, such as mbd.read_matrix reads from a file")
+    elif scipy.sparse.issparse(matrix):
+        read = LabeledMatrix(scipy.sparse.csr_array(matrix, dtype=np.float64))
     else:
-        dense = reals(label, given)
+        dense = reals(label, matrix)
         if dense.dim() != 2:
             raise InputError(f"{label} has shape {tuple(dense.shape)}; allowed: a square matrix")
         read = LabeledMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
@@ -167,30 +167,30 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
 
 
 def _freedoms(
-    name: str, n: int, given: Any, read: Sequence[LabeledMatrix], labels: list[int] | None
+    name: str, n: int, freedoms: Any, read: Sequence[LabeledMatrix], labels: list[int] | None
 ) -> Int[Tensor, " rows"]:
     """Number 6 * node + component of each row."""
     rows = next((matrix.rows for matrix in read if matrix.rows is not None), None)
     size = int(read[0].matrix.shape[0])  # pyright: ignore[reportOptionalSubscript]
-    if rows is not None and given is None:
+    if rows is not None and freedoms is None:
         index = {label: k for k, label in enumerate(labels or [])}
         missing = [label for label, _ in rows if label not in index]
         if missing:
             raise InputError(f"nodes of {name!r} lack the label {missing[0]}, which the matrices have")
         return torch.tensor([6 * index[label] + component - 1 for label, component in rows], dtype=torch.long)
-    if given is None:
+    if freedoms is None:
         if size not in (3 * n, 6 * n):
             raise InputError(
                 f"matrices of {name!r} have {size} rows for {n} nodes; allowed: {3 * n} or {6 * n}, or `freedoms`"
             )
-        given = size // n
-    if given in (3, 6):
-        return (6 * torch.arange(n)[:, None] + torch.arange(int(given))).flatten()
+        freedoms = size // n
+    if freedoms in (3, 6):
+        return (6 * torch.arange(n)[:, None] + torch.arange(int(freedoms))).flatten()
     try:
-        pairs = [(int(node), COMPONENTS.index(c) if isinstance(c, str) else int(c)) for node, c in given]
+        pairs = [(int(node), COMPONENTS.index(c) if isinstance(c, str) else int(c)) for node, c in freedoms]
     except (TypeError, ValueError):
         raise InputError(
-            f"freedoms of {name!r} is {given!r}; allowed: 3, 6, or (node, component) of each row"
+            f"freedoms of {name!r} is {freedoms!r}; allowed: 3, 6, or (node, component) of each row"
         ) from None
     if len(set(pairs)) != len(pairs) or any(not (0 <= k < n and 0 <= c < 6) for k, c in pairs) or len(pairs) != size:
         raise InputError(f"freedoms of {name!r} are {len(pairs)}; allowed: {size} different ones, nodes 0 to {n - 1}")

@@ -71,14 +71,14 @@ class Interfaces:
     frames: dict[str, InterpolationConstraint] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, name: str, mesh: Any, given: Any) -> Interfaces:
+    def of(cls, name: str, mesh: Any, interface: Any) -> Interfaces:
         """Read the argument `interface` of the body `name`; InputError names what is wrong."""
         interfaces = cls()
-        if isinstance(given, Mapping):
-            for key, item in given.items():
+        if isinstance(interface, Mapping):
+            for key, item in interface.items():
                 interfaces._add_named(name, mesh, key, item)
             return interfaces
-        items = [given] if isinstance(given, Interface) else given
+        items = [interface] if isinstance(interface, Interface) else interface
         if isinstance(items, (list, tuple)) and any(isinstance(item, Interface) for item in items):
             for item in items:
                 interfaces._add(name, mesh, item) if isinstance(item, Interface) else interfaces._keep(mesh, item)

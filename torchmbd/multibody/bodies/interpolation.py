@@ -46,10 +46,10 @@ class InterpolationConstraint:
             isinstance(weights, str) or not isinstance(weights, (Sequence, Tensor, np.ndarray))
         ):
             raise InputError(f"weights is {weights!r}; allowed: {allowed}")
-        given = [1.0] * len(nodes) if weights is None else [scalar("weights", w, allowed) for w in weights]
-        if len(given) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in given):
+        numbers = [1.0] * len(nodes) if weights is None else [scalar("weights", w, allowed) for w in weights]
+        if len(numbers) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in numbers):
             raise InputError(f"weights is {weights!r} for {len(nodes)} nodes; allowed: {allowed}")
-        return cls(tuple(nodes), tuple(w / sum(given) for w in given))
+        return cls(tuple(nodes), tuple(w / sum(numbers) for w in numbers))
 
     def center(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " 3"]:
         """Center of the nodes of a mesh with positions x [m]."""
@@ -82,12 +82,12 @@ class InterpolationConstraint:
         return torch.tensor(self.weights, dtype=x.dtype)
 
 
-def node_indices(mesh: Any, given: str | int | Sequence[str | int]) -> list[int]:
+def node_indices(mesh: Any, nodes: str | int | Sequence[str | int]) -> list[int]:
     """Indices of a node, of a node set, or of a list of nodes."""
-    if isinstance(given, str) and len(mesh.node_sets.get(given, ())) > 1:
-        return [int(i) for i in mesh.node_sets[given]]
-    several = isinstance(given, (Sequence, Tensor, np.ndarray)) and not isinstance(given, str) and not _whole(given)
-    return [_index(mesh, node) for node in (given if several else [given])]  # pyright: ignore
+    if isinstance(nodes, str) and len(mesh.node_sets.get(nodes, ())) > 1:
+        return [int(i) for i in mesh.node_sets[nodes]]
+    several = isinstance(nodes, (Sequence, Tensor, np.ndarray)) and not isinstance(nodes, str) and not _whole(nodes)
+    return [_index(mesh, node) for node in (nodes if several else [nodes])]  # pyright: ignore
 
 
 def _index(mesh: Any, node: Any) -> int:
@@ -111,9 +111,9 @@ def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLin
     if isinstance(sets, str) or not isinstance(sets, Sequence):
         raise InputError(f"rigid is {sets!r}; allowed: a list of node sets, such as ['left_edge']")
     links = []
-    for given in sets:
-        leader, *others = node_indices(mesh, given)
+    for node_set in sets:
+        leader, *others = node_indices(mesh, node_set)
         if not others:
-            raise InputError(f"rigid has the set {given!r} of one node; allowed: sets of two nodes at least")
+            raise InputError(f"rigid has the set {node_set!r} of one node; allowed: sets of two nodes at least")
         links += [RigidLink(node, leader) for node in others]
     return links

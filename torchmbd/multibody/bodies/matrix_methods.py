@@ -93,8 +93,8 @@ class MatrixMethods:
         options      position, axes, damping, as in `plate`
         """
         if isinstance(nodes, (str, Path)) and invariants is None:
-            given = {"modes": modes, "Kr": Kr, "Mr": Mr, "node_sets": node_sets, "K2": K2}
-            if beside := [key for key, x in given.items() if x is not None]:
+            arguments = {"modes": modes, "Kr": Kr, "Mr": Mr, "node_sets": node_sets, "K2": K2}
+            if beside := [key for key, x in arguments.items() if x is not None]:
                 raise InputError(
                     f"{', '.join(beside)} of {name!r} given beside a file, which has them; allowed: a file alone"
                 )

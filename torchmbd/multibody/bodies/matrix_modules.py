@@ -25,7 +25,7 @@ class _Linear(nn.Module):
 
     def __init__(self, name: str, M: Any, K: Any, derivatives: Mapping[str, tuple[Any, Any, Any]]) -> None:
         super().__init__()
-        self.given, self.base = (M, K), {}
+        self._start_matrices, self.base = (M, K), {}
         self._derivatives: list[Any] = []
         for key, item in derivatives.items():
             if not isinstance(key, str) or not key.isidentifier() or hasattr(self, key):
@@ -43,7 +43,7 @@ class _Linear(nn.Module):
         return self
 
     def start(self) -> tuple[Any, Any]:
-        return self.given
+        return self._start_matrices
 
     def further(self) -> list[Any]:
         return [x for x in self._derivatives if x is not None]

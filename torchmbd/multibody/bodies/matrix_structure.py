@@ -43,27 +43,27 @@ class MatrixStructure:
 
     def __init__(
         self,
-        given: GivenMatrices,
+        matrices: GivenMatrices,
         modes: Any,
         reference: str | int | Sequence[int] | None,
         reduction: str | None,
         interface: str | int | Sequence[str | int],
         updated: bool,
     ) -> None:
-        self.matrices, self.name, self.mesh, self.module = given, given.name, given.mesh, given.module
+        self.matrices, self.name, self.mesh, self.module = matrices, matrices.name, matrices.mesh, matrices.module
         updated = true_or_false(f"updated of {self.name!r}", updated)
         with torch.no_grad():
-            M, K = given.now()
+            M, K = matrices.now()
             x = self.mesh.nodes
             self._arms = not has_isotropic_inertia(M)
             self._check_rigid(M, K, rigid_motions(x - x.mean(0)))
             self.reference, held = self._held(M, reference)
             self.origin = x[self.reference].mean(0)
             used = torch.zeros(M.size, dtype=torch.bool)
-            used[given.freedoms] = True
+            used[matrices.freedoms] = True
             empty = (_diagonal(K) == 0) & (_diagonal(M) == 0)  # such as drilling rotations of some programs
             used &= ~empty
-            self._rotations = FittedRotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
+            self._rotations = FittedRotations(x, matrices.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
             self._held_rows = torch.tensor(held, dtype=torch.long)
             self.shapes = None if is_whole(modes) else self._given_shapes(modes)
             if self.shapes is None:
@@ -232,14 +232,14 @@ class MatrixStructure:
 
     def _given_shapes(self, modes: Any) -> Float[Tensor, "6n m"]:
         """Given modes on all freedoms."""
-        given = reals(f"modes of {self.name!r}", modes)
+        shapes = reals(f"modes of {self.name!r}", modes)
         rows = len(self.matrices.freedoms)
-        if given.dim() != 2 or given.shape[0] != rows or not 0 < given.shape[1] <= rows:
+        if shapes.dim() != 2 or shapes.shape[0] != rows or not 0 < shapes.shape[1] <= rows:
             raise InputError(
-                f"modes of {self.name!r} have shape {tuple(given.shape)}; allowed: a number, or shapes [{rows}, m]"
+                f"modes of {self.name!r} have shape {tuple(shapes.shape)}; allowed: a number, or shapes [{rows}, m]"
             )
-        full = torch.zeros(6 * len(self.mesh.nodes), given.shape[1], dtype=torch.float64)
-        full[self.matrices.freedoms] = given.detach()
+        full = torch.zeros(6 * len(self.mesh.nodes), shapes.shape[1], dtype=torch.float64)
+        full[self.matrices.freedoms] = shapes.detach()
         return full
 
     def _warn_units(self, structure: dict[str, Tensor]) -> None:

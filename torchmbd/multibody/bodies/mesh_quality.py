@@ -51,15 +51,15 @@ def aspects(p: Float[Tensor, "m c 3"]) -> Float[Tensor, " m"]:
         longest2 = (p.roll(-1, dims=1) - p).square().sum(2).amax(1)
         return longest2 / (2.0 * directed_area(p).norm(dim=1))
     middles = (p + p.roll(-1, dims=1)) / 2.0
-    one, other = ((middles[:, k] - middles[:, k + 2]).norm(dim=1) for k in (0, 1))
-    return torch.maximum(one / other, other / one)
+    length, width = ((middles[:, k] - middles[:, k + 2]).norm(dim=1) for k in (0, 1))
+    return torch.maximum(length / width, width / length)
 
 
 def _cells(part: Plates) -> list[str]:
-    mesh, kinds, found = part.matrices.mesh, part.matrices.kinds, []
-    members = part.matrices.members.split([len(own.corners) for own in kinds.values()])
-    for (kind, own), number in zip(kinds.items(), members, strict=True):
-        p = mesh.nodes[own.corners]
+    mesh, kinds, messages = part.matrices.mesh, part.matrices.kinds, []
+    members = part.matrices.members.split([len(cells.corners) for cells in kinds.values()])
+    for (kind, cells), number in zip(kinds.items(), members, strict=True):
+        p = mesh.nodes[cells.corners]
         angles, slender = corner_angles(p), aspects(p)
         least, most = CORNERS[kind]
         excess, corner = torch.maximum(least - angles, angles - most).max(1)
@@ -67,12 +67,12 @@ def _cells(part: Plates) -> list[str]:
         if skewed.any():
             k = int(excess.argmax())
             name, angle = mesh.cell_name(int(number[k])), float(angles[k, corner[k]])
-            found.append(f"{int(skewed.sum())} skewed cells, such as {name} with a corner of {angle:.1f} degrees")
+            messages.append(f"{int(skewed.sum())} skewed cells, such as {name} with a corner of {angle:.1f} degrees")
         if long.any():
             k = int(slender.argmax())
             name = mesh.cell_name(int(number[k]))
-            found.append(f"{int(long.sum())} slender cells, such as {name} of {float(slender[k]):.1f} : 1")
-    return found
+            messages.append(f"{int(long.sum())} slender cells, such as {name} of {float(slender[k]):.1f} : 1")
+    return messages
 
 
 def _plies(part: Plates) -> list[str]:

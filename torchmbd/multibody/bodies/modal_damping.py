@@ -44,10 +44,10 @@ class ModalDamping:
         """The same with damping ratios: one for all modes, or one for each."""
         allowed = f"a number from 0 to 1, or {modes} of them, one for each mode"
         several = list(ratio) if isinstance(ratio, Sequence) and not isinstance(ratio, str) else [ratio] * modes
-        given = [scalar(f"damping ratio of {self.body!r}", z, allowed) for z in several]
-        if len(given) != modes or not all(0.0 <= z < 1.0 for z in given):
+        ratios = [scalar(f"damping ratio of {self.body!r}", z, allowed) for z in several]
+        if len(ratios) != modes or not all(0.0 <= z < 1.0 for z in ratios):
             raise InputError(f"damping ratio of {self.body!r} is {ratio!r}; allowed: {allowed}")
-        return replace(self, ratios=tuple(float(z) for z in given))
+        return replace(self, ratios=tuple(float(z) for z in ratios))
 
     def matrix(self, Kr: Float[Tensor, "*lanes m m"]) -> Float[Tensor, "*lanes m m"] | None:
         """D [1/s] of modes of unit mass; None without damping."""

@@ -81,8 +81,8 @@ class ReducedStructure:
         """Invariants, "Kr" and "psi"."""
         return dict(self._structure)
 
-    def _symmetric_matrix(self, key: str, given: Any) -> Float[Tensor, "m m"]:
-        A = reals(f"{key} of {self.name!r}", given).detach()
+    def _symmetric_matrix(self, key: str, matrix: Any) -> Float[Tensor, "m m"]:
+        A = reals(f"{key} of {self.name!r}", matrix).detach()
         if A.shape != (self.size, self.size) or not bool(torch.isfinite(A).all()):
             raise InputError(
                 f"{key} of {self.name!r} has shape {tuple(A.shape)}; allowed: [{self.size}, {self.size}], finite"
@@ -91,8 +91,8 @@ class ReducedStructure:
             raise InputError(f"{key} of {self.name!r} is not symmetric: {A.tolist()}; allowed: symmetric to 1e-9")
         return 0.5 * (A + A.T)
 
-    def _symmetric_cube(self, given: Any) -> Float[Tensor, "m m m"]:
-        K2 = reals(f"K2 of {self.name!r}", given).detach()
+    def _symmetric_cube(self, cube: Any) -> Float[Tensor, "m m m"]:
+        K2 = reals(f"K2 of {self.name!r}", cube).detach()
         if K2.shape != (self.size,) * 3 or not bool(torch.isfinite(K2).all()):
             shape = tuple(K2.shape)
             raise InputError(f"K2 of {self.name!r} has shape {shape}; allowed: {(self.size,) * 3}, finite")
@@ -102,10 +102,10 @@ class ReducedStructure:
             )
         return K2
 
-    def _invariants(self, given: Mapping[str, Any]) -> dict[str, Tensor]:
-        if not isinstance(given, Mapping):
-            raise InputError(f"invariants of {self.name!r} is {given!r}; allowed: name -> numbers")
-        values = dict(given)
+    def _invariants(self, numbers: Mapping[str, Any]) -> dict[str, Tensor]:
+        if not isinstance(numbers, Mapping):
+            raise InputError(f"invariants of {self.name!r} is {numbers!r}; allowed: name -> numbers")
+        values = dict(numbers)
         if "J" in values:
             J = reals(f"J of {self.name!r}", values.pop("J"))
             values.setdefault("P0", 0.5 * J.trace() * torch.eye(3, dtype=J.dtype) - J)

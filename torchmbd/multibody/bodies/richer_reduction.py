@@ -31,18 +31,18 @@ def enrich(body: Any) -> bool:
 
     Its modal start is zero afterwards. Damping ratios of the further modes are that of the last one.
     """
-    given = body.given_structure
+    structure = body.given_structure
     with torch.no_grad():
-        K, M = matrices(body.assembly) if given is None else given.pencil()
-        before = body.reduction if given is None else given.reduction
+        K, M = matrices(body.assembly) if structure is None else structure.pencil()
+        before = body.reduction if structure is None else structure.reduction
         n = min(max(before.n + LEAST, math.ceil(MORE * before.n)), K.size - len(before.interface))
         if n <= before.n:
             return False
         reduction = with_whole_clusters(replace(before, n=n), K, M)
-    if given is None:
+    if structure is None:
         body.reduction = reduction
     else:
-        given.keep(reduction)
+        structure.keep(reduction)
     body.modes, ratios = reduction.size, body.damping.ratios
     body.damping = replace(body.damping, ratios=ratios + ratios[-1:] * (reduction.size - before.size))
     set_modal_start(body, None, None)

@@ -77,8 +77,8 @@ class Stiffening:
             unit = forces.new_zeros(6 * len(self.assembly.mesh.nodes), 6 * len(nodes))
             for k, node in enumerate(nodes):
                 unit[6 * node : 6 * node + 6, 6 * k : 6 * k + 6] = torch.eye(6, dtype=forces.dtype)
-            own = self.assembly.freedoms.gathered(unit.unflatten(0, (-1, 6)))
-            forces = torch.cat([forces, own.expand(*forces.shape[:-2], *own.shape)], -1)
+            node_forces = self.assembly.freedoms.gathered(unit.unflatten(0, (-1, 6)))
+            forces = torch.cat([forces, node_forces.expand(*forces.shape[:-2], *node_forces.shape)], -1)
         u = self.assembly.freedoms.expand(self._static(K, forces))
         Kg = projected_geometric_stiffness(self.assembly.stressed(u), psi)
         turned = _turned_arms(points, x, self.assembly.mass_motion(psi, points.arm)[..., 3:, :])
@@ -90,8 +90,8 @@ class Stiffening:
 
 def _weights(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 4"]:
     """m and m x_j."""
-    one = torch.ones_like(x[..., :1])
-    return points.mass[..., None] * torch.cat([one, x], -1)
+    ones = torch.ones_like(x[..., :1])
+    return points.mass[..., None] * torch.cat([ones, x], -1)
 
 
 def inertial_loads(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 6 12"]:
@@ -118,7 +118,7 @@ def _turned_arms(points: MassPoints, x: Tensor, phi: Float[Tensor, "*lanes point
     """Sums of the weights times `turned_arm` over the mass points [..., 4, 3, m, m]; None without arms."""
     if points.arm is None:
         return None
-    weights, found = _weights(points, x), []
+    weights, sums = _weights(points, x), []
     along = (phi * points.arm[..., :, None]).sum(-2)
     for k in range(4):
         w = weights[..., k]
@@ -127,5 +127,5 @@ def _turned_arms(points: MassPoints, x: Tensor, phi: Float[Tensor, "*lanes point
         across = torch.stack(
             [torch.einsum("...p,...pka,...pkb->...ab", scaled[..., i], phi, phi) for i in range(3)], -3
         )
-        found.append(0.5 * (both + both.mT) - across)
-    return torch.stack(found, -4)
+        sums.append(0.5 * (both + both.mT) - across)
+    return torch.stack(sums, -4)

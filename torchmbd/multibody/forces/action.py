@@ -205,9 +205,9 @@ def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Te
     if isinstance(law, Scaled):
         by_s, by_rate = law_slopes(law.law, s, rate, t)
         return by_s * law.factor, by_rate * law.factor
-    own = getattr(law, "slopes", None)
-    if own is not None:
-        return own(s, rate, t)
+    method = getattr(law, "slopes", None)
+    if method is not None:
+        return method(s, rate, t)
     by_s, by_rate, _ = partial_derivatives(law, s, rate, t)
     return by_s, by_rate
 

@@ -54,17 +54,17 @@ class Bushing(ForceElement):
         if all(law == Spring() for law in (*self.along, *self.about)):
             raise InputError(f"{self.name!r} has neither stiffness nor damping; allowed: at least one of them")
 
-    def _springs(self, kind: str, *given: Any) -> list[Any]:
+    def _springs(self, kind: str, *values: Any) -> list[Any]:
         """The laws of the three axes: of stiffness and damping."""
         labels = [f"{kind}stiffness", f"{kind}damping"]
-        k, c = (expand_numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, given, strict=True))
+        k, c = (expand_numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, values, strict=True))
         result = []
         for i, axis in enumerate("xyz"):
-            own = [
-                label if x is one else f"{label}_{axis}"
-                for label, x, one in zip(labels, (k[i], c[i]), given, strict=True)
+            names = [
+                label if x is argument else f"{label}_{axis}"
+                for label, x, argument in zip(labels, (k[i], c[i]), values, strict=True)
             ]
-            result.append(self.law_variables.law(Spring(k[i], c[i]), stiffness=own[0], damping=own[1]))
+            result.append(self.law_variables.law(Spring(k[i], c[i]), stiffness=names[0], damping=names[1]))
         return result
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:

@@ -61,8 +61,8 @@ class _Stop(_Contact):
         limits = {side: x for side, x in (("lower", lower), ("upper", upper)) if x is not None}
         if not limits:
             raise InputError(f"{self.name!r} has neither lower nor upper; allowed: at least one of them")
-        given = limits | {"stiffness": stiffness, "damping": damping, "exponent": exponent}
-        module = ContactNumbers(self.name, given)
+        numbers = limits | {"stiffness": stiffness, "damping": damping, "exponent": exponent}
+        module = ContactNumbers(self.name, numbers)
         values = [float(number(getattr(module, side))) for side in limits]
         if values != sorted(values):
             raise InputError(
@@ -91,8 +91,8 @@ class AxialStop(_Stop):
     -1.0
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "x", **given):
-        super().__init__(a, b, axis, **given)
+    def __init__(self, a: Frame, b: Frame, axis: str = "x", **arguments):
+        super().__init__(a, b, axis, **arguments)
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
@@ -117,8 +117,8 @@ class RotationalStop(_Stop):
     -2.0
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "z", **given):
-        super().__init__(a, b, axis, **given)
+    def __init__(self, a: Frame, b: Frame, axis: str = "z", **arguments):
+        super().__init__(a, b, axis, **arguments)
         if self.width > MOST_TURN:
             raise InputError(
                 f"limits of {self.name!r} are {self.width:.4g} rad apart; allowed: {MOST_TURN:.4g} rad, as an angle is known "
@@ -173,12 +173,12 @@ class PlaneContact(_Contact):
         super().__init__((plane, point), name)
         axis_index(normal)
         self.normal = normal
-        given = {"radius": radius, "stiffness": stiffness, "damping": damping, "exponent": exponent}
+        numbers = {"radius": radius, "stiffness": stiffness, "damping": damping, "exponent": exponent}
         self.has_friction = not _zero(friction)
         self.rolls = self.has_friction and not _zero(radius)
-        given |= {"friction": friction, "speed": speed} if self.has_friction else {}
+        numbers |= {"friction": friction, "speed": speed} if self.has_friction else {}
         self.control = PlaneControl(
-            self.name, ContactNumbers(self.name, given), self.has_friction, self.rolls, self.between
+            self.name, ContactNumbers(self.name, numbers), self.has_friction, self.rolls, self.between
         )
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:

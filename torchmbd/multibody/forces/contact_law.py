@@ -58,10 +58,10 @@ def normal_force(p: Mapping[str, Any], depth: Tensor, rate: Tensor) -> NormalFor
 class ContactNumbers(nn.Module):
     """Checked numbers of a law by name; design variables are parameters of the module. owner: name of the element."""
 
-    def __init__(self, owner: str, given: Mapping[str, Any]):
+    def __init__(self, owner: str, numbers: Mapping[str, Any]):
         super().__init__()
-        self.names = tuple(given)
-        for name, x in given.items():
+        self.names = tuple(numbers)
+        for name, x in numbers.items():
             x = finite(f"{name} of {owner!r}", x)
             least = _LEAST.get(name, -math.inf)
             if number(x) < least or (name in _POSITIVE and not number(x) > 0.0):
@@ -182,8 +182,8 @@ class PlaneControl(ContactControl):
         return torch.stack([force, first, second, *torques])
 
     def slopes(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
-        found = normal_force(p, p["radius"] - x[0], -x[1])
-        normal = torch.stack([-found.by_depth, -found.by_rate])
+        contact = normal_force(p, p["radius"] - x[0], -x[1])
+        normal = torch.stack([-contact.by_depth, -contact.by_rate])
         if not self.has_friction:
             return normal[None]
         u, r = self._sliding(p, x), p["radius"]
@@ -194,7 +194,7 @@ class PlaneControl(ContactControl):
             J[1 + i, :2] = -p["friction"] * share * u[i] * normal
             for j in range(2):
                 same = share if i == j else 0.0
-                J[1 + i, 2 + j] = -p["friction"] * found.force * (same + falling * u[i] * u[j])
+                J[1 + i, 2 + j] = -p["friction"] * contact.force * (same + falling * u[i] * u[j])
         if self.rolls:  # spins and torques are those of sliding and of its forces, by the radius
             J[1:3, 4], J[1:3, 5] = r * J[1:3, 3], -r * J[1:3, 2]
             J[3], J[4] = r * J[2], -r * J[1]

@@ -51,8 +51,8 @@ class Control:
             return u[:, None]
 
         def u_of_varying(*varied: Tensor) -> Tensor:
-            given = dict(zip(varying, varied, strict=True))
-            return u_of(*(given.get(i, y) for i, y in enumerate(values)))
+            by_index = dict(zip(varying, varied, strict=True))
+            return u_of(*(by_index.get(i, y) for i, y in enumerate(values)))
 
         def push(*directions: Tensor) -> Any:
             return torch.func.jvp(u_of_varying, tuple(values[i] for i in varying), directions)[1]
@@ -184,16 +184,18 @@ class Links:
                 ports.setdefault(law.control, []).append((i, law))
         self.each = [_link(control, total, own_ports) for control, own_ports in ports.items()]
 
-    def strengths(self, states: Sequence[tuple], own: Sequence[Any], t: Any, data: Mapping[str, Any]) -> list[Any]:
-        """Strengths of the actions [n, ...], kind by kind: those of their laws (own) plus those of the controllers."""
+    def strengths(
+        self, states: Sequence[tuple], law_strengths: Sequence[Any], t: Any, data: Mapping[str, Any]
+    ) -> list[Any]:
+        """Strengths of the actions [n, ...], kind by kind: `law_strengths` plus those of the controllers."""
         if not self.each:
-            return list(own)
-        x, total = self._signals(states, t), cat(own)
+            return list(law_strengths)
+        x, total = self._signals(states, t), cat(law_strengths)
         for link in self.each:
             u = link.control(x.index_select(0, link.read), t, data)
             total = total + constant_map(link.writes, u)
         ends = [0]
-        for f in own:
+        for f in law_strengths:
             ends.append(ends[-1] + f.shape[0])
         return [total[a:b] for a, b in pairwise(ends)]
 

@@ -301,9 +301,9 @@ def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
 def expand_numbers(name: str, x: Any, count: int) -> list[Any]:
     """The argument x, `count` finite numbers or one for all, as a list; each may be a design variable."""
     single = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
-    given: Any = [x] * count if single else x
+    items: Any = [x] * count if single else x
     try:
-        values = [finite(name, y) for y in given]
+        values = [finite(name, y) for y in items]
     except (TypeError, InputError):
         values = []
     if len(values) != count:

@@ -39,15 +39,15 @@ class _Load(ForceElement):
 
 def _parts(name: str, vector: Any) -> list[Any]:
     """The three components of a vector of numbers, of a function of time, or of Scaled of a function."""
-    given: Any = vector.law if isinstance(vector, Scaled) else vector
-    if not callable(given):
-        return expand_numbers(f"vector of {name!r}", given, 3)
-    found = evaluate_law(name, given, torch.zeros((), dtype=torch.float64))
-    if not isinstance(found, Tensor) or found.shape != (3,) or not bool(torch.isfinite(found).all()):
+    law: Any = vector.law if isinstance(vector, Scaled) else vector
+    if not callable(law):
+        return expand_numbers(f"vector of {name!r}", law, 3)
+    result = evaluate_law(name, law, torch.zeros((), dtype=torch.float64))
+    if not isinstance(result, Tensor) or result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(
-            f"vector of {name!r} gives {found!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [3]"
+            f"vector of {name!r} gives {result!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [3]"
         )
-    parts = [partial(_component, given, k) for k in range(3)]
+    parts = [partial(_component, law, k) for k in range(3)]
     return [Scaled(vector.factor, part) for part in parts] if isinstance(vector, Scaled) else parts
 
 

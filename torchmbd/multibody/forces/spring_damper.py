@@ -76,8 +76,8 @@ class AxialSpringDamper(_Between):
     1.5915
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "x", **given):
-        super().__init__(a, b, **given)
+    def __init__(self, a: Frame, b: Frame, axis: str = "x", **arguments):
+        super().__init__(a, b, **arguments)
         axis_index(axis)
         self.axis = axis
 
@@ -103,8 +103,8 @@ class RotationalSpringDamper(_Between):
     1.5915
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "z", **given):
-        super().__init__(a, b, **given)
+    def __init__(self, a: Frame, b: Frame, axis: str = "z", **arguments):
+        super().__init__(a, b, **arguments)
         axis_index(axis)
         self.axis = axis
 

@@ -147,7 +147,7 @@ def trace_law(law: Any) -> TracedLaw:
     return result
 
 
-def _same(law: Callable[..., tuple[Tensor, ...]], found: TracedLaw) -> bool:
+def _same(law: Callable[..., tuple[Tensor, ...]], trace: TracedLaw) -> bool:
     """Whether a law, with its slopes if it states them, and the traced one agree at random points small and large.
 
     They differ where the law uses another library than torch, whose results are traced as constants.
@@ -158,7 +158,7 @@ def _same(law: Callable[..., tuple[Tensor, ...]], found: TracedLaw) -> bool:
         t = t[0, 0, 0].abs()
         with torch.no_grad():
             expected = law(s, rate, t)
-            for x, y in zip((found(s, rate, t), *found.slopes(s, rate, t)), expected, strict=False):
+            for x, y in zip((trace(s, rate, t), *trace.slopes(s, rate, t)), expected, strict=False):
                 if y.dtype != x.dtype or not torch.allclose(x, y, rtol=1e-9, atol=1e-14, equal_nan=True):
                     return False
     return True

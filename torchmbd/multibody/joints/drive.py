@@ -59,13 +59,13 @@ class Drive(Joint):
         name: str | None = None,
     ):
         super().__init__(as_frame(a), as_frame(b), name)
-        given = {"speed": speed, "angle": angle, "velocity": velocity, "position": position}
-        given = {key: x for key, x in given.items() if x is not None}
-        if len(given) != 1:
+        laws = {"speed": speed, "angle": angle, "velocity": velocity, "position": position}
+        laws = {key: x for key, x in laws.items() if x is not None}
+        if len(laws) != 1:
             raise InputError(
-                f"{self.name!r} has {given or 'no law'}; allowed: exactly one of speed, angle, velocity, position"
+                f"{self.name!r} has {laws or 'no law'}; allowed: exactly one of speed, angle, velocity, position"
             )
-        ((key, x),) = given.items()
+        ((key, x),) = laws.items()
         self.axis, self.travels = self.common_axis(axis), key in ("velocity", "position")
         if key in ("speed", "velocity"):
             x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))

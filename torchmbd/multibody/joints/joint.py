@@ -181,11 +181,11 @@ class Joint:
         0.1 rad. On the second body joints use `coincident_axis`."""
         axis_index(axis)
         a, b = self.a, self.b
-        one, other = a.body.axes @ a.axis(axis), b.body.axes @ b.axis(axis)
-        if not torch.equal(b.axes, torch.eye(3, dtype=torch.float64)) and float((one - other).norm()) > 0.1:
+        axis_a, axis_b = a.body.axes @ a.axis(axis), b.body.axes @ b.axis(axis)
+        if not torch.equal(b.axes, torch.eye(3, dtype=torch.float64)) and float((axis_a - axis_b).norm()) > 0.1:
             raise InputError(
-                f"axes of {self.name!r} contradict: at the given positions {axis!r} is {_shown(one)} by {a!r} "
-                f"and {_shown(other)} by {b!r}; allowed: the same direction, or no axes on the second frame"
+                f"axes of {self.name!r} contradict: at the given positions {axis!r} is {_shown(axis_a)} by {a!r} "
+                f"and {_shown(axis_b)} by {b!r}; allowed: the same direction, or no axes on the second frame"
             )
         return axis
 

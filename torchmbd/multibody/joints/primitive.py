@@ -236,9 +236,9 @@ def values_at(law: Law, times: Tensor) -> Tensor:
 
 def slopes(law: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """A law with its first and second derivatives at time t; a law may state them itself by a method of this name."""
-    own = getattr(law, "slopes", None)
-    if own is not None:
-        return own(t)
+    method = getattr(law, "slopes", None)
+    if method is not None:
+        return method(t)
 
     def rates(s: Tensor) -> tuple:
         return torch.func.jvp(law, (s,), (torch.ones_like(s),))

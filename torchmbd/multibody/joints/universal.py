@@ -50,8 +50,8 @@ class Universal(Joint):
         """Angle between the second arm and that axis of a second frame with axes of its own, whatever their senses [rad]."""
         if torch.equal(self.b.axes, torch.eye(3, dtype=torch.float64)):
             return 0.0
-        one, other = (frame.body.axes.detach() @ frame.axis(self.axes[1]) for frame in (self.a, self.b))
-        return math.asin(min(float(torch.linalg.cross(one, other).norm()), 1.0))
+        axis_a, axis_b = (frame.body.axes.detach() @ frame.axis(self.axes[1]) for frame in (self.a, self.b))
+        return math.asin(min(float(torch.linalg.cross(axis_a, axis_b).norm()), 1.0))
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         first, second = self.axes

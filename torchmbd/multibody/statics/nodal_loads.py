@@ -33,10 +33,10 @@ class NodalLoads:
             raise InputError(f"loads of {name!r} is {loads!r}; allowed: nodes -> force, or force and moment")
         self.mesh, self.any = mesh, False
         self._loads: list[tuple[list[int], Tensor]] = []
-        for where, given in loads.items():
-            total = reals(f"load {where!r} of {name!r}", given)
+        for where, load in loads.items():
+            total = reals(f"load {where!r} of {name!r}", load)
             if total.shape not in ((3,), (6,)) or not bool(torch.isfinite(total).all()):
-                raise InputError(f"load {where!r} of {name!r} is {given!r}; allowed: 3 or 6 finite numbers")
+                raise InputError(f"load {where!r} of {name!r} is {load!r}; allowed: 3 or 6 finite numbers")
             nodes = node_indices(mesh, list(where) if isinstance(where, tuple) else where)
             self._loads.append((list(nodes), total))
             self.any = self.any or bool(total.any())

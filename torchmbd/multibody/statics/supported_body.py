@@ -90,8 +90,8 @@ def _held(body: FlexibleBody, supports: Supports) -> dict[int, float]:
             f"supports of {body.name!r} is {supports!r}; allowed: nodes -> freedoms, at least one, or None"
         )
     imposed: dict[int, float] = {}
-    for where, given in supports.items():
-        values = _values(body, where, given)
+    for where, support in supports.items():
+        values = _values(body, where, support)
         for node in node_indices(body.mesh, list(where) if isinstance(where, tuple) else where):
             for i, x in enumerate(values):
                 if x is not None and imposed.setdefault(6 * node + i, x) != x:
@@ -101,16 +101,16 @@ def _held(body: FlexibleBody, supports: Supports) -> dict[int, float]:
     return imposed
 
 
-def _values(body: FlexibleBody, where: Any, given: Any) -> list[float | None]:
+def _values(body: FlexibleBody, where: Any, support: Any) -> list[float | None]:
     """Six imposed displacements of one support, None for free ones."""
-    if isinstance(given, str):
-        names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
+    if isinstance(support, str):
+        names = list(FREEDOMS) if support == "all" else support.replace(",", " ").split()
         if names and all(name in FREEDOMS for name in names):
             return [0.0 if name in names else None for name in FREEDOMS]
-    elif isinstance(given, Sequence) and len(given) == 6 and all(x is None or _finite(x) for x in given):
-        return [None if x is None else float(x) for x in given]
+    elif isinstance(support, Sequence) and len(support) == 6 and all(x is None or _finite(x) for x in support):
+        return [None if x is None else float(x) for x in support]
     allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
-    raise InputError(f"support {where!r} of {body.name!r} is {given!r}; allowed: {allowed}")
+    raise InputError(f"support {where!r} of {body.name!r} is {support!r}; allowed: {allowed}")
 
 
 def _finite(x: Any) -> bool:

@@ -60,13 +60,13 @@ def beam_data(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
     for name, core in SHAPES.items():
         if not any(name in part for part in parts):
             continue
-        given = [
+        arrays = [
             part[name] if name in part else torch.zeros(part["beam_rest"].shape[-2], dtype=torch.float64)
             for part in parts
         ]
         k = 1 + len(core)
-        lanes = np.broadcast_shapes(*(x.shape[:-k] for x in given))
-        x = torch.cat([x.expand(*lanes, *x.shape[-k:]) for x in given], -k)
+        lanes = np.broadcast_shapes(*(x.shape[:-k] for x in arrays))
+        x = torch.cat([x.expand(*lanes, *x.shape[-k:]) for x in arrays], -k)
         x = x.reshape(-1, *x.shape[-k:]).movedim(1, -1)  # [lanes, *core, n]
         data[name] = x.movedim(0, -1).unsqueeze(-2)
     return data

@@ -56,17 +56,17 @@ class Closing:
 
     @classmethod
     @torch.no_grad()
-    def of(cls, dynamics: Any, given: Tensor, closed: Tensor) -> Closing:
+    def of(cls, dynamics: Any, start: Tensor, closed: Tensor) -> Closing:
         """That of one design from given coordinates to closed ones [n_q, 1, 1]."""
         T, data = dynamics.topology, dynamics.values().data
         t = torch.zeros((), dtype=torch.float64)
-        undeformed = given.clone()
+        undeformed = start.clone()
         undeformed[7 * T.bodies :] = 0.0
         before, after, still = (
-            equations.placement(T, data, q, T.prescribed(t, data)) for q in (given, closed, undeformed)
+            equations.placement(T, data, q, T.prescribed(t, data)) for q in (start, closed, undeformed)
         )
         points = torch.tensor([x.is_point for x in T.attached], dtype=torch.bool)
-        origins = given[: 3 * T.bodies, 0, 0].reshape(3, -1)
+        origins = start[: 3 * T.bodies, 0, 0].reshape(3, -1)
         places = torch.cat([origins, before.g[:, points, 0, 0]], 1)
         size = float((places.amax(1) - places.amin(1)).norm())
         gaps, phi = {}, equations.constraints(T, still)[:, 0, 0].abs()
@@ -75,7 +75,7 @@ class Closing:
             for i in range(rows.start, rows.stop):
                 gaps.setdefault(T.row_joints[i], [0.0, 0.0])[unit] += float(phi[i]) ** 2
         joints = [Way(name, x[0] ** 0.5, math.asin(min(x[1] ** 0.5, 1.0))) for name, x in gaps.items()]
-        bodies = [_way(T, k, before, after, given, closed) for k in range(T.bodies)]
+        bodies = [_way(T, k, before, after, start, closed) for k in range(T.bodies)]
         return cls(
             *(_listed(ways, size) for ways in (joints, bodies)),
             far=any(way.distance > _FAR * size or way.angle > _FAR for way in joints),
@@ -95,12 +95,12 @@ def warn_far(closing: Closing) -> None:
         warn(f"{closing}; allowed: positions, axes and laws of drives at t = 0 that fit (system.describe() lists all)")
 
 
-def _way(T: Any, body: int, before: Any, after: Any, given: Tensor, closed: Tensor) -> Way:
+def _way(T: Any, body: int, before: Any, after: Any, start: Tensor, closed: Tensor) -> Way:
     """How far a body is moved."""
-    own = [i for i, x in enumerate(T.attached) if int(T.vector_body[i]) == body and x.is_point]
+    points = [i for i, x in enumerate(T.attached) if int(T.vector_body[i]) == body and x.is_point]
     r, p = T.r_slice(body), T.p_slice(body)
-    ways = torch.cat([(closed - given)[r, 0], (after.g - before.g)[:, own, 0, 0]], 1).norm(dim=0)
-    p, p0 = closed[p, 0, 0], given[p, 0, 0]
+    ways = torch.cat([(closed - start)[r, 0], (after.g - before.g)[:, points, 0, 0]], 1).norm(dim=0)
+    p, p0 = closed[p, 0, 0], start[p, 0, 0]
     chord = torch.minimum((p - p0).norm(), (p + p0).norm())  # 2 sin(angle / 4): Euler parameters have half the angle
     return Way(T.names[body], float(ways.max()), float(4.0 * torch.asin(0.5 * chord)))
 

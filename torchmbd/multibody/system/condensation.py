@@ -203,8 +203,8 @@ class _Poses:
             return p.drive(torch.stack(values)[:, None, None]) if values else None
 
         laws = [drive(p) for p in self.T.primitives]
-        given = self.T.prescribed(start[0])._replace(laws=laws)
-        return equations.placement(self.T, self.data, q[:, None, None], given)
+        excitation = self.T.prescribed(start[0])._replace(laws=laws)
+        return equations.placement(self.T, self.data, q[:, None, None], excitation)
 
     def moved(self, q: Tensor, step: Tensor) -> Tensor:
         """q after an increment [n_v]."""

@@ -146,12 +146,12 @@ def _force(force: Any) -> Entry:
 def _separate(bodies: list[Any], ties: list[Any]) -> tuple[tuple[str, ...], ...]:
     """Groups of bodies without a path of joints and beam elements to the ground; ties: these joints and force elements."""
     group = {body.name: {body.name} for body in bodies} | {"ground": {"ground"}}
-    for one, other in (pair for tie in ties for pair in pairwise(frame.body.name for frame in tie.frames)):
-        one, other = group[one], group[other]
-        if one is not other:
-            one |= other
-            for name in other:
-                group[name] = one
+    for first, second in (pair for tie in ties for pair in pairwise(frame.body.name for frame in tie.frames)):
+        first, second = group[first], group[second]
+        if first is not second:
+            first |= second
+            for name in second:
+                group[name] = first
     separate = {id(members): members for members in group.values() if "ground" not in members}
     return tuple(tuple(body.name for body in bodies if body.name in members) for members in separate.values())
 

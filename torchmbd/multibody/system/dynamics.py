@@ -145,11 +145,11 @@ class Dynamics:
         lane = first_finite_lane(self.data) if self.topology.rows else None
         if lane is None:
             return Rank(0, ())
-        q, one = value(self.start[0]).detach(), self.select_lanes([lane]) if lane else self
+        q, sample = value(self.start[0]).detach(), self.select_lanes([lane]) if lane else self
         q = q[:, 0, min(lane, q.shape[-1] - 1)]
         with torch.no_grad():
-            J = jacobians(one, q[None], q.new_zeros(1))[0].numpy()
-            rank = confirm_left_out(one, q, rank_of(self.topology, J))
+            J = jacobians(sample, q[None], q.new_zeros(1))[0].numpy()
+            rank = confirm_left_out(sample, q, rank_of(self.topology, J))
         if self.shared_start is not None and full_rank_undeformed(self.topology, J):
             self.shared_start.ranks[self.topology] = rank
         if rank.weak:

@@ -113,10 +113,10 @@ def split_v(T: Topology, v):
     )
 
 
-def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
-    """Rotations and attached vectors at the coordinates q [n_q, ...]; `given` by Topology.prescribed."""
+def placement(T: Topology, data: Data, q, excitation: Prescribed) -> Placement:
+    """Rotations and attached vectors at the coordinates q [n_q, ...]; `excitation` by Topology.prescribed."""
     r, p, w = split_q(T, q)
-    A, r = cat([rotation_matrix(p), given.A], 2), cat([r, given.r], 1)
+    A, r = cat([rotation_matrix(p), excitation.A], 2), cat([r, excitation.r], 1)
     rho, Y = data["x"], None
     if T.attached_flexible:
         Y = data["Y"]
@@ -128,7 +128,7 @@ def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < T.vectors else rho + bent
     A_of = A.index_select(2, T.vector_body)
     g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
-    return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws, given.t, Y)
+    return Placement(A, w, A_of, rho, g, T.arguments(g), excitation.laws, excitation.t, Y)
 
 
 def _quadratic_rows(T: Topology, data: Data, w):
@@ -304,8 +304,8 @@ def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
 
 def strengths(T: Topology, data: Data, states: list[tuple], t: Any) -> list:
     """Generalized forces f [n, ...] of each kind of action, by laws and controllers."""
-    own = [action.strength(s, rate, t, data) for action, (s, rate, _) in zip(T.actions, states, strict=True)]
-    return T.links.strengths(states, own, t, data)
+    law_strengths = [action.strength(s, rate, t, data) for action, (s, rate, _) in zip(T.actions, states, strict=True)]
+    return T.links.strengths(states, law_strengths, t, data)
 
 
 def action_states(T: Topology, data: Data, at: Placement, v) -> list[tuple]:

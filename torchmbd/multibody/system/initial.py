@@ -70,8 +70,8 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
         return torch.cat(wide, 1).T[:, None]
 
     def modal(name: str) -> list[Tensor]:
-        given = (getattr(b, name) for b in bodies[: T.flexible])
-        return [torch.nn.functional.pad(x, (0, T.modes - x.shape[-1])) for x in given]
+        parts = (getattr(b, name) for b in bodies[: T.flexible])
+        return [torch.nn.functional.pad(x, (0, T.modes - x.shape[-1])) for x in parts]
 
     q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies], modal("modal"))
     v = rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies], modal("modal_velocity"))
@@ -114,12 +114,12 @@ class InitialConditions:
     def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
         """Those of `bodies`, which are in the order of the topology."""
         start = {name: x[:, 0, 0].detach().clone() for name, x in start_of_bodies(topology, bodies).items()}
-        given = torch.tensor([given_velocities(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
-        modal = torch.zeros(topology.n_v - len(given), dtype=torch.bool)
+        mask = torch.tensor([given_velocities(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
+        modal = torch.zeros(topology.n_v - len(mask), dtype=torch.bool)
         built = torch.zeros(3, topology.vectors, 1, dtype=torch.float64)
         for i, x in enumerate(topology.attached):
             built[:, i, 0] = untransformed(x.now()).reshape(-1, 3)[0]
-        return cls(topology, start["q0"], start["v0"], torch.cat([given, modal]), built)
+        return cls(topology, start["q0"], start["v0"], torch.cat([mask, modal]), built)
 
     @cached_property
     def condensed(self) -> Condensation | None:
@@ -175,7 +175,7 @@ class InitialConditions:
         )
         if not T.rows:
             return q, v
-        given = value(q).detach()
+        start = value(q).detach()
         if T.beams is not None:
             q = RigidGroups.by_beams(T).closed(dynamics, q, t, _CLOSED)
         unstrained = value(q).detach()
@@ -184,7 +184,7 @@ class InitialConditions:
             phi = joints.violation()
             if float(untransformed(value(phi)).abs().max()) < _CLOSED:
                 if step or T.beams is not None:
-                    dynamics.outside_transforms(self._warn_moved, given, value(q).detach())
+                    dynamics.outside_transforms(self._warn_moved, start, value(q).detach())
                 if step and T.beams is not None:
                     dynamics.outside_transforms(self._warn_strained, unstrained, value(q).detach())
                 break
@@ -199,18 +199,18 @@ class InitialConditions:
         """What closing the joints of one design moves."""
         if not self.topology.rows:
             return Closing()
-        given = value(dynamics.data.get(START_DATA[0], self.q[:, None, None])).detach()
-        return Closing.of(dynamics, given, value(self.assembled(dynamics)[0]).detach())
+        start = value(dynamics.data.get(START_DATA[0], self.q[:, None, None])).detach()
+        return Closing.of(dynamics, start, value(self.assembled(dynamics)[0]).detach())
 
-    def _warn_moved(self, dynamics: Any, given: Tensor, q: Tensor) -> None:
+    def _warn_moved(self, dynamics: Any, start: Tensor, q: Tensor) -> None:
         """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
-        if not float((q - given).abs().max()) > _CLOSED:
+        if not float((q - start).abs().max()) > _CLOSED:
             return
         same = (value(dynamics.data["x"])[:, :, 0].detach() == self.built).all(0).all(0)
         if bool(same.any()):
             lane = int(same.nonzero()[0, 0])
-            given, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (given, q))
-            warn_far(Closing.of(dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics, given, q))
+            start, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (start, q))
+            warn_far(Closing.of(dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics, start, q))
 
     def _warn_strained(self, dynamics: Any, unstrained: Tensor, q: Tensor) -> None:
         """Warn of joints that no rigid motion of exact beams closes."""
@@ -243,8 +243,8 @@ class InitialConditions:
                 rows = [3 * n * k + n * j + i for j in range(3)]
                 change, lane = s[rows].norm(dim=0).max(0)
                 if self.given[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
-                    given, new = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
-                    changed.append((-float(change), f"{kind} of {name!r} given ({given}), starts with ({new}) {unit}"))
+                    before, new = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
+                    changed.append((-float(change), f"{kind} of {name!r} given ({before}), starts with ({new}) {unit}"))
         if changed:
             shown, more = [text for _, text in sorted(changed)[:_SHOWN]], len(changed) - _SHOWN
             warn(
@@ -281,26 +281,26 @@ class _Joints:
     given: Tensor
 
     @classmethod
-    def of(cls, dynamics: Any, q, t: Tensor, given: Tensor | None = None) -> _Joints:
-        """given: which of the rigid velocities users gave; None: all."""
+    def of(cls, dynamics: Any, q, t: Tensor, mask: Tensor | None = None) -> _Joints:
+        """mask: which of the rigid velocities users gave; None: all."""
         T, data = dynamics.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
         at = equations.placement(T, data, q, T.prescribed(t, data))
         rows, rigid = J.shape[1:]
-        given = torch.ones(rigid, dtype=torch.bool, device=J.device) if given is None else given[:rigid]
+        mask = torch.ones(rigid, dtype=torch.bool, device=J.device) if mask is None else mask[:rigid]
         J_inverse, small = _pseudo_inverse(J)
-        G, F, zero = J * given, J * ~given, torch.zeros_like(J_inverse)
-        if bool(given.all()):
+        G, F, zero = J * mask, J * ~mask, torch.zeros_like(J_inverse)
+        if bool(mask.all()):
             C, F_inverse = J_inverse, zero
-        elif not bool(given.any()):
+        elif not bool(mask.any()):
             C, F_inverse = zero, J_inverse
         else:
             F_inverse = torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
             Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ F_inverse
             C = torch.linalg.pinv(Q @ G, atol=small, rtol=torch.zeros_like(small)) @ Q
-        return cls(dynamics, at, t, G, F, C, F_inverse, given[:, None, None])
+        return cls(dynamics, at, t, G, F, C, F_inverse, mask[:, None, None])
 
     def violation(self):
         """Phi [rows, ...]."""

@@ -70,12 +70,12 @@ class LeastNorm:
         full = lam.full if isinstance(lam, Pair) else lam
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 
-    def __call__(self, data: Data, given: Prescribed, q: Any, lam: Any) -> Any:
+    def __call__(self, data: Data, excitation: Prescribed, q: Any, lam: Any) -> Any:
         """Multipliers [rows, ...] of least norm with the forces of `lam` at the coordinates q [n_q, ...].
 
         Differentiable: pairs, and plain tensors in reverse mode, by the formula above (not through an SVD).
         """
-        at, acting = equations.placement(self.T, data, q, given), self.acting[:, None, None]
+        at, acting = equations.placement(self.T, data, q, excitation), self.acting[:, None, None]
         with torch.no_grad():
             inverse, P = self._inverses(data, at)
             values = value(lam).detach()

@@ -74,11 +74,11 @@ class Linearization:
         """
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
-        given = T.prescribed(t, data).values()
+        excitation = T.prescribed(t, data).values()
         still, none = q.new_zeros(T.n_v, 1, 1), q.new_zeros(T.rows, 1, 1)
         unit = Pair.of(still, torch.eye(T.n_v, dtype=q.dtype)[..., None])
         wide, near = q[:, None, None], equations.advance(T, q[:, None, None], unit)
-        at, moved = (equations.placement(T, data, x, given) for x in (wide, near))
+        at, moved = (equations.placement(T, data, x, excitation) for x in (wide, near))
         rates, rates_moved, rates_unit = (still, still), (still, still), (unit, still)
         if rotation is not None:
             rates, rates_moved = rotation.rates(T, wide), rotation.rates(T, near)

@@ -68,7 +68,7 @@ def frame_nodes(T: Topology, body: int) -> list[int]:
     """Return the nodes of a flexible body that frames are fixed to."""
     attached = zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True)
     interpolations = [vector.interpolation for vector, of in attached if of == body]
-    return sorted({node for one in interpolations if one is not None for node in one.nodes})
+    return sorted({node for constraint in interpolations if constraint is not None for node in constraint.nodes})
 
 
 def second_order_data(T: Topology, structures: list[dict[str, Tensor]]) -> dict[str, Tensor]:

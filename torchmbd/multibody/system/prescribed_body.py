@@ -74,8 +74,8 @@ class PrescribedBody:
         times = value(t)[0] if isinstance(t, Pair) else torch.as_tensor(t, dtype=torch.float64).reshape(-1)
         if not isinstance(t, Pair):
             return tuple(x.T[:, None] for x in self.motion(times))  # pyright: ignore[reportReturnType]
-        found, rates = torch.func.jvp(self.motion, (times,), (torch.ones_like(times),))[:2]
-        moved = zip(found, rates, strict=True)
+        values, rates = torch.func.jvp(self.motion, (times,), (torch.ones_like(times),))[:2]
+        moved = zip(values, rates, strict=True)
         return tuple(Pair.of(x.T[:, None], rate.T[:, None] * t.tangent) for x, rate in moved)  # pyright: ignore[reportReturnType]
 
 

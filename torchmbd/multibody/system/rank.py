@@ -145,7 +145,7 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
     T, zero = dynamics.topology, q.new_zeros(1)
     rows = np.setdiff1d(np.arange(T.rows), _driven(T))
     values = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
-    given = T.schedule(zero, values)[0]
+    excitation = T.schedule(zero, values)[0]
     J = jacobians(dynamics, q[None], zero)[0][rows].cpu().numpy()[:, _rigid(T)]
     N = scipy.linalg.null_space(J, rcond=RELATIVE)
     step = q.new_zeros(T.n_v)
@@ -155,7 +155,7 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
         return None
     displaced = equations.advance(T, q[:, None, None], (_TURN / turn) * step[:, None, None])
     for _ in range(_STEPS):
-        at = equations.placement(T, values, displaced, given)
+        at = equations.placement(T, values, displaced, excitation)
         phi = equations.constraints(T, at)[rows, 0, 0]
         if float(phi.abs().max()) < _CLOSED:
             return displaced[:, 0, 0]
@@ -232,8 +232,8 @@ def first_finite_lane(data: equations.Data) -> int | None:
     return int(lanes[0, 0]) if len(lanes) else None
 
 
-def dominant_rows(T: Topology, left: Tensor) -> tuple[str, ...]:
+def dominant_rows(T: Topology, singular_vector: Tensor) -> tuple[str, ...]:
     """Names of the rows with the largest entries in a left singular vector [rows], largest first."""
-    size = left.abs()
+    size = singular_vector.abs()
     order = torch.argsort(size, descending=True).tolist()
     return tuple(T.row_names[i] for i in order if size[i] > _SHARE * size[order[0]])

@@ -59,17 +59,17 @@ def in_chunks(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tenso
 def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
     n, lanes = len(times), motion[0].shape[-1]
     wide = {name: repeat_over_times(x, n, lanes) for name, x in data.items()}
-    given = as_lanes(c.whole.schedule(times, data), lanes)
-    lam = _all_rows(c, wide, given, *(flatten_times(x) for x in motion))
+    excitation = as_lanes(c.whole.schedule(times, data), lanes)
+    lam = _all_rows(c, wide, excitation, *(flatten_times(x) for x in motion))
     full = lam.full if isinstance(lam, Pair) else lam
     return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 
 
-def _all_rows(c: Condensation, data: Data, given: Prescribed, q: Any, v: Any, a: Any, retained: Any) -> Any:
+def _all_rows(c: Condensation, data: Data, excitation: Prescribed, q: Any, v: Any, a: Any, retained: Any) -> Any:
     """All multipliers [rows, ...] of numbers [k, ...] with what is prescribed."""
     T = c.whole
     removed = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
-    at = equations.placement(T, data, q, given)
+    at = equations.placement(T, data, q, excitation)
     lam = _scatter_rows(retained, c.rows, T.rows)
     with torch.no_grad():
         rigid = torch.tensor([k * T.bodies + b for k in range(6) for b in range(T.flexible, T.bodies)])

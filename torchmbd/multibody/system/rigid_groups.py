@@ -42,9 +42,9 @@ class RigidGroups:
         """The groups of a system with beam elements."""
         assert T.beams is not None
         group, n = [*range(T.bodies), -1], len(T.beams.bodies) // 2
-        for one, other in zip(T.beams.bodies[:n], T.beams.bodies[n:], strict=True):
-            one, other = (group[min(k, T.bodies)] for k in (one, other))
-            group = [min(one, other) if k in (one, other) else k for k in group]
+        for first, second in zip(T.beams.bodies[:n], T.beams.bodies[n:], strict=True):
+            first, second = (group[min(k, T.bodies)] for k in (first, second))
+            group = [min(first, second) if k in (first, second) else k for k in group]
         held = group.pop()
         names = sorted(set(group))
         of = torch.tensor([names.index(k) for k in group])

@@ -118,12 +118,12 @@ class Start:
     def conditions(self, T: Topology, bodies: list[Any]) -> InitialConditions:
         """Initial conditions of a system with these bodies, in the order of its topology."""
         conditions = (EquilibriumConditions if self.in_equilibrium else InitialConditions).of(T, bodies)
-        given = torch.zeros_like(conditions.given) if self.state is not None else conditions.given.clone()
+        mask = torch.zeros_like(conditions.given) if self.state is not None else conditions.given.clone()
         for i, body in enumerate(bodies):
             for k, name in enumerate(VELOCITIES):
                 if f"{body.name}.{name}" in self.given:
-                    given[[3 * T.bodies * k + T.bodies * j + i for j in range(3)]] = True
-        return replace(conditions, given=given)
+                    mask[[3 * T.bodies * k + T.bodies * j + i for j in range(3)]] = True
+        return replace(conditions, given=mask)
 
     def data(self, T: Topology, bodies: list[Any], of_bodies: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Initial coordinates and rates as data of a design; of_bodies: those of initial.start_of_bodies."""
@@ -180,16 +180,16 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
         raise unknown("in start the quantity", str(name), quantities)
     shape = quantities[name]
     try:
-        found = x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
+        tensor = x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
-        found = None
-    good = found is not None and found.dtype == torch.float64 and found.shape[found.dim() - len(shape) :] == shape
-    if found is None or not good or found.dim() > len(shape) + 1 or not all_true(torch.isfinite(found)):
+        tensor = None
+    good = tensor is not None and tensor.dtype == torch.float64 and tensor.shape[tensor.dim() - len(shape) :] == shape
+    if tensor is None or not good or tensor.dim() > len(shape) + 1 or not all_true(torch.isfinite(tensor)):
         size = ", ".join(map(str, shape))
         raise InputError(f"start: {name!r} is {x!r}; allowed: finite float64 numbers [{size}] or [lanes, {size}]")
     if name.endswith(".axes"):
-        refuse_derivatives(f"start: {name!r}", found, "a joint or another body that is turned by a parameter")
-    numbers = untransformed(found)
+        refuse_derivatives(f"start: {name!r}", tensor, "a joint or another body that is turned by a parameter")
+    numbers = untransformed(tensor)
     if len(shape) == 2 and float((numbers.mT @ numbers - torch.eye(3, dtype=torch.float64)).abs().max()) > _TURNED:
         raise InputError(f"start: {name!r} is no rotation; allowed: orthonormal columns, the axes of the body")
-    return found
+    return tensor

@@ -43,10 +43,10 @@ class SteadyRotation:
                 raise InputError(f"center is {center!r} without a spin; allowed: with spin=(...)")
             return None
         vectors = []
-        for name, given in (("spin", spin), ("center", center)):
-            x = reals(name, given)
+        for name, components in (("spin", spin), ("center", center)):
+            x = reals(name, components)
             if x.shape != (3,) or not bool(torch.isfinite(x).all()):
-                raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
+                raise InputError(f"{name} is {components!r}; allowed: three finite numbers")
             vectors.append(x.detach())
         return cls(*vectors) if bool(vectors[0].any()) else None
 

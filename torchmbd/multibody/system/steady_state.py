@@ -72,9 +72,9 @@ def _changed_tangents(T: Any, rest: Linearization, after: Linearization, rotatio
     before, now = rest.N @ axes, N[active] @ axes
     # Damping first: at rest, dampers push what turns sideways, which is a stiffness.
     for name, x, y in (("damping", rest.C, after.C), ("stiffness", rest.K, after.K)):
-        one = before.T @ x[active][:, active] @ before
-        difference = now.T @ y[active][:, active] @ now - one
-        size = one.abs().amax(1) + _ROUNDING / _SAME * float(x.abs().max())
+        reference = before.T @ x[active][:, active] @ before
+        difference = now.T @ y[active][:, active] @ now - reference
+        size = reference.abs().amax(1) + _ROUNDING / _SAME * float(x.abs().max())
         share = difference.abs() / (size[:, None] * size).sqrt().clamp_min(1e-300)
         if float(share.max()) > _SAME:
             row = T.rate_name(int(active[int(before[:, int(share.amax(1).argmax())].abs().argmax())]))

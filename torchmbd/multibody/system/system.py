@@ -83,8 +83,8 @@ class System(nn.Module):
         super().__init__()
         self._start = Start()
         bodies, joints, forces, free = (
-            list_of(name, given, kinds, allowed)
-            for name, given, kinds, allowed in (
+            list_of(name, items, kinds, allowed)
+            for name, items, kinds, allowed in (
                 ("bodies", bodies, (RigidBody, FlexibleBody, FlexibleBeam), "bodies, such as mbd.RigidBody(...)"),
                 ("joints", joints, Joint, "joints, such as mbd.Revolute(...)"),
                 ("forces", forces, ForceElement, "force elements, such as mbd.SpringDamper(...)"),
@@ -120,7 +120,7 @@ class System(nn.Module):
         for body in self.bodies:
             self.add_module(body.name, body)
         self._add_laws()
-        self._own = self._tensors()
+        self._topology_tensors = self._tensors()
         self.register_load_state_dict_post_hook(_rebuild_topology)
 
     def _add_laws(self) -> None:
@@ -231,7 +231,9 @@ class System(nn.Module):
     def _with_present_numbers(self) -> Self:
         """Itself, or a copy that keeps the tensors that torch.func.functional_call puts in the place of others for one call."""
         present = self._tensors()
-        if present.keys() == self._own.keys() and all(x is self._own[name] for name, x in present.items()):
+        if present.keys() == self._topology_tensors.keys() and all(
+            x is self._topology_tensors[name] for name, x in present.items()
+        ):
             return self
         return outside_transforms(lambda: copy.deepcopy(self, {id(x): x for x in present.values()}))
 
@@ -273,35 +275,34 @@ class System(nn.Module):
         tangents    names among them: the data carry derivatives by all entries of these, flattened in this order
         """
         self._check()
-        own = dict(self.named_parameters())
-        given = dict(parameters or {})
-        for name, x in own.items():
+        module_parameters = dict(self.named_parameters())
+        batch = dict(parameters or {})
+        for name, x in module_parameters.items():
             if x.dtype != torch.float64:
                 raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
-        for name, x in given.items():
-            if name not in own:
-                raise unknown("parameter", name, own)
-            if x.shape[1:] != own[name].shape:
-                raise InputError(
-                    f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {', '.join(map(str, own[name].shape))}]"
-                )
+        for name, x in batch.items():
+            if name not in module_parameters:
+                raise unknown("parameter", name, module_parameters)
+            if x.shape[1:] != module_parameters[name].shape:
+                sizes = ", ".join(map(str, module_parameters[name].shape))
+                raise InputError(f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {sizes}]")
             refuse_derivatives(f"parameter {name!r}", x, f"tangents=[{name!r}], or system() in reverse mode")
-        lanes = {name: x.shape[0] for name, x in given.items()}
+        lanes = {name: x.shape[0] for name, x in batch.items()}
         if len(set(lanes.values())) > 1:
             raise InputError(f"lanes of the parameters are {lanes}; allowed: the same number for all")
         for name in tangents:
-            if name not in given:
-                raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
+            if name not in batch:
+                raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(batch)}")
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
             return _for_all_lanes(call_module(self, values, "data"), values)
 
         with torch.no_grad():
             if tangents:
-                fixed = {name: x for name, x in given.items() if name not in tangents}
-                data = tangents_of(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
+                fixed = {name: x for name, x in batch.items() if name not in tangents}
+                data = tangents_of(lambda moving: stage(fixed | moving), {name: batch[name] for name in tangents})
             else:
-                data = stage(given)
+                data = stage(batch)
         return self._dynamics(data)
 
     def _check(self) -> None:
@@ -359,7 +360,7 @@ class System(nn.Module):
 
 def _rebuild_topology(system: System, _: Any) -> None:
     """Hook after loading a state dict: positions may have changed. No method, as a hook must be picklable."""
-    system._own = system._tensors()
+    system._topology_tensors = system._tensors()
     system._join(system.joints)
 
 

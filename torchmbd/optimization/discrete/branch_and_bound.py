@@ -149,10 +149,10 @@ def _certify(branching: Branching, max_neighbors: int) -> Certificate | None:
             return None
         best = candidates[0]
         X, which = branching.grid.neighbors(best.x, STEPS, max_neighbors)
-        found = branching.confirm(X)
-        closest = min(found, key=branching.rank, default=None)
+        neighbors = branching.confirm(X)
+        closest = min(neighbors, key=branching.rank, default=None)
         if closest is None or not branching.better(closest, best):
-            return Certificate(len(found) == len(X), len(X), len(X) - len(found), which, closest)
+            return Certificate(len(neighbors) == len(X), len(X), len(X) - len(neighbors), which, closest)
 
 
 def _ended(
@@ -169,8 +169,10 @@ def _ended(
         return "failed", "no design on the allowed values could be evaluated"
     around = f"{certificate.neighbors} neighbors, {certificate.which}"
     if branching.open:
-        found = f"no better design among {around}" if best.violation <= feasibility else "no feasible design was found"
-        return "max_boxes", f"{branching.open} boxes were left after {branching.boxes}; {found}"
+        outcome = (
+            f"no better design among {around}" if best.violation <= feasibility else "no feasible design was found"
+        )
+        return "max_boxes", f"{branching.open} boxes were left after {branching.boxes}; {outcome}"
     if best.violation > feasibility:
         return "infeasible", f"no feasible design on the allowed values was found; x violates least among its {around}"
     if not certificate.holds:

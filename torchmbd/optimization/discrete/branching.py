@@ -81,9 +81,9 @@ class Branching:
             if interrupted:
                 return True
             self.boxes += len(wave)
-            found = [(b, end) for b, end in zip(wave, ends, strict=True) if end is not None]
-            self.confirm(np.array([end.x for _, end in found]).reshape(-1, self.lower.size))
-            for branch, end in found:
+            solutions = [(b, end) for b, end in zip(wave, ends, strict=True) if end is not None]
+            self.confirm(np.array([end.x for _, end in solutions]).reshape(-1, self.lower.size))
+            for branch, end in solutions:
                 queue += self.split(branch.lower, branch.upper, end.x, end.value)
         self.queue = queue
         return False
@@ -126,18 +126,18 @@ class Branching:
 
     def confirm(self, X: np.ndarray) -> list[Candidate]:
         """Round designs [k, n] and evaluate them; return those that could be evaluated, in their order."""
-        found: list[Candidate] = []
+        candidates: list[Candidate] = []
         nearest = [self.grid.nearest_admitted(x, STEPS, MAX_NEIGHBORS) for x in X]
         rounded = [x for x in nearest if x is not None]
         for first in range(0, len(rounded), self.max_lanes):
             designs = np.array(rounded[first : first + self.max_lanes])
             for x, evaluation in zip(designs, self.cache.evaluate(designs, False), strict=True):
                 if evaluation.ok and np.isfinite(evaluation.objective):
-                    found.append(self.candidate(x, evaluation))
-        for candidate in found:
+                    candidates.append(self.candidate(x, evaluation))
+        for candidate in candidates:
             if self.best is None or self.better(candidate, self.best):
                 self.best = candidate
-        return found
+        return candidates
 
     def candidate(self, x: np.ndarray, evaluation: Evaluation) -> Candidate:
         c = np.atleast_1d(evaluation.constraints)
@@ -168,9 +168,9 @@ class Branching:
 
     def candidates(self) -> list[Candidate]:
         """Return all evaluated designs on the values, the best first."""
-        found = [
+        candidates = [
             self.candidate(x, evaluation)
             for x, evaluation in self.cache.memory.entries.values()
             if evaluation.ok and np.array_equal(self.grid.nearest(x), x) and self.grid.admits(x)
         ]
-        return sorted(found, key=self.rank)
+        return sorted(candidates, key=self.rank)

@@ -159,9 +159,9 @@ def _numbers(name: str, entry: Any) -> np.ndarray:
         raise InputError(f"allowed of {name} is {entry!r}; allowed: an increment, or a list of values") from error
 
 
-def _single(given: Any) -> bool:
+def _single(value: Any) -> bool:
     """Whether this is one number, a tensor of one, such as mbd.deg(5), included."""
-    return np.isscalar(given) or getattr(given, "ndim", None) == 0
+    return np.isscalar(value) or getattr(value, "ndim", None) == 0
 
 
 def _fills(values: np.ndarray, period: float) -> bool:

@@ -40,10 +40,10 @@ def start_local_cluster(workers: int, module: str) -> SpecCluster:
     multiprocessing.set_forkserver_preload(["distributed", "torchmbd.api", module])  # imported once for all workers
     security = Security.temporary()
     options = {"host": HOST, "protocol": "tls://", "security": security}
-    own = {"worker_class": _Worker, "nthreads": 1, "memory_limit": 0, "silence_logs": logging.CRITICAL}
+    worker_options = {"worker_class": _Worker, "nthreads": 1, "memory_limit": 0, "silence_logs": logging.CRITICAL}
     return SpecCluster(
         scheduler={"cls": _Scheduler, "options": {**options, "port": 0, "dashboard": False}},
-        workers={i: {"cls": Nanny, "options": options | own} for i in range(workers)},
+        workers={i: {"cls": Nanny, "options": options | worker_options} for i in range(workers)},
         security=security,
         silence_logs=logging.CRITICAL,  # pyright: ignore[reportArgumentType]
     )

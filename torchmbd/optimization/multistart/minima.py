@@ -51,16 +51,16 @@ def distinct_minima(
     return [Minimum(group[0].x, group[0].value, len(group), sorted(r.start for r in group)) for group in groups]
 
 
-def expected_minima(searches: int, found: int) -> float:
+def expected_minima(searches: int, minima: int) -> float:
     """Return the Bayesian estimate of how many minima there are; inf while there are too few searches to tell."""
-    return found * (searches - 1) / (searches - found - 2) if searches > found + 2 else float("inf")
+    return minima * (searches - 1) / (searches - minima - 2) if searches > minima + 2 else float("inf")
 
 
-def covered_share(searches: int, found: int) -> float:
+def covered_share(searches: int, minima: int) -> float:
     """Return the Bayesian estimate of the share of the space whose minima are known; nan with too few searches."""
-    if searches < found + 2:
+    if searches < minima + 2:
         return float("nan")
-    return (searches - found - 1) * (searches + found) / (searches * (searches - 1))
+    return (searches - minima - 1) * (searches + minima) / (searches * (searches - 1))
 
 
 def _same(

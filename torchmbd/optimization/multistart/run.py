@@ -47,11 +47,11 @@ class MultistartResult(Summary):
 
     def _summary(self) -> list[tuple[str, Any]]:
         best = self.best
-        found = "none is feasible" if best is None else f"{best.value:.8g}, start {best.start} ({best.status})"
-        values = few([f"{one.value:.6g}" for one in self.minima])
+        text = "none is feasible" if best is None else f"{best.value:.8g}, start {best.start} ({best.status})"
+        values = few([f"{minimum.value:.6g}" for minimum in self.minima])
         return [
             ("starts", f"{len(self.results)} of {len(self.starts)}, {self.converged} converged"),
-            ("best", found),
+            ("best", text),
             ("minima", f"{len(self.minima)}: {values}" if self.minima else "none"),
             ("simulations", f"{self.analyses}, {self.gradient_evaluations} of them with gradients"),
         ]
@@ -167,8 +167,8 @@ def multistart(
     def may_begin(results: list[OptimizationResult]) -> bool:
         if minima_left is None:
             return True
-        found = find(results)
-        return expected_minima(sum(r.converged for r in results), len(found)) - len(found) > minima_left
+        minima = find(results)
+        return expected_minima(sum(r.converged for r in results), len(minima)) - len(minima) > minima_left
 
     runners = [partial(runner, k) for k in range(len(points))]
     groups = parallel_batches(problem) if minima_left is None else 1  # with several, `may_begin` would depend on timing

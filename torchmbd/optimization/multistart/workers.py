@@ -161,13 +161,15 @@ class WorkerBatch:
     def evaluations(self) -> list[Evaluation]:
         from distributed import CancelledError, KilledWorker  # pyright: ignore[reportMissingImports]
 
-        found: list[Evaluation] = []
+        evaluations: list[Evaluation] = []
         try:
             for size, future in zip(self.sizes, self.futures, strict=True):
                 try:
-                    found += future.result()
+                    evaluations += future.result()
                 except KilledWorker:
-                    found += [Evaluation.failure(f"failed: {_MAX_DEATHS} workers died of it", self.workers.rows)] * size
+                    evaluations += [
+                        Evaluation.failure(f"failed: {_MAX_DEATHS} workers died of it", self.workers.rows)
+                    ] * size
         except CancelledError as error:
             raise MbdError(f"the scheduler {self.workers.scheduler or ''} is gone: {error}") from error
         except BaseException:
@@ -175,7 +177,7 @@ class WorkerBatch:
             raise
         for future in self.futures:
             future.release()  # here, as a Ctrl-C during `__del__` would be lost
-        return found
+        return evaluations
 
     def cancel(self) -> None:
         self.workers.cancel(self.futures)
