@@ -87,7 +87,7 @@ def _itself(x: Tensor) -> Tensor:
     return x
 
 
-def _own_hooks() -> ExitStack:
+def _separate_hooks() -> ExitStack:
     """Context in which saved tensors are none of those that hooks of the caller see."""
     stack = ExitStack()
     try:
@@ -102,7 +102,7 @@ class _Outside(torch.autograd.Function):
 
     @staticmethod
     def forward(run: Callable[..., None], x: Tensor, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        with _own_hooks():
+        with _separate_hooks():
             run(*tensors)
         return x.clone()
 

@@ -71,11 +71,11 @@ class Freedoms:
             [torch.arange(len(node_freedoms))],
             [torch.ones(len(node_freedoms), dtype=x.dtype)],
         )
-        led, source, own_factor = link_entries(x, links)
+        led, source, link_factor = link_entries(x, links)
         kept = column[source] >= 0  # what follows a held node stands still
         rows.append(led[kept])
         cols.append(column[source[kept]])
-        factor.append(own_factor[kept])
+        factor.append(link_factor[kept])
         for j, (mean, (led, inverse)) in enumerate(zip(means, following, strict=True)):
             others = _freedoms(mean.nodes)
             kept = column[others] >= 0

@@ -23,8 +23,8 @@ from torchmbd.process import cache_folder
 SEAL = b"torchmbd"
 READY = (".so",)
 WORK = "build-"  # prefix of folders of builds in progress
-_OWN = re.compile(r"[a-z][a-z0-9_-]*-[0-9a-f]{32}\.so")
-_OWN_FOLDER = re.compile(WORK + r"[a-z0-9_]{8}")
+_LIBRARY = re.compile(r"[a-z][a-z0-9_-]*-[0-9a-f]{32}\.so")
+_FOLDER = re.compile(WORK + r"[a-z0-9_]{8}")
 _PARTS = {"code.cpp", "code.so"}  # files of such a folder
 _warned: set[str] = set()  # reasons that a warning has given
 
@@ -88,9 +88,9 @@ def entries() -> list[tuple[Path, int, bool]]:
     folder = cache_folder()
     result = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if path.is_dir() and _OWN_FOLDER.fullmatch(path.name) and {f.name for f in path.iterdir()} <= _PARTS:
+        if path.is_dir() and _FOLDER.fullmatch(path.name) and {f.name for f in path.iterdir()} <= _PARTS:
             result.append((path, sum(f.stat().st_size for f in path.iterdir()), False))
-        elif path.is_file() and _OWN.fullmatch(path.name):
+        elif path.is_file() and _LIBRARY.fullmatch(path.name):
             result.append((path, path.stat().st_size, path.suffix in READY))
     return result
 

@@ -138,8 +138,8 @@ def is_single_write(program: Program, write: Write) -> bool:
     inner = [v for v in write.variables if not depends(write.index, v)]
     plain = all(isinstance(atom, Variable) for _, atom in write.index.terms)
     shared = len(program.buffers[write.buffer].writes) > 1 and _overlap(program, write)
-    own_turn = all(v.size in program.inner and v != write.variables[0] for v in inner)
-    return len(same) == 1 and plain and not shared and own_turn
+    one_iteration = all(v.size in program.inner and v != write.variables[0] for v in inner)
+    return len(same) == 1 and plain and not shared and one_iteration
 
 
 def _overlap(program: Program, write: Write) -> bool:
