@@ -85,12 +85,14 @@ def _entries(name: str) -> dict[str, str]:
 def _tables() -> Any:
     """The module with the tables; None without the folder."""
     try:
-        return import_module(EXTENSIONS)
+        tables = import_module(EXTENSIONS)
     except ModuleNotFoundError as error:
         if error.name != EXTENSIONS:
             raise
         return None
+    return tables if tables.__file__ else None  # else a folder that has lost its files
 
 
 def _is_installed(extension: str) -> bool:
-    return find_spec(f"{EXTENSIONS}.{extension}") is not None
+    spec = find_spec(f"{EXTENSIONS}.{extension}")
+    return spec is not None and spec.origin is not None

@@ -128,3 +128,27 @@ def test_a_search_takes_more_steps_where_its_design_needs_them():
     assert [one.iteration for one in result.history] == list(range(result.iterations + 1))
     assert [one.iteration for one in seen] == [one.iteration for one in result.history]
     assert torch.tensor(result.value).isfinite()
+
+
+def test_without_a_tolerance_a_search_has_one_part():
+    plain = problem(tolerance=None)
+    assert plain.coarse is None
+    assert mbd.optimize(plain, max_iterations=6).iterations <= 6
+
+
+def test_where_half_of_the_steps_fail_the_steps_themselves_are_the_measure(monkeypatch):
+    """As where Newton's iterations do not converge by longer steps."""
+    simulate, steps = problem_steps.simulate, 600
+    system_problem = problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=1e-3, steps=steps)
+
+    def fails(*args, **options):
+        motion = simulate(*args, **options)
+        if motion.integration.steps < steps:
+            motion.status[0] = "failed: injected"
+        return motion
+
+    monkeypatch.setattr(problem_steps, "simulate", fails)
+    choice = steps_for(system_problem, system_problem.start, steps, 1e-3)
+    assert math.isfinite(choice.error)
+    assert choice.steps is not None
+    assert choice.steps >= steps

@@ -44,3 +44,22 @@ def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_no
     for transform in (torch.func.grad, torch.func.jacfwd, torch.func.jacrev):
         transform(f)(x)
     torch.func.jvp(f, (x,), (x,))
+
+
+class Parts:
+    """Numbers whose names are those of globals."""
+
+    K = 2.0
+
+
+def test_an_attribute_with_the_name_of_a_global_is_no_global():
+    parts = Parts()
+    refuse_lost_gradients("law of 'x'", lambda s: parts.K * s, "none")
+
+
+def test_a_global_that_only_an_inner_function_reads_is_seen():
+    def law(s: Any) -> Any:
+        return (lambda x: -float(K) * x)(s)
+
+    with pytest.raises(InputError, match=r"law of 'x' has design variables \(global K\)"):
+        refuse_lost_gradients("law of 'x'", law, "none")

@@ -112,7 +112,7 @@ def steps_for(
     most        times the first steps
     least_size  of the objective, by which its error is measured
     """
-    errors = _errors(problem, x, None if steps is None else (steps + 1) // 2, least_size)
+    errors = _errors(problem, x, None, least_size) if steps is None else _errors_of(problem, x, steps, least_size)
     tolerance, n = tolerance or problem.tolerance, steps or errors.choice.steps
     if n is None or errors.multiple is None or tolerance is None:
         return StepChoice(n)
@@ -127,7 +127,7 @@ def steps_for(
             n = min(limit, math.ceil(growth * n))
             n = -(-n // errors.multiple) * errors.multiple
             if errors.choice.reason or n > FAR * (errors.choice.steps or n):
-                errors = _errors(problem, x, (n + 1) // 2, least_size)
+                errors = _errors_of(problem, x, n, least_size)
                 if errors.multiple is not None:
                     continue
             tried.append(errors.choice.by(n))
@@ -136,7 +136,7 @@ def steps_for(
 
 def coarse_problem(problem: Any) -> Any:
     """The problem with steps of COARSE times its tolerance at the start, for the way to an optimum; None: it has no fewer."""
-    if not problem.chooses_steps or problem.steps is None:
+    if not problem.chooses_steps or problem.steps is None or problem.tolerance is None:
         return None
     choice = steps_for(problem, problem.start, tolerance=COARSE * problem.tolerance)
     return None if choice.steps is None or choice.steps >= problem.steps else _with_steps(problem, choice.steps)
@@ -181,6 +181,12 @@ class _Errors(NamedTuple):
 
     choice: StepChoice
     multiple: int | None
+
+
+def _errors_of(problem: Any, x: np.ndarray, steps: int, least_size: float) -> _Errors:
+    """Errors by so many steps: from motions of half of them, or by themselves where half are too few for a motion."""
+    errors = _errors(problem, x, (steps + 1) // 2, least_size)
+    return errors if errors.multiple is not None else _errors(problem, x, steps, least_size)
 
 
 def _errors(problem: Any, x: np.ndarray, steps: int | None, least_size: float) -> _Errors:

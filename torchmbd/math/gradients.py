@@ -6,13 +6,14 @@
     is_differentiated(x), untransformed(x)                 tensors under autograd, dual numbers and torch.func
 
 `refuse_lost_gradients` searches closures, default arguments, globals, bound objects, attributes, functools.partial and
-containers of a function, and the modules and functions that these refer to. It does not see a global that only a function
-defined inside reads; callers look at what a function returns too.
+containers of a function, and the modules and functions that these refer to. Which globals a function reads is in its bytecode
+alone: `co_names` has attributes too, and would refuse `p.k` for a global variable k.
 Checked in tests/math/test_gradients.py, tests/sensitivity/test_refused_gradients.py.
 """
 
 from __future__ import annotations
 
+import dis
 import functools
 import inspect
 import types
@@ -199,7 +200,14 @@ def _function_contents(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
             continue
     yield from (("default", f.__defaults__), ("defaults", f.__kwdefaults__), ("attributes", vars(f)))
     if not _of_library(f):
-        yield from ((f"global {name}", f.__globals__[name]) for name in f.__code__.co_names if name in f.__globals__)
+        yield from ((f"global {name}", f.__globals__[name]) for name in _globals(f.__code__) if name in f.__globals__)
+
+
+@functools.lru_cache(maxsize=1024)  # laws are looked at before every batch
+def _globals(code: types.CodeType) -> set[str]:
+    """Names of globals that a function, or one defined in it, reads."""
+    names = {x.argval for x in dis.get_instructions(code) if x.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    return names.union(*(_globals(c) for c in code.co_consts if isinstance(c, types.CodeType)))
 
 
 def _of_library(x: Any) -> bool:

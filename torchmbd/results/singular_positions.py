@@ -11,7 +11,6 @@ Checked in tests/results/test_singular_positions.py: four-bars that fold flat.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,7 +23,7 @@ from torchmbd.results.motion_data import MotionData, has_failed
 _MANY = 3  # further corrections of a step, each with a new matrix: elsewhere one is mostly enough
 
 NEAR = 2e-2  # of the largest singular value
-_SAMPLES = 1000  # states that are looked at first, then all beside minima; s falls and rises more slowly than that
+_SAMPLES, _CLOSE = 1000, 10.0  # states that are looked at first; all are where one of these is within 10 NEAR
 
 
 @dataclass(frozen=True)
@@ -56,32 +55,33 @@ def positions_of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
         return []
     q, t = motion.q[lane, good], motion.t[good]
     with torch.no_grad():
-        dynamics = motion.dynamics.values()
-        dynamics = dynamics.select_lanes([lane if dynamics.lanes > 1 else 0])
-        every = -(-len(t) // _SAMPLES)
-        at = torch.arange(0, len(t), every)
-        at, last, J, rank = _last_singular_values(dynamics, q, t, at)
-        low = _minima(last, NEAR)
-        if every > 1 and low:
-            around = [torch.arange(max(0, i - every), min(len(t), i + every + 1)) for i in at[low].tolist()]
-            at, last, J, _ = _last_singular_values(dynamics, q, t, torch.cat(around).unique(), rank)
-            low = _minima(last, NEAR)
+        last, J, finite, rank = _last_singular_values(motion, lane, q, t)
+        t, low = t[finite], _minima(last, NEAR)
         U = torch.linalg.svd(J[low], full_matrices=False)[0]
     rows = (dominant_rows(T, x[:, rank - 1]) for x in U)
-    return [SingularPosition(lane, float(t[at[i]]), float(last[i]), names) for i, names in zip(low, rows, strict=True)]
+    return [SingularPosition(lane, float(t[i]), float(last[i]), names) for i, names in zip(low, rows, strict=True)]
 
 
-def _last_singular_values(
-    dynamics: Any, q: Tensor, t: Tensor, at: Tensor, rank: int | None = None
-) -> tuple[Tensor, Tensor, Tensor, int]:
-    """The states of numbers `at` [n] whose constraints are finite, their s [n], their Phi_q [n, rows, n_v] and the rank."""
-    J = jacobians(dynamics, q[at], t[at])
+def _may_be_near(motion: MotionData, lane: int) -> bool:
+    """Whether a lane may come near to a singular position, by some of its states: all of a long motion take seconds."""
+    every = -(-len(motion.t) // _SAMPLES)
+    if every == 1 or not motion.dynamics.topology.rows:
+        return True
+    with torch.no_grad():
+        last, *_ = _last_singular_values(motion, lane, motion.q[lane, ::every], motion.t[::every])
+    return bool((last < _CLOSE * NEAR).any())
+
+
+def _last_singular_values(motion: MotionData, lane: int, q: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor, int]:
+    """s [n] and Phi_q [n, rows, n_v] of the states of a lane whose constraints are finite, a mask of these, and the rank."""
+    dynamics = motion.dynamics.values()
+    J = jacobians(dynamics.select_lanes([lane if dynamics.lanes > 1 else 0]), q, t)
     J[:, list(dynamics.rank.left_out)] = 0.0
     finite = torch.isfinite(J).all(2).all(1)
-    at, J = at[finite], J[finite]
+    J = J[finite]
     s = torch.linalg.svdvals(J)
-    rank = int((s > RELATIVE * s[:, :1]).sum(1).max()) if rank is None else rank
-    return at, s[:, rank - 1] / s[:, 0], J, rank
+    rank = int((s > RELATIVE * s[:, :1]).sum(1).max())
+    return s[:, rank - 1] / s[:, 0], J, finite, rank
 
 
 def _minima(x: Tensor, below: float) -> list[int]:
@@ -102,5 +102,5 @@ def report_singular_positions(motion: MotionData) -> None:
             near = positions_of_lane(motion, lane)[:1]  # after the first the motion means little
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
         elif lane in failed_first or (further is not None and float(further[lane]) >= _MANY):
-            for near in positions_of_lane(motion, lane):
+            for near in positions_of_lane(motion, lane) if _may_be_near(motion, lane) else ():
                 warn(f"{near}; from there the motion may go on in several ways")

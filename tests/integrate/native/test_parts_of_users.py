@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -147,3 +147,83 @@ def test_the_points_stay_on_their_ellipses():
         assert_close((x / p) ** 2 + (y / q) ** 2, torch.ones_like(x), rtol=0, atol=1e-9)
         assert float(z.abs().max()) < 1e-12
         assert float((x - x[0]).abs().max()) > 0.01
+
+
+@pytest.mark.thorough
+def test_a_law_that_reads_what_has_changed_is_compiled_again(monkeypatch):
+    """Native code follows a global that a law of a class reads."""
+    values = {}
+    for k in (1.0, 300.0):
+        monkeypatch.setattr(Cubic, "factor", k, raising=False)
+        for backend in ("native", "eager"):
+            ground, bob = mbd.Ground(), box("bob", position=(1.0, 0.0, 0.0))
+            spring = mbd.SpringDamper(ground.at(), bob.at(), law=Factored(3.0, 0.5, 0.1), name="spring")
+            system = mbd.System([bob], [mbd.Prismatic(ground.at(), bob.at(), axis="x")], [spring])
+            motion = mbd.simulate(system, 0.1, steps=40, backend=backend, gradients="none").require_ok()
+            values[k, backend] = motion.body("bob").r[0, -1, 0]
+    for k in (1.0, 300.0):
+        assert_close(values[k, "native"], values[k, "eager"], rtol=1e-10, atol=0)
+    assert abs(values[1.0, "eager"] - values[300.0, "eager"]) > 1e-3
+
+
+@dataclass(frozen=True)
+class Factored(Cubic):
+    """A cubic law times an attribute of the class."""
+
+    def __call__(self, s, rate, t):
+        return Cubic.factor * Cubic.__call__(self, s, rate, t)  # pyright: ignore[reportAttributeAccessIssue]
+
+    def slopes(self, s, rate, t):
+        return tuple(Cubic.factor * x for x in Cubic.slopes(self, s, rate, t))  # pyright: ignore
+
+
+@dataclass(frozen=True)
+class NoSlopes:
+    k: float
+    data_fields: ClassVar[Any] = ("k",)
+
+    def __call__(self, s, rate, t):
+        return -self.k * s
+
+
+@dataclass(frozen=True)
+class Misspelled(Cubic):
+    data_fields: ClassVar[Any] = ("k", "stiffness")
+
+
+@dataclass(frozen=True)
+class Listed(Cubic):
+    powers: Any = None
+
+
+@dataclass(frozen=True)
+class Sine(Cubic):
+    def __call__(self, s, rate, t):
+        return -self.k * torch.sin(s)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (NoSlopes(1.0), "NoSlopes.*slopes"),
+        (Misspelled(1.0, 0.5), "Misspelled.*'stiffness'.*allowed"),
+        (Listed(1.0, 0.5, powers=[1.0]), "Listed.*a tuple for a list"),
+        (Sine(1.0, 0.5), "Sine.*does not take pairs.*allowed"),
+    ],
+)
+def test_a_law_that_breaks_the_rule_of_data_fields_is_refused(law, words):
+    with pytest.raises(mbd.InputError, match=f"law of 'spring'.*{words}"):
+        mbd.SpringDamper(mbd.Ground().at(), box("bob").at(), law=law, name="spring")
+
+
+@pytest.mark.parametrize("size", [(1.0,), 1.0, (1.0, None), (1.0, 2.0, 3.0), (float("nan"), 1.0)])
+def test_constants_of_a_primitive_are_counted(size):
+    ground, bob = mbd.Ground(), box("bob")
+    with pytest.raises(mbd.InputError, match=r"constants of 'large' \(onellipse\) are .*; allowed: 2 finite numbers"):
+        mbd.System([bob], [Ellipse(ground.at(), bob.at(), size, name="large")])
+
+
+def test_a_variable_as_a_constant_is_refused():
+    ground, bob = mbd.Ground(), box("bob")
+    with pytest.raises(mbd.InputError, match=r"constant of 'large' \(onellipse\) carries a gradient"):
+        mbd.System([bob], [Ellipse(ground.at(), bob.at(), (mbd.variable(1.0), 2.0), name="large")])

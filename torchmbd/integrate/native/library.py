@@ -20,7 +20,6 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,6 @@ from torchmbd.errors import InputError, MbdError, warn
 from torchmbd.integrate.native import data, functions, simd_layout
 from torchmbd.integrate.native.feedback import CalledLaws, Feedback
 from torchmbd.integrate.native.mechanism import Mechanism
-from torchmbd.integrate.native.symbolic import Kind
 from torchmbd.math.codegen import build_cache
 from torchmbd.math.codegen.compiler import (
     SUFFIX,
@@ -220,12 +218,7 @@ def with_traced_laws(dynamics: Dynamics) -> Dynamics:
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
-    return _digest(kind, simd_layout.LANES, data.kind_of(dynamics), toolchain_digest(_SOURCES))
-
-
-@cache  # asked for at every batch
-def _digest(kind: str, lanes: int, mechanism: Kind, toolchain: str) -> str:
-    return digest(kind, lanes, mechanism, toolchain)
+    return digest(kind, simd_layout.LANES, data.kind_of(dynamics), toolchain_digest(_SOURCES))
 
 
 def build(name: str, kind: str, text: str, system: str) -> Path:

@@ -20,8 +20,8 @@ Checked in tests/multibody/forces/test_laws.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -31,7 +31,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, user_line
 from torchmbd.math.checked_numbers import reals, scalar
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
-from torchmbd.math.pair import linear
+from torchmbd.math.pair import Pair, linear
 from torchmbd.math.torch_law import require_differentiable
 from torchmbd.multibody.joints.laws import finite
 
@@ -268,6 +268,8 @@ def check_law(name: str, law: Any) -> Any:
     """The law as it is, after one evaluation at zero; InputError names its force element."""
     if not callable(law):
         raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
+    if data_fields(law):
+        check_data_fields(name, law)
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
     f = evaluate_law(name, law, zero, zero, zero[0, 0, 0])
     if not isinstance(f, Tensor) or f.shape != zero.shape or not bool(torch.isfinite(f).all()):
@@ -282,6 +284,35 @@ def check_law(name: str, law: Any) -> Any:
             "allowed: a torch function of (s, s', t), or mbd.forces.Table of points",
         )
     return law
+
+
+def check_data_fields(name: str, law: Any) -> None:
+    """InputError for a law whose `data_fields` cannot be data of compiled code."""
+    names, kind = data_fields(law), type(law)
+    places = {f.name for f in fields(law)} if is_dataclass(law) else set()
+    rule = "a frozen dataclass with data_fields, a tuple of names of its fields, and slopes(s, s', t)"
+    if not isinstance(names, tuple) or not set(names) <= places:
+        raise InputError(f"data_fields of the law of {name!r} ({kind.__name__}) are {names!r}; allowed: {rule}")
+    if isinstance(law, Scaled):
+        return
+    inner = getattr(law, "law", None) if "law" not in names else None
+    others = {x: getattr(law, x) for x in places - {*names}}
+    if not hasattr(law, "slopes") or callable(inner) or not all(isinstance(x, Hashable) for x in others.values()):
+        raise InputError(
+            f"the law of {name!r} ({kind.__name__}) has data_fields, but no slopes, or a field that holds a law or a list; "
+            f"allowed: {rule}; a tuple for a list; mbd.forces.Scaled around another law"
+        )
+    numbers = {x: getattr(law, x) for x in names}
+    numbers = {x: y.item() if isinstance(y, Tensor) and y.numel() == 1 else y for x, y in numbers.items()}
+    plain: Any = replace(law, **numbers)  # pyright: ignore[reportArgumentType]
+    state = torch.zeros(1, 2, 1, dtype=torch.float64)
+    try:
+        plain(Pair(state), Pair(state), state[0, 0, 0])
+    except TypeError as error:
+        raise InputError(
+            f"the law of {name!r} ({kind.__name__}) has data_fields and does not take pairs of a number and its tangents: "
+            f"{error} in {user_line(error)}; allowed: + - * / and the functions of torchmbd.math.elementwise"
+        ) from error
 
 
 def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:

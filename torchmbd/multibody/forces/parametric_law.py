@@ -17,7 +17,7 @@ from typing import Any
 from torch import Tensor, nn
 
 from torchmbd.math.variable import ParameterVector, is_variable, law_key
-from torchmbd.multibody.forces.laws import OfTime, Scaled, data_fields
+from torchmbd.multibody.forces.laws import OfTime, Scaled, check_data_fields, data_fields
 from torchmbd.multibody.joints.laws import finite
 
 
@@ -52,6 +52,8 @@ class LawVariables:
 
     def law(self, law: Any, **names: str) -> Any:
         """The law with its numbers checked; design variables get the names of their fields, or those of field -> name."""
+        if data_fields(law):
+            check_data_fields(self.name, law)
         labels = {field: names.get(field, field) for field in data_fields(law)}
         numbers = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in labels.items()}
         rows = tuple((field, self._row(labels[field], x)) for field, x in numbers.items() if is_variable(x))

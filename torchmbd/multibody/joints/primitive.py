@@ -78,7 +78,7 @@ class Primitive:
     @cached_property
     def numbers(self) -> Any:
         """The constants [constants, n, 1, 1]; compiled code takes them as data."""
-        rows = torch.tensor(self.data, dtype=torch.float64).reshape(-1, self.constants)
+        rows = torch.tensor(self.data, dtype=torch.float64).reshape(len(self.data), self.constants)
         return rows.T[..., None, None]
 
     @property

@@ -5,6 +5,7 @@ Checked in tests/multibody/system/.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
@@ -13,6 +14,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.gradients import refuse_gradients
 from torchmbd.multibody.bodies import Ground
 from torchmbd.multibody.forces.action import KINDS as ACTIONS
 from torchmbd.multibody.forces.action import Action
@@ -110,7 +113,20 @@ def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _check_kinds(joint, list(joint.equations(attachments)), Primitive, KINDS)
+    equations = _check_kinds(joint, list(joint.equations(attachments)), Primitive, KINDS)
+    for equation in equations:
+        if equation.kind.constants:
+            _check_constants(joint.name, equation)
+    return equations
+
+
+def _check_constants(name: str, equation: Equation) -> None:
+    """InputError unless an equation has as many finite numbers as its kind takes."""
+    count, kind = equation.kind.constants, equation.kind.__name__.lower()
+    refuse_gradients(f"a constant of {name!r} ({kind})", equation.data)
+    values = equation.data if isinstance(equation.data, (tuple, list)) else (equation.data,)
+    if len(values) != count or not all(is_real(x) and math.isfinite(x) for x in values):
+        raise InputError(f"constants of {name!r} ({kind}) are {equation.data!r}; allowed: {count} finite numbers")
 
 
 def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
