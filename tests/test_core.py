@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 ROOT = Path(__file__).parents[1]
 SHORT = ["simulate.steps=400", "starts.count=1", "optimizer.max_iterations=2", "options.cells=[6, 2]"]
@@ -21,11 +22,17 @@ def core(tmp_path, empty_store):
     for folder in ("torchmbd", "configs/slider_crank"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=leave)
     shutil.copy(empty_store, tmp_path / "mlflow.db")
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "TORCHMBD_COMPILE": "0"}
+    path = os.pathsep.join([str(tmp_path), str(Path(torch.__file__).parents[1])])
+    environment = {**os.environ, "PYTHONPATH": path, "TORCHMBD_COMPILE": "0"}
 
     def run(*words: str) -> str:
         done = subprocess.run(
-            [sys.executable, *words], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+            [sys.executable, "-S", *words],  # -S: an editable install would find the folder where it stands
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
