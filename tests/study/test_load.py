@@ -273,6 +273,122 @@ def test_names_of_the_model_are_checked_beside_faults_of_the_schema(write):
     assert sorted(fault.path[0] for fault in found) == ["minimize", "simulate"]
 
 
+PLIES = {"lower": -90, "upper": 90, "unit": "deg"}
+THICKNESS = {"lower": 1, "upper": 5, "unit": "mm"}
+PAIR = {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1}}
+ENERGY = {"max": {"strain_energy": "rod"}}
+
+
+@pytest.mark.parametrize(
+    ("sections", "expected"),
+    [
+        (
+            {"design": {"rod.laminate.foo": THICKNESS, "rod.laminate.angles": {"start": [95, -45]} | PLIES}},
+            {"design.rod.laminate.foo": "does not exist", "design.rod.laminate.angles.start": "must lie between"},
+        ),
+        (
+            {"design": {"rod.laminate.thickness": 3, "rod.laminate.angles": {"start": [95, -45]} | PLIES}},
+            {"design.rod.laminate.thickness": "mapping", "design.rod.laminate.angles.start": "must lie between"},
+        ),
+        (
+            {"design": {"rod.laminate.angles": {"start": [1, 2, 3], "lower": -90, "unit": "deg"}}},
+            {"design.rod.laminate.angles.upper": "is missing", "design.rod.laminate.angles.start": "has 3 values"},
+        ),
+        (
+            {
+                "design": {"rod.laminate.angles": {"start": [45, -45]} | PLIES},
+                "links": {"rod.laminate.angles[1]": {"rod.laminate.angles[5]": -1}},
+            },
+            {
+                "design.rod.laminate.angles.start": "has 2 values; allowed: 1",
+                "links.rod.laminate.angles[1].rod.laminate.angles[5]": "follows none itself",
+            },
+        ),
+        (
+            {"links": {"rod.laminate.angles[7]": {"constant": 1}, "rod.laminate.angles[1]": {"x": 1, "y": 1}}}
+            | {"design": {"rod.laminate.angles": PLIES}},
+            {
+                "links.rod.laminate.angles[7]": "is no entry of a design variable",
+                "links.rod.laminate.angles[1].x": "x is no entry",
+                "links.rod.laminate.angles[1].y": "y is no entry",
+            },
+        ),
+        (
+            {"design": {"rod.laminate.angles": {"start": [45, -45], "unit": "deg"}}, "links": PAIR},
+            {
+                "design.rod.laminate.angles.start": "has 2 values; allowed: 1",
+                "design.rod.laminate.angles.lower": "is missing; allowed: a number",
+                "design.rod.laminate.angles.upper": "is missing; allowed: a number",
+            },
+        ),
+        (
+            {
+                "scenarios": [
+                    {"set": {"crank.mas": 1.0}},
+                    {"options": {"cells": 0}},
+                    {"options": {"cels": 1}},
+                    {"set": {"rod.laminate.angles": [1, 2]}},
+                    {"weight": -1, "options": {"payload": 1.0}},
+                ]
+            },
+            {
+                "scenarios.0.set.crank.mas": "does not exist",
+                "scenarios.1.options": "cells",
+                "scenarios.2.options.cels": "unknown option",
+                "scenarios.3.set.rod.laminate.angles": "is an angle without a unit",
+                "scenarios.4.weight": "must be greater than or equal to 0",
+            },
+        ),
+        (
+            {"design": {"rod.laminate.thickness": PLIES, "rod.laminate.angles": THICKNESS}},
+            {"design.rod.laminate.thickness.unit": "= 'deg'", "design.rod.laminate.angles.unit": "= 'mm'"},
+        ),
+        (
+            {"subject_to": [ENERGY, {"max": {"strain_energy": "rood"}, "at_most": 1.0}]},
+            {"subject_to.0": "has no limit", "subject_to.1.max.strain_energy": "'rood' does not exist"},
+        ),
+        (
+            {"minimize": None, "tradeoff": {"a": {"mas": "rod"}, "b": {"mass": "rood"}}},
+            {"tradeoff.a.mas": "did you mean 'mass'", "tradeoff.b.mass": "'rood' does not exist"},
+        ),
+        (
+            {
+                "design": {"rod.laminate.angles": {"start": [95, 1]} | PLIES},
+                "starts": {"sampler": "given", "points": [[1], [1, 2]]},
+            },
+            {"design.rod.laminate.angles.start": "must lie between", "starts.points.0": "has 1 values"},
+        ),
+    ],
+)
+def test_a_fault_hides_no_other(write, sections, expected):
+    """Of variables, links, scenarios and constraints, each is checked whatever is wrong with the others."""
+    found = {".".join(map(str, fault.path)): fault.text for fault in faults(write(**sections))}
+    assert found.keys() == expected.keys()
+    for path, words in expected.items():
+        assert words in found[path]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "rod.laminate.angles",
+            "is no single design variable; allowed: rod.laminate.angles[0], rod.laminate.angles[1]",
+        ),
+        ("rod.laminate.angle[0]", "did you mean 'rod.laminate.angles[0]'?"),
+        ("rod.laminate.angles[1]", "(95 deg): must lie between"),
+    ],
+)
+def test_a_fault_of_a_sweep_stands_at_the_sweep(write, name, words):
+    """Also beside a fault of another section."""
+    sweep = {"optimizer": None, "starts": None, "sweep": {name: {"from": -10, "to": 95, "count": 3}}}
+    [fault] = faults(write(**sweep))
+    assert fault.path == ("sweep", name)
+    assert words in fault.text
+    both = faults(write(**sweep, minimize={"max": {"strain_energy": "rood"}}))
+    assert [other.path[0] for other in both] == ["minimize", "sweep"]
+
+
 def test_a_fault_of_an_override_names_the_override(write):
     (fault,) = faults(write(), "optimizer.max_iterations=many")
     assert str(fault).startswith("in override 'optimizer.max_iterations=many': optimizer.max_iterations = 'many'")

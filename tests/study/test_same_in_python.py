@@ -239,7 +239,7 @@ LINK = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
         ),
         (
             {"links": LINK, "design": {ANGLES: {"unit": "deg"}}},
-            rf"line \d+: design.{ANGLES}: {ANGLES} has no lower or no upper; allowed: two numbers",
+            rf"line \d+: design.{ANGLES}.lower is missing; allowed: a number\n.*{ANGLES}.upper is missing",
         ),
         (
             {

@@ -21,7 +21,7 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, latin_hypercube, sobol
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
-from torchmbd.study.schema import UNITS, Combine, Optimizer, StudyFile, Variable
+from torchmbd.study.schema import UNITS, Combine, Optimizer, Range, StudyFile, Variable
 from torchmbd.study.settings import Origin, StudySettings
 
 S = TypeVar("S", bound=StudySettings)
@@ -59,7 +59,7 @@ def study_of(
         file.stem,
         max_iterations=optimizer.max_iterations,
         increments={name: float(step) for name, step in zip(space.names, steps, strict=True) if step},
-        sweep=_sweep(data),
+        sweep=None if data.sweep is None else sweep_in_si(data.design, data.sweep),
         question="" if asked == QUESTION_MISSING else asked,
         units={name: data.design[name].unit for name in {label.rpartition("[")[0]: None for label in space.names}},
         experiment=data.tracking.experiment,
@@ -143,9 +143,7 @@ def _starts(data: StudyFile, problem: Problem | Tradeoff, names: Sequence[str]) 
     return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)
 
 
-def _sweep(data: StudyFile) -> dict[str, tuple[float, float, int]] | None:
-    if data.sweep is None:
-        return None
-    [(name, span)] = data.sweep.items()
-    factor = factor_of(data.design, name)
-    return {name: (span.first * factor, span.last * factor, span.count)}
+def sweep_in_si(design: Mapping[str, Variable], sweep: Mapping[str, Range]) -> dict[str, tuple[float, float, int]]:
+    """Return entry -> (first value, last value [SI], count)."""
+    factors = {name: factor_of(design, name) for name in sweep}
+    return {name: (span.first * factors[name], span.last * factors[name], span.count) for name, span in sweep.items()}

@@ -6,7 +6,7 @@ Checked in tests/contracts/test_file_mistakes.py, tests/study/test_load.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path as FilePath
@@ -17,12 +17,14 @@ import numpy as np
 from torchmbd.design.problem_parts import require_duration
 from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
 from torchmbd.design.scenario_settings import settings_of
-from torchmbd.design.space import DesignSpace
+from torchmbd.design.space import CONSTANT, DesignSpace
 from torchmbd.errors import InputError
 from torchmbd.integrate.arguments import check_gradients, checked_integrator, start_of
 from torchmbd.integrate.segment import segments_of
+from torchmbd.integrate.simulate import entry_labels
+from torchmbd.math import units
 from torchmbd.multibody.system import System
-from torchmbd.study.assemble import in_si, links_in_si, point_in_si
+from torchmbd.study.assemble import in_si, links_in_si, point_in_si, sweep_in_si
 from torchmbd.study.file_errors import Fault, Lines, Path, mentioned, shown
 from torchmbd.study.model import (
     build_model,
@@ -35,6 +37,8 @@ from torchmbd.study.model import (
 )
 from torchmbd.study.scenario_keys import Scenario
 from torchmbd.study.schema import OBJECTIVE_KEYS, Simulation, Variable
+from torchmbd.study.settings import sweep_values
+from torchmbd.study.validation import MISSING_BOUND
 
 Sections = Mapping[str, Any]
 NOUNS = {"lower": "lower bound", "upper": "upper bound", "start": "start", "tolerance": "tolerance", "step": "step"}
@@ -57,7 +61,8 @@ class Faults(list[Fault]):
         except InputError as error:
             below = {key: line for key, line in self.lines.items() if key[: len(path)] == path}
             text = str(error)
-            self.append(Fault(mentioned(text, below) or path, text if text.startswith("= ") else f": {text}"))
+            fault = Fault(mentioned(text, below) or path, text if text.startswith("= ") else f": {text}")
+            self += [fault] * (fault not in self)
 
 
 def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
@@ -91,7 +96,10 @@ def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
 
 
 def section_faults(sections: Sections, system: System | None, folder: FilePath, lines: Lines) -> list[Fault]:
-    """Return what the constructors refuse in the valid sections of a file; `system`: of its model, None if there is none."""
+    """Return what the constructors refuse in the valid sections and entries of a file, see validation.py.
+
+    system  of its model, None if there is none
+    """
     faults = Faults(lines)
     simulate: Simulation | None = sections.get("simulate")
     if simulate is not None:
@@ -117,8 +125,8 @@ def _add_responses(faults: Faults, sections: Sections, system: System, folder: F
     specs: list[tuple[Mapping[str, Any], Path]] = [
         (sections[key], (key,)) for key in OBJECTIVE_KEYS[:-1] if sections.get(key) is not None
     ]
-    specs += [(spec, ("tradeoff", name)) for name, spec in (sections.get("tradeoff") or {}).items()]
-    specs += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
+    specs += [(x, ("tradeoff", name)) for name, x in (sections.get("tradeoff") or {}).items() if x is not None]
+    specs += [(x.measure, ("subject_to", k)) for k, x in enumerate(sections.get("subject_to") or ()) if x is not None]
     read = partial(measure_of, find=partial(find_response, folder=folder))
     for part, place in (operand for spec, path in specs for operand in terms(spec, path)):
         with faults.at(*place):
@@ -130,36 +138,76 @@ def _add_responses(faults: Faults, sections: Sections, system: System, folder: F
 
 
 def _add_design(faults: Faults, sections: Sections, system: System) -> None:
-    """Add the faults of design variables, links and start points."""
-    design, before = sections["design"], len(faults)
-    for name in design:
+    """Add the faults of design variables, links, start points and a sweep.
+
+    Numbers of a variable are checked whatever is wrong with others: which entries have some depends on what follows, not
+    on what it follows. A link, a start point and a sweep are checked where all variables are known that they may name.
+    """
+    design: Mapping[str, Variable | None] = sections["design"]
+    known: dict[str, Variable] = {}
+    for name, variable in design.items():
         with faults.at("design", name):
             DesignSpace(system, [name])
-    if "links" not in sections or len(faults) > before:
+            if variable is not None and (text := units.misfit(name, variable.unit)):
+                faults.append(Fault(("design", name, "unit"), f"= {variable.unit!r}: {text}"))
+            elif variable is not None:
+                known[name] = variable
+    if "links" not in sections or not known:
         return
-    make = partial(DesignSpace, system, list(design), links=links_in_si(design, sections["links"]))
-    space = None
+    links, entries = sections["links"], list(entry_labels(system, list(known)))
+    followers = {entry: {CONSTANT: 0.0} for entry in links if entry in entries}
+    if len(followers) == len(entries) and len(known) < len(design):
+        return
+    space = partial(DesignSpace, system, list(known))
+    unlinked = None
     with faults.at("links"):
-        space = make()
-    if space is None:
+        unlinked = space(links=followers)
+    if unlinked is None:
         return
-    zeros = np.zeros(len(space.names))
-    for name, variable in design.items():
-        alone = {name: variable}
+    unknown = design.keys() - known.keys()
+    for follower, leaders in links_in_si(known, {key: x for key, x in links.items() if x is not None}).items():
+        for leader, factor in leaders.items():
+            if unknown.isdisjoint(entry.rpartition("[")[0] for entry in (follower, leader)):
+                with faults.at("links", follower):
+                    space(links=followers | {follower: {leader: factor}})
+    make, valid = partial(space, links=followers), {}
+    for name, variable in known.items():
+        of_numbers = _number_faults(name, variable, make, unlinked, bool(links))
+        faults += of_numbers
+        if not of_numbers:
+            valid[name] = variable
+    if not unknown:
+        whole = make(bounds=(in_si(valid, "lower"), in_si(valid, "upper")), start=in_si(valid, "start"))
+        _add_points(faults, sections, whole)
+
+
+def _number_faults(
+    name: str, variable: Variable, make: Callable[..., DesignSpace], space: DesignSpace, linked: bool
+) -> list[Fault]:
+    """Return the faults of the numbers of a design variable; `make`: its space, with bounds and start; `space`: without."""
+    alone, zeros = {name: variable}, np.zeros(len(space.names))
+    of_keys = [_design_fault(name, variable, partial(space.vector, NOUNS[k], in_si(alone, k), zeros)) for k in NOUNS]
+    if not any(of_keys):
         start, lower, upper = (in_si(alone, key) for key in ("start", "lower", "upper"))
-        wrong = [_design_fault(name, variable, partial(space.vector, NOUNS[k], in_si(alone, k), zeros)) for k in NOUNS]
-        if not any(wrong):
-            pairs = {name: (lower.get(name, -np.inf), upper.get(name, np.inf))} if lower or upper else {}
-            wrong = [_design_fault(name, variable, partial(make, bounds=pairs, start=start))]
-        faults += [fault for fault in wrong if fault is not None]
-    starts = sections.get("starts")
-    if len(faults) == before and starts is not None:
-        whole = make(bounds=(in_si(design, "lower"), in_si(design, "upper")), start=in_si(design, "start"))
-        for k, point in enumerate(starts.points or ()):
-            try:
-                whole.point("start", point_in_si(design, whole.names, point), zeros)
-            except InputError as error:
-                faults.append(Fault(("starts", "points", k), f"= {point}: {str(error).removeprefix('start ')}"))
+        pairs = {name: (lower.get(name, -np.inf), upper.get(name, np.inf))} if lower or upper else {}
+        of_keys = [_design_fault(name, variable, partial(make, bounds=pairs, start=start))]
+    faults = [fault for fault in of_keys if fault is not None]
+    if linked and variable.lower is variable.upper is None and any(x.rpartition("[")[0] == name for x in space.names):
+        faults += [Fault(("design", name, key), MISSING_BOUND) for key in ("lower", "upper")]
+    return faults
+
+
+def _add_points(faults: Faults, sections: Sections, space: DesignSpace) -> None:
+    """Add the faults of start points and of a sweep, in a space of all variables."""
+    design, starts, sweep = sections["design"], sections.get("starts"), sections.get("sweep")
+    for k, point in enumerate(() if starts is None else starts.points or ()):
+        try:
+            space.point("start", point_in_si(design, space.names, point), np.zeros(len(space.names)))
+        except InputError as error:
+            faults.append(Fault(("starts", "points", k), f"= {point}: {str(error).removeprefix('start ')}"))
+    for name, span in sweep_in_si(design, sweep or {}).items():
+        with faults.at("sweep", name):
+            sweep_values(name, span, space.names, space.lower, space.upper)
 
 
 def _design_fault(name: str, variable: Variable, construct: Any) -> Fault | None:
@@ -185,8 +233,10 @@ def _design_fault(name: str, variable: Variable, construct: Any) -> Fault | None
 
 def _add_scenarios(faults: Faults, sections: Sections, system: System, folder: FilePath) -> None:
     """Add the faults of scenarios: options that cannot be built, parameters that they cannot set."""
-    scenarios: Sequence[Scenario] = sections.get("scenarios") or ()
+    scenarios: Sequence[Scenario | None] = sections.get("scenarios") or ()
     for k, scenario in enumerate(scenarios):
+        if scenario is None:
+            continue
         variant, path, before = system, ("scenarios", k), len(faults)
         options = {**sections["options"], **scenario.options}
         builder = find_model(sections["model"], folder)

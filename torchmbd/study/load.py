@@ -49,14 +49,15 @@ def study_of_document(
             return FiguresPlan(Figures(**sections), path, overrides)
         raise StudyError(document.source, located(faults, lines))
     system, of_model = built_system(sections, folder)
-    faults += method_faults(sections) + of_model
+    of_keys = method_faults(sections) + of_model
+    faults += of_keys
     refusal = None
     if system is not None and not faults:
         try:
             return study_of(StudyFile.model_construct(**sections), system, path, overrides, kind)
         except InputError as error:
             refusal = error
-    wrong = {fault.path[0] for fault in faults if fault.path}
+    wrong = {fault.path[0] for fault in of_keys}
     faults += section_faults({key: x for key, x in sections.items() if key not in wrong}, system, folder, lines)
     if refusal is not None and not faults:  # of the study as a whole
         faults = [Fault(mentioned(str(refusal), lines), f": {refusal}")]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.design import Tradeoff
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, nearest, unknown
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts
@@ -153,15 +153,7 @@ class StudySettings(Summary):
         if self.has_extra_variable:
             raise InputError("minimize has several rows; allowed in a sweep: one number, such as max")
         [(name, span)] = spans.items()
-        index = _swept_index(name, list(self.problem.names))
-        first, last, count = span
-        for what, value in (("first value", first), ("last value", last)):
-            require_range(f"{what} of sweep", value, -np.inf, np.inf)
-        require_count("count of sweep", count, 2, 100_000)
-        low, high = (np.asarray(x)[[index]] for x in (self.problem.lower, self.problem.upper))
-        for value in (first, last):
-            require_inside("sweep", [name], low, np.array([value]), high, shown)
-        return index, np.linspace(first, last, count)
+        return sweep_values(name, span, self.problem.names, self.problem.lower, self.problem.upper)
 
     @property
     def simulated(self) -> Any:
@@ -225,12 +217,28 @@ class StudySettings(Summary):
         return data | {"tracking": {"experiment": self.experiment}}
 
 
-def _swept_index(name: str, names: Sequence[str]) -> int:
-    """Return the index of a swept variable, named by its label or by a parameter of one entry."""
+def sweep_values(
+    name: str, span: tuple[float, float, int], names: Sequence[str], lower: Any, upper: Any
+) -> tuple[int, np.ndarray]:
+    """Return the index of a swept variable and its values; InputError for what names no variable, or leaves its bounds.
+
+    name          label of the variable, or its parameter if that has one entry
+    span          first and last value [SI], count
+    names         labels of all variables
+    lower, upper  their bounds [n]
+    """
     entries = [k for k, label in enumerate(names) if name in (label, label.rpartition("[")[0])]
     if len(entries) != 1:
-        raise unknown("swept variable", name, names)
-    return entries[0]
+        raise InputError(f"swept variable {name!r} is no single design variable{nearest(name, names)}")
+    [index] = entries
+    first, last, count = span
+    for what, value in (("first value", first), ("last value", last)):
+        require_range(f"{what} of sweep", value, -np.inf, np.inf)
+    require_count("count of sweep", count, 2, 100_000)
+    low, high = (np.asarray(x)[[index]] for x in (lower, upper))
+    for value in (first, last):
+        require_inside("sweep", [name], low, np.array([value]), high, shown)
+    return index, np.linspace(first, last, count)
 
 
 def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None:

@@ -1,7 +1,7 @@
 """Validation of the data of an experiment file: its valid sections, and the faults of the others.
 
 Messages of pydantic are rewritten: the path as an override spells it, the value, what is allowed and the nearest valid name.
-Where one section is faulty, each of the others is validated by itself.
+Where one section is faulty, each of the others is validated by itself, and so is each entry of a section of several.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ _ALLOWED = {
     "count": "a whole number",
     **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
 }
+#: Sections of several entries, each of which can be checked alone.
+_OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
+MISSING_BOUND = f"is missing; allowed: {_ALLOWED['lower']}"
 
 
 def kind_of(data: Any) -> type[StudyFile] | type[Figures]:
@@ -39,24 +42,29 @@ def kind_of(data: Any) -> type[StudyFile] | type[Figures]:
 
 
 def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, Any], list[Fault]]:
-    """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be."""
+    """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be.
+
+    Of a section with faulty entries, such as scenarios, these are None, and the others valid. A missing bound alone makes
+    no section invalid: the other numbers of the variable can be checked.
+    """
     kind = kind or kind_of(data)
     if not isinstance(data, dict):
         keys = ", ".join(f"{key}:" for key in _keys((), kind))
         return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
-    faults = _missing_bounds(data) if kind is StudyFile else []
+    missing = _missing_bounds(data) if kind is StudyFile else []
     try:
-        valid = dict(kind.model_validate(data))
-        if not faults:
-            return valid, []
+        return dict(kind.model_validate(data)), missing
     except ValidationError as error:
-        faults += _faults(error, data, kind)
+        faults = _faults(error, data, kind)
     sections: dict[str, Any] = {}
     for name in kind.model_fields:
-        if not any(fault.path[:1] == (name,) for fault in faults):
+        paths = [fault.path for fault in faults if fault.path[:1] == (name,)]
+        if not paths:
             alone = _alone(kind, name).model_validate({name: data[name]} if name in data else {})
             sections[name] = getattr(alone, name)
-    return sections, faults
+        elif name in _OF_ENTRIES and all(len(path) > 1 for path in paths):
+            sections[name] = _entries(kind, name, data[name], {path[1] for path in paths})
+    return sections, missing + faults
 
 
 def _missing_bounds(data: dict[Any, Any]) -> list[Fault]:
@@ -66,7 +74,7 @@ def _missing_bounds(data: dict[Any, Any]) -> list[Fault]:
     for name, variable in design.items() if isinstance(design, dict) else ():
         missing = [key for key in ("lower", "upper") if isinstance(variable, dict) and key not in variable]
         if len(missing) == 1 or not links:
-            faults += [Fault(("design", name, key), f"is missing; allowed: {_ALLOWED[key]}") for key in missing]
+            faults += [Fault(("design", name, key), MISSING_BOUND) for key in missing]
     return faults
 
 
@@ -78,6 +86,14 @@ def _alone(kind: type[Section], name: str) -> type[Section]:
         name: (field.rebuild_annotation(), field.get_default(call_default_factory=True, validated_data={}))
     }
     return create_model(name, __base__=Section, **fields)
+
+
+def _entries(kind: type[Section], name: str, data: Any, wrong: set[str | int]) -> Any:
+    """Return the entries of a section, None for those that are `wrong`."""
+    entry = create_model(name, __base__=Section, entry=(get_args(_plain(kind.model_fields[name].annotation))[-1], ...))
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    valid = {key: None if key in wrong else dict(entry.model_validate({"entry": x}))["entry"] for key, x in items}
+    return valid if isinstance(data, dict) else list(valid.values())
 
 
 def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Fault]:
