@@ -227,3 +227,19 @@ def test_a_variable_as_a_constant_is_refused():
     ground, bob = mbd.Ground(), box("bob")
     with pytest.raises(mbd.InputError, match=r"constant of 'large' \(onellipse\) carries a gradient"):
         mbd.System([bob], [Ellipse(ground.at(), bob.at(), (mbd.variable(1.0), 2.0), name="large")])
+
+
+@dataclass(frozen=True)
+class Switched(Cubic):
+    """A cubic law that acts from t = 0.05 s on."""
+
+    def __call__(self, s, rate, t):
+        return Cubic.__call__(self, s, rate, t) * (1.0 if float(t.flatten()[0]) > 0.05 else 0.0)
+
+
+def test_a_law_with_data_fields_that_jumps_in_time_is_told():
+    ground, bob = mbd.Ground(), box("bob", position=(1.0, 0.0, 0.0))
+    spring = mbd.SpringDamper(ground.at(), bob.at(), law=Switched(3.0, 0.5), name="spring")
+    system = mbd.System([bob], [mbd.Prismatic(ground.at(), bob.at(), axis="x")], [spring])
+    with pytest.warns(UserWarning, match=r"'spring' jumps"):
+        mbd.simulate(system, 0.1, steps=40, backend="eager", gradients="none")

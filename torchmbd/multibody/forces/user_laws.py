@@ -77,20 +77,25 @@ def is_library_law(law: Any) -> bool:
     """Whether a law is of this library and contains no function of a user."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return is_library_law(law.law)
-    return bool(data_fields(law)) or (type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None)))
+    return type(law) in (TracedLaw, *LAWS) and not callable(getattr(law, "law", None))
+
+
+def _is_native(law: Any) -> bool:
+    """Whether native code takes a law as it is: one of this library, or one of a user that names its data."""
+    return is_library_law(law) or (bool(data_fields(law)) and not isinstance(law, Scaled))
 
 
 def traceable_part(law: Any) -> Any:
     """A law of this library as it is, others traced; Untraceable where that is not possible."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return replace(law, law=traceable_part(law.law))
-    return law if is_library_law(law) else trace_law(law)
+    return law if _is_native(law) else trace_law(law)
 
 
 def native_law(law: Any) -> Any:
     """The law in a form for native code: of this library, traced, or called back. Untraceable for a law with design variables
     that cannot be traced."""
-    if isinstance(law, Port) or is_library_law(law):
+    if isinstance(law, Port) or _is_native(law):
         return law
     if isinstance(law, ParametricLaw):
         return traceable_part(law)
