@@ -257,7 +257,10 @@ class Friction:
 
 
 # What of a law of a force may be a design variable; part of messages.
-VARIABLES = "numbers of a Spring, the factor of Scaled and data_fields of a law, given to a force element as mbd.variable(...); constant tensors"
+VARIABLES = (
+    "numbers of a Spring, the factor of Scaled and data_fields of a law, given to a force element as mbd.variable(...); "
+    "constant tensors"
+)
 
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 
