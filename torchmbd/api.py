@@ -60,6 +60,7 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
+from torchmbd.identification import Channel, Experiment, Identification, TimeSeries, identify
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -180,6 +181,7 @@ __all__ = [
     "BucklingIndex",
     "Bushing",
     "Chain",
+    "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
@@ -194,6 +196,7 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
+    "Experiment",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -205,6 +208,7 @@ __all__ = [
     "GivenSection",
     "Ground",
     "History",
+    "Identification",
     "InputError",
     "Integral",
     "Interface",
@@ -250,6 +254,7 @@ __all__ = [
     "Strength",
     "Study",
     "System",
+    "TimeSeries",
     "Torque",
     "Tradeoff",
     "Trajectory",
@@ -265,6 +270,7 @@ __all__ = [
     "examples",
     "forces",
     "history",
+    "identify",
     "latin_hypercube",
     "load",
     "measure",
