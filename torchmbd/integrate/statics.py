@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.outputs import Outputs
@@ -191,6 +191,7 @@ class StaticIntegration:
                 raise InputError(balance.failure + (f" ({where.strip()})" if where else ""))
 
 
+@checked_signature
 @exclusive
 def equilibrium(
     system: System,
