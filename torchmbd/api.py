@@ -96,7 +96,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Buckling, buckling
+from torchmbd.multibody.statics import Buckling, Vibrations, buckling, frequencies
 from torchmbd.multibody.system import Chain, Dynamics, System, split
 from torchmbd.optimization import (
     OptimizationResult,
@@ -255,6 +255,7 @@ __all__ = [
     "Trajectory",
     "Universal",
     "Velocity",
+    "Vibrations",
     "WeightedSum",
     "buckling",
     "craig_bampton",
@@ -264,6 +265,7 @@ __all__ = [
     "equilibrium",
     "examples",
     "forces",
+    "frequencies",
     "history",
     "latin_hypercube",
     "load",
