@@ -95,7 +95,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Buckling, buckling
+from torchmbd.multibody.statics import Buckling, Vibrations, buckling, frequencies
 from torchmbd.multibody.system import Chain, Dynamics, System, split
 from torchmbd.optimization import (
     OptimizationResult,
@@ -256,6 +256,7 @@ __all__ = [
     "Trajectory",
     "Universal",
     "Velocity",
+    "Vibrations",
     "WeightedSum",
     "buckling",
     "craig_bampton",
@@ -265,6 +266,7 @@ __all__ = [
     "equilibrium",
     "examples",
     "forces",
+    "frequencies",
     "history",
     "latin_hypercube",
     "load",
