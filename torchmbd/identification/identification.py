@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, checked_signature, nearest
 from torchmbd.identification.fit_problem import FitProblem, Residuals
 from torchmbd.identification.least_squares import Fit, FitSettings
 from torchmbd.identification.profile import profile_interval
@@ -63,6 +63,7 @@ class ChannelFit:
     note: str = ""
 
 
+@checked_signature
 @dataclass(eq=False, repr=False)
 class Identification(Summary):
     """A model fitted to measurements.

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, one_of
+from torchmbd.errors import InputError, checked_signature, one_of
 from torchmbd.identification.experiment import Experiment
 from torchmbd.identification.fit_problem import FitProblem
 from torchmbd.identification.identification import Identification, best_first
@@ -38,6 +38,7 @@ _TO_NORMAL = 1.4826  # deviation of a normal distribution over the median of abs
 _LEAST_DEVIATION = 1e-12  # of the data of a channel: of a model that fits to rounding
 
 
+@checked_signature
 def identify(
     experiments: Experiment | Sequence[Experiment] | Mapping[str, Experiment],
     unknowns: Sequence[str] = (),

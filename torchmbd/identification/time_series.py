@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.curve import curve_of
 from torchmbd.design.spline import Spline
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.identification.channel import SENSOR, Channel, channels_of
 from torchmbd.identification.measurement import Block, Limits, Measurement, Prediction, number_of
 from torchmbd.identification.run import Run
@@ -40,6 +40,7 @@ class Samples:
     outside: int = 0
 
 
+@checked_signature
 class TimeSeries(Measurement):
     """Channels measured over time.
 
