@@ -6,6 +6,7 @@ One test over a registry of systems: a new kind of parameter is a line in `SYSTE
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -13,8 +14,8 @@ from torch import nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import CARBON, GRAVITY, INERTIA, SOFT, box, laminate, plate, tensor, turned
-from tests.sensitivity.number_cases import beam, check, check_native, hung, number, ply
+from tests.mechanisms import GRAVITY, INERTIA, SOFT, box, laminate, plate, tensor, turned
+from tests.sensitivity.number_cases import beam, check, check_native, hung, ply
 
 pytestmark = [
     pytest.mark.usefixtures("compiled"),
@@ -89,7 +90,7 @@ def entries_of_a_section() -> mbd.System:
     stiffness = torch.diag(tensor(2.6e4, 8.2e3, 8.2e3, 0.23, 0.22, 0.86)).tolist()
     mass = torch.diag(tensor(0.32, 0.32, 0.32, 1.3e-5, 3e-6, 1e-5)).tolist()
     stiffness[3][4] = stiffness[4][3] = coupling
-    for k in (0, 3, 4, 5):
+    for k in (3, 4, 5):
         stiffness[k][k] = v(stiffness[k][k])
     mass[0][0] = mass[1][1] = mass[2][2] = v(0.32)
     return exact_beam(mbd.GivenSection(stiffness, mass))
@@ -126,7 +127,7 @@ def rubbing_joints() -> mbd.System:
     return mbd.System([arm, block], [hinge, slide], forces, gravity=GRAVITY)
 
 
-def exact_beam(section: mbd.GivenSection | None = None) -> mbd.System:
+def exact_beam(section: Any = None) -> mbd.System:
     """A beam of finite rotations, its damping, and a load."""
     numbers = RUBBER | {"area": 2e-4, "Iyy": 1.7e-9, "Izz": 6.7e-9, "J": 4.6e-9}
     section = section or mbd.GivenSection.isotropic(**numbers)
@@ -209,7 +210,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "negative stiffness": (lambda: mbd.Bushing(GROUND.at(), box("b").at(), v(-1.0)), "stiffness of .* is -1.0 N/m"),
     "negative damping": (lambda: mbd.Bushing(GROUND.at(), box("b").at(), 1.0, -2.0), "damping of .* is -2.0 N s/m"),
     "negative friction": (lambda: mbd.forces.Friction(v(-1.0), 0.1), "force of a Friction is -1.0"),
-    "damping time": (lambda: plate("p", damping=v(-1e-3)), "damping of 'p' is .*allowed: zero, or"),
+    "damping time": (lambda: plate("p", damping=v(-1e-3)), "damping of 'p' is .*allowed: zero or"),
     "damping rate": (lambda: plate("p").damped(0.0, rate=-1.0), "damping rate of 'p' is -1.0 1/s"),
     "damping ratio": (lambda: plate("p").damped(v(1.2)), "damping ratio of 'p' is .*allowed: a number from 0 to 1"),
     "modulus": (lambda: mbd.Ply.isotropic(v(-1.0), 0.3, 7850.0), r"E = -1\.0; allowed: a finite number > 0"),
@@ -261,7 +262,7 @@ def test_the_equations_as_a_module_have_the_gravity():
     turned_over = torch.func.functional_call(equations, {"gravity": up}, (torch.tensor(0.0), z))
     own = mbd.System(system.bodies, system.joints, gravity=up)()(torch.tensor(0.0), z)
     assert_close(turned_over, own, rtol=1e-12, atol=1e-12)
-    (g,) = torch.autograd.grad(equations(torch.tensor(0.0), z).square().sum(), [system.gravity])
+    (g,) = torch.autograd.grad(equations(torch.tensor(0.0), z).square().sum(), [system.get_parameter("gravity")])
     assert float(g.norm()) > 0.0
 
 

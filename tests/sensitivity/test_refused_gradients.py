@@ -204,7 +204,6 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "offset": lambda v: plate("p").at("left", offset=(v, 0.0, 0.0)),
     "weights": lambda v: plate("p").at([0, 1], weights=[v, 1.0]),
     "velocity ": lambda v: plate("p").moving((v, 0.0, 0.0)),
-    "damping": lambda v: plate("p", damping=v),
     "damping ratio": lambda v: plate("p").damped([v, v, v]),
     "length": lambda v: mbd.Distance(GROUND.at(), box("b").at(), length=v),
     "gravity": lambda v: mbd.System([box("b")], gravity=(0.0, 0.0, v), free=["b"]),
@@ -246,6 +245,8 @@ def test_a_number_without_a_gradient_refuses_a_variable(name, kind):
 
 
 TAKEN: dict[str, Callable[[Any], Any]] = {
+    "damping": lambda v: plate("p", damping=v),
+    "damping rate": lambda v: plate("p").damped(rate=v),
     "point on": lambda v: box("b").at(v, 0.0, 0.0),
     "length of BeamLine": lambda v: mbd.BeamLine.straight(v),
     "point": lambda v: GROUND.at(0.0, v, 0.0),

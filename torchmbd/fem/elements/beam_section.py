@@ -128,9 +128,10 @@ class _VaryingEntries:
         }
         for (i, j), x in entries.items():
             if entries.get((j, i)) is not x:
+                place, other = f"{i + 1},{j + 1}", f"{j + 1},{i + 1}"
                 raise InputError(
-                    f"{label} of a section: entry {i + 1},{j + 1} is a variable, and entry {j + 1},{i + 1} is not the same one; allowed: "
-                    "one variable in both places"
+                    f"{label} of a section: entry {place} is a variable, and entry {other} is not the same one; allowed: one "
+                    "variable in both places"
                 )
         plain = [[number(x) for x in row] for row in rows] if entries else matrix
         self.numbers = checked(label, plain.detach() if isinstance(plain, nn.Parameter) else plain)

@@ -32,16 +32,16 @@ from torchmbd.math.variable import check_positive, is_variable, number, stacked,
 
 
 class Lamina:
-    """What laminates and sections ask of a layer: its constants, and these two stiffnesses."""
+    """What laminates and sections ask of a layer: its constants, numbers or tensors, and these two stiffnesses."""
 
-    E1: float | Tensor
-    E2: float | Tensor
-    G12: float | Tensor
-    G13: float | Tensor
-    G23: float | Tensor
-    nu12: float | Tensor
-    density: float | Tensor
-    strength: Strength | None
+    E1: Any
+    E2: Any
+    G12: Any
+    G13: Any
+    G23: Any
+    nu12: Any
+    density: Any
+    strength: Any
 
     def plane_stiffness(self) -> Float[Tensor, "*lanes 3 3"]:
         """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
@@ -131,23 +131,22 @@ class IsotropicPly(Lamina):
     strength: Strength | None = None
 
     def __post_init__(self) -> None:
-        numbers = (number(x) for x in (self.E, self.nu, self.density))
-        Ply.isotropic(*numbers, self.strength)  # the checks of a ply
+        Ply.isotropic(number(self.E), number(self.nu), number(self.density), self.strength)  # the checks of a ply
 
     @property
-    def E1(self) -> float | Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def E1(self) -> float | Tensor:
         """[Pa]"""
         return self.E
 
     E2 = E1
 
     @property
-    def nu12(self) -> float | Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def nu12(self) -> float | Tensor:
         """[-]"""
         return self.nu
 
     @property
-    def G12(self) -> float | Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def G12(self) -> float | Tensor:
         """[Pa]"""
         return self.E / (2.0 * (1.0 + self.nu))
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.checked_numbers import nonnegative, parameter, scalar
+from torchmbd.math.checked_numbers import parameter, scalar
 from torchmbd.math.variable import is_variable, number, stacked
 
 
@@ -48,7 +48,10 @@ class ModalDamping(nn.Module):
         self.rate, self.ratios, self._shared = 0.0, None, True
 
     def _number(self, label: str, x: Any, unit: str) -> float | Tensor:
-        value = nonnegative(f"{label} of {self.body!r}", number(x), unit)
+        allowed = "zero or positive, or mbd.variable(...) of such a number"
+        value = scalar(f"{label} of {self.body!r}", number(x), allowed, f" {unit}")
+        if value < 0.0:
+            raise InputError(f"{label} of {self.body!r} is {value!r} {unit}; allowed: {allowed}")
         return x if is_variable(x) else value
 
     def with_ratios(self, ratio: float | Sequence[float] | Tensor, modes: int, rate: float | Tensor = 0.0) -> Self:
