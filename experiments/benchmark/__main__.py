@@ -29,6 +29,7 @@ Parts (default: all):
     compile         compiling, with an empty cache
     work-precision  all kinds of integrators
     errors          estimated over true errors of responses by steps
+    chosen-steps    an optimization with steps by these errors over one with fixed steps
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
 sizes. What was not measured is null. Processor times of one thread, the fastest of several runs taken in turns; wall times of
@@ -54,6 +55,7 @@ from experiments.benchmark.adjoint import adjoint
 from experiments.benchmark.angles import many_angles
 from experiments.benchmark.batches import batches
 from experiments.benchmark.beams import beams
+from experiments.benchmark.chosen_steps import chosen_steps
 from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
@@ -94,6 +96,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "compile": costs.compile_time,
     "work-precision": work_precision,
     "errors": errors,
+    "chosen-steps": chosen_steps,
 }
 FIGURES = (
     "gradient_3x32",
@@ -151,6 +154,7 @@ FIGURES = (
     "pendulum_values_x32",
     "errors_share",
     "errors_unresolved",
+    "chosen_steps_ratio",
 )
 
 

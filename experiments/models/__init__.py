@@ -5,6 +5,7 @@ sar_antenna            half of the antenna of the paper, first phase; its parts 
 spatial_arm            two laminated tubes under gravity, asked about in configs/spatial_arm
 steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
 panel                  a laminated panel on three joints
+five_bar               a pick-and-place robot: `python -m experiments.benchmark chosen-steps`
 chain, delta_robot, falling_arm, flapping_blade, four_bar, spacecraft
                        mechanisms of docs/gallery.md: `python -m experiments.documentation.pictures four_bar` draws the motion
                        that `motion()` returns

@@ -114,6 +114,20 @@ def test_bad_input():
 
 
 @pytest.mark.thorough
+def test_an_error_that_is_small_enough_needs_no_third_motion(monkeypatch):
+    """Half of the steps are enough; and the objective at the start is known from the choice of its steps."""
+    chosen = problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=0.01)
+    steps, motions = chosen.steps, []
+    simulate = problem_steps.simulate
+    monkeypatch.setattr(problem_steps, "simulate", lambda *a, **k: motions.append(simulate(*a, **k)) or motions[-1])
+    monkeypatch.setattr(type(chosen), "motion", lambda *_: pytest.fail("the start was simulated again"))
+    assert chosen.refined(np.array([2.0])) is None
+    [motion] = motions
+    assert 2 * motion.integration.steps == steps
+    assert list(motion._again) == [2]
+
+
+@pytest.mark.thorough
 def test_a_search_takes_more_steps_where_its_design_needs_them():
     """From heavy to light: the mass is minimized, the vibration limited at least."""
     rms = mbd.RMS(mbd.Position("bob", "x"))

@@ -11,6 +11,7 @@ import torch
 
 import torchmbd as mbd
 from experiments.benchmark import __main__ as benchmark
+from experiments.benchmark import chosen_steps as benchmark_chosen_steps
 from experiments.benchmark import costs as benchmark_costs
 from experiments.benchmark import evaluate as benchmark_evaluate
 from experiments.benchmark import motion as benchmark_motion
@@ -241,6 +242,17 @@ def test_phases_are_measured_beside_none():
     assert [row[:2] for row in trivial.rows] == [[1, "values"], [1, "gradient"]]
     assert [row[:2] for row in switches.rows] == [["switch", "values"], ["switch", "gradient"]]
     assert not antenna.rows
+
+
+@pytest.mark.thorough
+def test_an_optimization_by_chosen_steps_is_measured_beside_one_by_given_steps():
+    result = benchmark_chosen_steps.chosen_steps(Settings(quick=True))
+    [[_, steps, *motions, chosen, given, ratio, value, other]] = result.tables[0].rows
+    assert steps == benchmark_chosen_steps.QUICK
+    assert motions[0] == motions[1] > 0
+    assert ratio == pytest.approx(chosen / given)
+    assert value == other
+    assert result.figures == {"chosen_steps_ratio": None}
 
 
 def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):

@@ -30,7 +30,7 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step_count import rounding
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.results.motion_data import OK
-from torchmbd.results.response_error import rows_of
+from torchmbd.results.response_error import response_error, rows_of
 
 TOLERANCE = 0.01  # of every response and of every limit
 COARSE = 10.0  # times the tolerance, far from an optimum
@@ -112,22 +112,24 @@ def steps_for(
     most        times the first steps
     least_size  of the objective, by which its error is measured
     """
-    errors = _errors(problem, x, None, least_size) if steps is None else _errors_of(problem, x, steps, least_size)
-    tolerance, n = tolerance or problem.tolerance, steps or errors.choice.steps
+    tolerance = tolerance or problem.tolerance
+    enough = tolerance or 0.0
+    errors = (
+        _errors(problem, x, None, least_size) if steps is None else _errors_of(problem, x, steps, least_size, enough)
+    )
+    n = steps or errors.choice.steps
     if n is None or errors.multiple is None or tolerance is None:
         return StepChoice(n)
     limit, tried = min(most * n, max(MOST_STEPS, n)), []
     while True:
         tried.append(errors.choice.by(n))
-        if n > (errors.choice.steps or n) and errors.choice.error <= tolerance:  # however it falls: it is small enough
-            tried[-1] = replace(tried[-1], reason="")
         if not (tried[-1].meets(tolerance) or n >= limit or _is_stuck(tried)):
             growth = _MORE * math.sqrt(tried[-1].error / tolerance) if math.isfinite(tried[-1].error) else _MOST_MORE
             growth = min(max(growth, _UNKNOWN if tried[-1].reason else _LEAST_MORE), _MOST_MORE)
             n = min(limit, math.ceil(growth * n))
             n = -(-n // errors.multiple) * errors.multiple
             if errors.choice.reason or n > FAR * (errors.choice.steps or n):
-                errors = _errors_of(problem, x, n, least_size)
+                errors = _errors_of(problem, x, n, least_size, enough)
                 if errors.multiple is not None:
                     continue
             tried.append(errors.choice.by(n))
@@ -146,9 +148,8 @@ def refined_problem(problem: Any, x: np.ndarray) -> Any:
     """The problem with the steps that a design [n] needs; None: it has them, or steps were given."""
     if not problem.chooses_steps or problem.steps is None:
         return None
-    motion = problem.motion(problem.start)
-    size = _OF_START * float(problem.objective.at_start(motion).value(motion).abs().max())
-    choice = steps_for(problem, x, problem.steps, most=_MOST_REFINED, least_size=size if math.isfinite(size) else 0.0)
+    size = _OF_START * _errors(problem, problem.start, None, 0.0).objective
+    choice = steps_for(problem, x, problem.steps, most=_MOST_REFINED, least_size=size)
     if choice.steps is None or choice.steps <= problem.steps:
         return None
     if not choice.meets(problem.tolerance):
@@ -175,26 +176,31 @@ def _is_stuck(tried: list[StepChoice]) -> bool:
 class _Errors(NamedTuple):
     """What is known of the motions of a design by so many steps.
 
-    choice    their steps, and the largest error of all responses in all lanes
-    multiple  number that divides the steps of every motion; None: the motions fail, or their method has no estimate
+    choice     their steps, and the largest error of all responses in all lanes
+    multiple   number that divides the steps of every motion; None: the motions fail, or their method has no estimate
+    objective  the size of the objective, the largest of all lanes; 0: not known
     """
 
     choice: StepChoice
     multiple: int | None
+    objective: float = 0.0
 
 
-def _errors_of(problem: Any, x: np.ndarray, steps: int, least_size: float) -> _Errors:
-    """Errors by so many steps: from motions of half of them, or by themselves where half are too few for a motion."""
-    errors = _errors(problem, x, (steps + 1) // 2, least_size)
+def _errors_of(problem: Any, x: np.ndarray, steps: int, least_size: float, enough: float) -> _Errors:
+    """Errors by so many steps: from motions of half of them, or by themselves where half are too few for a motion.
+
+    enough   share of a response: where half of the steps have no larger error, it is small enough however it falls
+    """
+    errors = _errors(problem, x, (steps + 1) // 2, least_size, enough)
     return errors if errors.multiple is not None else _errors(problem, x, steps, least_size)
 
 
-def _errors(problem: Any, x: np.ndarray, steps: int | None, least_size: float) -> _Errors:
+def _errors(problem: Any, x: np.ndarray, steps: int | None, least_size: float, enough: float = 0.0) -> _Errors:
     """Simulate a design [n] by so many steps, or as many as its motions choose, and estimate the errors; once for each."""
     known = _known.setdefault(problem, {})
-    key = (np.asarray(x, dtype=float).tobytes(), steps, least_size)
+    key = (np.asarray(x, dtype=float).tobytes(), steps, least_size, enough)
     if key not in known:
-        known[key] = _estimated(problem, _motions(problem, x, steps), steps, least_size)
+        known[key] = _estimated(problem, _motions(problem, x, steps), steps, least_size, enough)
     return known[key]
 
 
@@ -217,7 +223,7 @@ def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]
     return motions if all(motion.integration.steps == most for motion in motions) else _motions(problem, x, most)
 
 
-def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least_size: float) -> _Errors:
+def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least_size: float, enough: float) -> _Errors:
     """The largest error of all responses in all lanes of motions; not known: they fail."""
     if not motions:
         return _Errors(StepChoice(steps, math.inf, "every response", "the motion fails"), None)
@@ -228,22 +234,23 @@ def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least
     worst = StepChoice(steps, 0.0, "all responses")
     for motion in motions:
         for measure, limit in measures:
-            share, reason = _share(
-                motion, measure.at_start(motions[0]), 0.0 if limit == "initial" else abs(float(limit))
-            )
+            least = 0.0 if limit == "initial" else abs(float(limit))
+            share, reason = _share(motion, measure.at_start(motions[0]), least, enough)
             if (bool(reason), share) > (bool(worst.reason), worst.error):
                 worst = StepChoice(steps, share, repr(measure), reason)
     each = [rounding(m.simulation.integrator, m.integration.dynamics, problem.duration)(1) for m in motions]
-    return _Errors(worst, math.lcm(*each))
+    objective = problem.objective.at_start(motions[0])
+    size = max(float(objective.value(motion).abs().max()) for motion in motions)
+    return _Errors(worst, math.lcm(*each), size if math.isfinite(size) else 0.0)
 
 
-def _share(motion: Trajectory, measure: Measure, limit: float) -> tuple[float, str]:
-    """The largest error by steps over value or limit, inf where it is not known; and why it is not resolved."""
+def _share(motion: Trajectory, measure: Measure, least: float, enough: float) -> tuple[float, str]:
+    """The largest error by steps over value or `least`, inf where it is not known; and why it is not resolved."""
     try:
-        error = motion.error_of(measure, modes=False, mesh=False)
+        error = response_error(motion, measure, modes=False, mesh=False, enough=enough, least=least)
     except InputError as refusal:
         return math.inf, str(refusal)
-    size = rows_of(error.value.abs()).clamp_min(limit)
+    size = rows_of(error.value.abs()).clamp_min(least)
     by_steps = rows_of(error.by_steps.abs())
     shares = torch.where(by_steps == 0.0, 0.0, by_steps / size).nan_to_num(nan=math.inf)
     return float(shares.max()), next((reason for reason in error.reasons if reason), "")

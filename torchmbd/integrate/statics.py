@@ -9,6 +9,7 @@ Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -16,23 +17,22 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.forward_ad import unpack_dual
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
+from torchmbd.integrate.eigenvalues import NATURAL, POLES, eigenvalues
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import lanes_of_batch, plain, trajectory_of, variable_names
 from torchmbd.math.checked_numbers import reals
-from torchmbd.math.gradients import in_transform
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.equilibrium import Balance, equilibrium_coordinates, find_equilibria, reactions
+from torchmbd.multibody.system.equilibrium import SPIN, Balance, equilibrium_coordinates, find_equilibria, reactions
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
-from torchmbd.multibody.system.steady_rotation import SteadyRotation
+from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
@@ -60,18 +60,38 @@ class Equilibrium(Trajectory):
         """Small vibrations about the equilibrium at the last time, of each lane."""
         return [self._vibrations(lane, -1) for lane in range(self.lanes)]
 
-    @property
+    @cached_property
     def frequencies(self) -> Tensor:
-        """Natural frequencies [lanes, freedoms] [Hz] at the last time; see Vibrations.
+        """Natural frequencies [lanes, freedoms] [Hz] at the last time, without damping; see Vibrations.
 
-        Values only: InputError under torch.func and dual numbers, where their derivatives would be zero.
+        Differentiable as the motion is. Frequencies that are zero or not a number have no derivative, nor has a single one of
+        several that coincide: InputError.
         """
-        if in_transform(self.q) or unpack_dual(self.q).tangent is not None:
-            raise InputError(
-                "frequencies of an equilibrium have values only, which torch.func and dual numbers cannot differentiate; "
-                "allowed: mbd.Frequency of a body, mbd.ExactBeam.frequencies, or finite differences"
-            )
-        return torch.stack([x.frequencies for x in self.vibrations])
+        return self._eigenvalues(NATURAL) / (2.0 * math.pi)
+
+    @cached_property
+    def poles(self) -> Tensor:
+        """Poles [lanes, 2 freedoms] [1/s], complex, at the last time, in rising order of the size of the imaginary part, then
+        of the real one; differentiable as the frequencies are."""
+        return self._eigenvalues(POLES)
+
+    @property
+    def damping_ratios(self) -> Tensor:
+        """Damping ratios -Re s / |s| [lanes, freedoms] [-] of poles with a positive imaginary part, in rising order of it; nan
+        in place of pairs of real poles."""
+        s = self.poles
+        known = s.detach().imag > 0.0
+        first = known.to(torch.float64).argsort(dim=1, descending=True, stable=True)[:, : s.shape[1] // 2]
+        s, known = s.gather(1, first), known.gather(1, first)
+        return torch.where(known, -s.real / s.abs(), torch.nan)
+
+    def _eigenvalues(self, kind: str) -> Tensor:
+        return self.eigenvalues(kind).T
+
+    def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
+        """Eigenvalues [k, lanes] at the last time, as of `eigenvalues` of integrate/eigenvalues.py."""
+        h = self.signals.history  # pyright: ignore[reportAttributeAccessIssue]
+        return eigenvalues(self.dynamics, [h.q[-1]], self.t[-1], self.rotation, kind, modes, symmetric)
 
     @property
     def stable(self) -> bool:
@@ -82,8 +102,9 @@ class Equilibrium(Trajectory):
     def _vibrations(self, lane: int, time: int) -> Vibrations:
         with torch.no_grad():
             dynamics = self.dynamics.values().select_lanes([lane])
+            rotation = self.rotation and self.rotation.of_spin(dynamics.data[SPIN].detach())
             return Vibrations.of(
-                Linearization.of(dynamics, self.q[lane, time].detach(), self.t[time].detach(), None, self.rotation)
+                Linearization.of(dynamics, self.q[lane, time].detach(), self.t[time].detach(), None, rotation)
             )
 
 
@@ -179,7 +200,9 @@ class StaticIntegration:
             q = equilibrium_coordinates(dynamics, balances, t, self.rotation)
             lam = reactions(dynamics, q, t, self.rotation)
             still = value(q).detach().new_zeros(dynamics.topology.n_v, 1, value(q).shape[-1])
-            v, a = (still, still.clone()) if self.rotation is None else self.rotation.rates(dynamics.topology, q)
+            v, a = still, still.clone()
+            if self.rotation is not None:
+                v, a = self.rotation.of_spin(dynamics.data[SPIN]).rates(dynamics.topology, q)
             rows.append([x.full if isinstance(x, Pair) else x for x in (q, v, a, lam)])
         return [torch.stack(x) for x in zip(*rows, strict=True)]
 
@@ -191,6 +214,7 @@ class StaticIntegration:
                 raise InputError(balance.failure + (f" ({where.strip()})" if where else ""))
 
 
+@checked_signature
 @exclusive
 def equilibrium(
     system: System,
@@ -202,6 +226,7 @@ def equilibrium(
     spin: Sequence[float] | Tensor | None = None,
     center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
     unstable: bool = False,
+    observer: str = TURNING,
 ) -> Equilibrium:
     """Static equilibrium near the start: a motion at rest, with bodies, reactions, stresses, frequencies.
 
@@ -214,8 +239,10 @@ def equilibrium(
     start       where the search begins: "assembled", a motion, or numbers for bodies, as of `simulate`
     follow      the search of each lane starts at the equilibrium of the lane before: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
-    spin, center   angular velocity [rad/s] with which the whole rotates about an axis through a point [m] of the ground: rest
-                is steady rotation, with rates and accelerations, and frequencies are those that a turning observer sees
+    spin, center   angular velocity [rad/s], [3] or of each lane [lanes, 3], with which the whole rotates about an axis through
+                a point [m] of the ground: rest is steady rotation, with rates and accelerations; a tensor has a gradient
+    observer    of the vibrations in a steady rotation: "turning" with the whole, or in the "ground", for a shaft that is alike
+                across the axis in bearings that are not
     unstable    the equilibrium nearest to the start, also where the stiffness does not hold it; False: the search goes downhill
                 in energy. A shaft above its critical speed is such a state: Coriolis's forces hold it, and `stable` says so
 
@@ -231,7 +258,7 @@ def equilibrium(
         raise InputError(f"equilibrium of {system!r}; allowed: a System")
     follow, unstable = true_or_false("follow", follow), true_or_false("unstable", unstable)
     t = _times(times)
-    rotation = SteadyRotation.of(spin, center)
+    rotation = SteadyRotation.of(spin, center, observer)
     initial = start_of(system, start)
     if initial.in_equilibrium:
         raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
@@ -240,9 +267,10 @@ def equilibrium(
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
         warn_static_truncation(system)
         names = variable_names(system, design_values, "auto", variables, False)
-        batch = lanes_of_batch(system, design_values, names, initial.lanes)
+        turning_lanes = 1 if rotation is None else rotation.spin.shape[-1]
+        batch = lanes_of_batch(system, design_values, names, max(initial.lanes, turning_lanes))
         dynamics, shapes = system.stages(batch)
-        data = dynamics.data
+        data = dynamics.data | ({} if rotation is None else {SPIN: rotation.spin})
         integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, follow, rotation, unstable)
         outputs: Any = Motion.apply(integration, *data.values())
         if not torch.is_grad_enabled():

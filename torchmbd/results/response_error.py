@@ -89,16 +89,24 @@ class ResponseError:
 
 
 def response_error(
-    motion: Any, response: Callable[[Any], Tensor], modes: bool = True, mesh: bool = True
+    motion: Any,
+    response: Callable[[Any], Tensor],
+    modes: bool = True,
+    mesh: bool = True,
+    enough: float = 0.0,
+    least: float = 0.0,
 ) -> ResponseError:
-    """The errors of a response of a motion; InputError for what has no estimate by steps."""
+    """The errors of a response of a motion; InputError for what has no estimate by steps.
+
+    enough   error by steps, as a share of the value or of `least`, that is resolved without a look at a third motion
+    """
     if not callable(response):
         raise InputError(f"response is {response!r}; allowed: a measure, such as mbd.Max(...)")
     if motion.simulation is None:
         raise InputError("this motion is a part of another; allowed: error_of of the motion that simulate returns")
     with torch.no_grad():
         value = _numbers(response, motion)
-        by_steps, reasons = _by_steps(motion, response, value)
+        by_steps, reasons = _by_steps(motion, response, value, enough * value.abs().clamp_min(least))
         by_modes, lacks, by_mesh, misses = None, "", None, ""
         if modes:
             fixed = _without_reduction(motion)
@@ -113,8 +121,8 @@ def response_error(
     return ResponseError(repr(response), value, by_steps, resolved, tuple(reasons), note, by_modes, by_mesh, unknown)
 
 
-def _by_steps(motion: Any, response: Any, value: Tensor) -> tuple[Tensor, list[str]]:
-    """Error by the steps, and why lanes are not resolved."""
+def _by_steps(motion: Any, response: Any, value: Tensor, enough: Tensor) -> tuple[Tensor, list[str]]:
+    """Error by the steps, and why lanes are not resolved; errors up to `enough`, of the shape of the value, are."""
     half = motion.finer(2)
     order, finer = motion.simulation.order, _numbers(response, half)
     if finer.shape != value.shape:
@@ -127,7 +135,7 @@ def _by_steps(motion: Any, response: Any, value: Tensor) -> tuple[Tensor, list[s
     error = first * (1.0 + remainder)
     sound = torch.tensor([status == OK for status in motion.status])
     certain = sound & _all(first.abs() <= _LARGE * size)
-    believed = certain & _all(first.abs() <= _SMALL * size)
+    believed = certain & _all(first.abs() <= _SMALL * size) | sound & _all(error.abs() <= enough)
     if order and not believed[certain].all():
         believed |= certain & _confirmed(motion, response, value, first, size)
     doubtful = ~believed if order else ~certain

@@ -50,7 +50,7 @@ def test_mass_on_springs_seen_by_a_turning_observer():
     spin = SteadyRotation.of((0.0, 0.0, SPEED), (0.0, 0.0, 0.0))
     dynamics = mbd.System([mass], forces=[hold]).dynamics()
     q, _ = dynamics.initial.solve(dynamics)
-    rest = Linearization.of(dynamics, q[:, 0, 0], torch.zeros((), dtype=torch.float64), rotation=spin)
+    rest = Linearization.of(dynamics, q[:, 0, 0], torch.zeros((), dtype=torch.float64), observer=spin)
     own = [0, 1, 2]
     M, C, K = (x[own][:, own] for x in (rest.M, rest.C, rest.K))
     one, nothing = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)

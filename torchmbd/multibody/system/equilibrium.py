@@ -41,6 +41,7 @@ _FORCE, _CLOSED = (
     1e-11,
 )  # largest unbalanced force, as a share of the largest force of all steps; violation of a joint
 _ROUNDING = 1e-14  # of the terms that cancel in forces
+SPIN = "spin"  # name of the angular velocity [3, 1, lanes] of a steady rotation among the data
 _SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
 _MIRRORED = (
     "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
@@ -86,8 +87,14 @@ def find_equilibria(
         values = dynamics.values()
         for lane in range(dynamics.lanes):
             near = balances[-1].q if follow and balances else start[:, 0, min(lane, start.shape[-1] - 1)]
-            balances.append(_find_equilibrium(values.select_lanes([lane]), near, t, rotation, unstable))
+            of_lane = values.select_lanes([lane])
+            balances.append(_find_equilibrium(of_lane, near, t, _at_spin(rotation, of_lane.data), unstable))
     return balances
+
+
+def _at_spin(rotation: SteadyRotation | None, data: equations.Data) -> SteadyRotation | None:
+    """The rotation at the spin that is among the data."""
+    return rotation and rotation.of_spin(data[SPIN])
 
 
 def equilibrium_coordinates(
@@ -99,7 +106,7 @@ def equilibrium_coordinates(
     inverse = torch.stack([balance.inverse for balance in balances])
     at = equations.placement(T, data, q, T.prescribed(t, data))
     still = q.new_zeros(T.n_v, 1, q.shape[-1])
-    rates = (still, still) if rotation is None else rotation.rates(T, q)
+    rates = (still, still) if rotation is None else rotation.of_spin(data[SPIN]).rates(T, q)
     residual = equations.dynamic_residual(T, data, at, *rates, lam)
     if T.rows:
         residual = cat([residual, equations.constraints(T, at)])
@@ -120,7 +127,7 @@ def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None 
         if rotation is None:
             drives = [drive and tuple(_held(jet) for jet in drive) for drive in drives]
         else:
-            v, _ = rotation.rates(T, q)
+            v, _ = rotation.of_spin(data[SPIN]).rates(T, q)
         return equations.stabilized_residual(T, data, at, v, x[: T.n_v], x[T.n_v :], drives, 0.0)
 
     return dynamics.zero_left_out(dynamics.solve_linear(residual, t, q)[T.n_v :])
@@ -143,13 +150,14 @@ def _find_equilibrium(
 ) -> Balance:
     """The equilibrium of dynamics of one lane near start [n_q]."""
     T, q = dynamics.topology, start
-    steps = LoadSteps(dynamics, start, t, rotation) if T.beams is not None and not unstable else None
+    turning = rotation and rotation.turning
+    steps = LoadSteps(dynamics, start, t, turning) if T.beams is not None and not unstable else None
     if steps is not None and steps.stable:
         path = steps.run()
         if path.failure:
             return _failed(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
         q = path.q
-    rest, largest = Linearization.of(dynamics, q, t, rotation=rotation), 0.0
+    rest, largest = Linearization.of(dynamics, q, t, observer=turning), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
         small = _FORCE * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
@@ -166,7 +174,7 @@ def _find_equilibrium(
         if not bool(torch.isfinite(rest.forces).all()):
             break
         q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
-        rest = Linearization.of(dynamics, q, t, rotation=rotation)
+        rest = Linearization.of(dynamics, q, t, observer=turning)
     forces = rest.unbalanced.abs().nan_to_num(torch.inf)
     worst = T.rate_name(int(rest.active[int(forces.argmax())]), "force", "torque")
     failure = (

@@ -5,13 +5,15 @@
 
 M is a block of the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest with fixed
 multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
-In a steady rotation (steady_rotation.py) x is measured in rotating axes: K has the centrifugal forces, C those of Coriolis.
+Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
+Coriolis; about a state that moves the equations are those of an instant.
 Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +24,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.steady_rotation import SteadyRotation
+from torchmbd.multibody.system.steady_rotation import MovingObserver, Observer, SteadyRotation
 from torchmbd.multibody.system.topology import Topology
 
 # A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
@@ -64,26 +66,33 @@ class Linearization:
         q: Tensor,
         t: Tensor,
         offset: tuple[Tensor, Tensor] | None = None,
-        rotation: SteadyRotation | None = None,
+        observer: Observer | None = None,
         unstrained: Tensor | None = None,
     ) -> Linearization:
         """Linearize `dynamics` of one design at q and time t.
 
+        observer     of the increments, with the rates of the state; None: a state at rest
         offset       forces with torques in ground axes [n_v] and violations [rows], to be subtracted from forces and phi
         unstrained   screws [6, n, 1, 1] at which beam elements have no force in K and lam; None: those of the data
         """
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
         excitation = T.prescribed(t, data).values()
-        still, none = q.new_zeros(T.n_v, 1, 1), q.new_zeros(T.rows, 1, 1)
-        unit = Pair.of(still, torch.eye(T.n_v, dtype=q.dtype)[..., None])
-        wide, near = q[:, None, None], equations.advance(T, q[:, None, None], unit)
+        wide, none = q[:, None, None], q.new_zeros(T.rows, 1, 1)
+        still = q.new_zeros(T.n_v, 1, 1)
+        observer = observer or MovingObserver()
+        unit, zero = (
+            Pair.of(still, x[..., None]) for x in (torch.eye(T.n_v, dtype=q.dtype), still.new_zeros(T.n_v, T.n_v))
+        )
+        near, *rates_moved = observer.perturbed(T, wide, unit, zero, zero)
+        rates = tuple(value(x) for x in rates_moved)
         at, moved = (equations.placement(T, data, x, excitation) for x in (wide, near))
-        rates, rates_moved, rates_unit = (still, still), (still, still), (unit, still)
-        if rotation is not None:
-            rates, rates_moved = rotation.rates(T, wide), rotation.rates(T, near)
-            rates_unit = rates[0] + unit, rates[1] + rotation.accelerations(T, wide, unit)
-        forces = equations.dynamic_residual(T, data, at, *rates, none)[:, 0, 0]
+
+        def residual(at: Any, rates: Sequence[Any], lam: Tensor) -> Any:
+            v, a = rates
+            return observer.rows(T, wide, equations.dynamic_residual(T, data, at, v, a, lam))
+
+        forces = residual(at, rates, none)[:, 0, 0]
         subtracted = None if offset is None else _in_body_axes(T, moved, offset[0])
         forces = forces if subtracted is None else forces - subtracted.value[:, 0, 0]
         phi, Phi_q = q.new_zeros(0), q.new_zeros(0, T.n_v)
@@ -95,14 +104,15 @@ class Linearization:
         balanced = forces
         if unstrained is not None:
             data = data | {"beam_rest": unstrained}
-            balanced = equations.dynamic_residual(T, data, at, *rates, none)[:, 0, 0]
+            balanced = residual(at, rates, none)[:, 0, 0]
             balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0, 0]
         lam = -torch.linalg.pinv(Phi_q[:, active].T, rtol=RELATIVE) @ balanced[active]
-        K = equations.dynamic_residual(T, data, moved, *rates_moved, lam[:, None, None]).tangent[..., 0]
+        K = residual(moved, rates_moved, lam[:, None, None]).tangent[..., 0]
         K = K if subtracted is None else K - subtracted.tangent[..., 0]
-        C = _tangent(equations.dynamic_residual(T, data, at, *rates_unit, lam[:, None, None]), T)
-        M = dynamics.saddle.matrix(data, at)[0, : T.n_v, : T.n_v]
-        return cls(forces, phi, K, C, M, Phi_q, lam, active, null_space(Phi_q[:, active]), rotation is not None)
+        C = _tangent(residual(at, observer.perturbed(T, wide, zero, unit, zero)[1:], lam[:, None, None]), T)
+        M = _tangent(residual(at, observer.perturbed(T, wide, zero, zero, unit)[1:], none), T)
+        rotates = isinstance(observer, SteadyRotation) and bool(observer.spin.any())
+        return cls(forces, phi, K, C, M, Phi_q, lam, active, null_space(Phi_q[:, active]), rotates)
 
     @property
     def unbalanced(self) -> Tensor:

@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
@@ -24,7 +25,10 @@ _ANGLES = (
 )
 _SAME = 1e-6  # of joints; of the stiffness and the damping of a freedom
 _ROUNDING = 1e-13  # of the largest entry of stiffness, or of damping
-_ALLOWED = "allowed: supports that are alike across the axis, or simulate(), which follows the motion in time"
+_ALLOWED = (
+    "allowed: supports that are alike across the axis, for a rotor that is alike across it observer='ground', or simulate(), "
+    "which follows the motion in time"
+)
 _OTHERS = (
     "no steady rotation: joints or forces are others after a turn by {} rad; allowed: gravity along the axis, and joints and "
     "drives to the ground that turn with the spin about its axis"
@@ -37,16 +41,31 @@ def unsteady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation:
     Forces that move nothing count too: where they change, the loads of joints and the stiffness are unsteady.
     """
     T, turned = dynamics.topology, q
+    if not bool(rotation.spin.any()):
+        return ""
+    period = _period(dynamics, t, rotation)
     for k in range(1, _ANGLES + 1):
         turned = rotation.turned(T, turned[:, None, None])[:, 0, 0]
-        forces, phi = _loads(dynamics, turned, t + k * rotation.period, rotation)
+        forces, phi = _loads(dynamics, turned, t + k * period, rotation)
         change = forces - rotation.turned_forces(T, rest.forces, k)
         if not float(change.abs().max()) <= small or (phi.numel() and not float(phi.abs().max()) < _SAME):
             return _OTHERS.format(k)
-    after = Linearization.of(
-        dynamics, rotation.turned(T, q[:, None, None])[:, 0, 0], t + rotation.period, rotation=rotation
-    )
+    q_after = rotation.turned(T, q[:, None, None])[:, 0, 0]
+    if rotation.turning is not rotation:
+        rest = Linearization.of(dynamics, q, t, observer=rotation)
+    after = Linearization.of(dynamics, q_after, t + period, observer=rotation)
     return _changed_tangents(T, rest, after, rotation)
+
+
+def _period(dynamics: Any, t: Tensor, rotation: SteadyRotation) -> float:
+    """Time in which the drives turn by one radian [s]."""
+    T, rate = dynamics.topology, float(rotation.spin.norm())
+    if rotation.drives_follow:
+        laws = zip(T.primitives, T.law_jets(t, dynamics.values().data), strict=True)
+        angles = [law for kind, law in laws if isinstance(kind, Angle) and law]
+        turns = [c.value * s.velocity - s.value * c.velocity for c, s in angles]
+        rate = max((float(x.abs().max()) for x in turns), default=rate) or rate
+    return 1.0 / rate
 
 
 def _loads(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation) -> tuple[Tensor, Tensor]:
@@ -61,7 +80,7 @@ def _changed_tangents(T: Any, rest: Linearization, after: Linearization, rotatio
     """What differs in the equations of small vibrations after a turn by 1 rad, else ""."""
     full = rest.forces.new_zeros(T.n_v, rest.N.shape[1])
     full[rest.active] = rest.N
-    N = torch.stack([rotation.turned_forces(T, x) for x in full.T], 1) if full.shape[1] else full
+    N = torch.stack([rotation.turned_increments(T, x) for x in full.T], 1) if full.shape[1] else full
     J = after.Phi_q / after.Phi_q.norm(dim=1, keepdim=True).clamp_min(1e-300)
     if after.N.shape[1] != N.shape[1] or float((J @ N).abs().amax() if N.numel() and len(J) else 0.0) > _SAME:
         return _OTHERS.format(1)
