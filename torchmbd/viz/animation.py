@@ -149,7 +149,7 @@ def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray)
         factor, name = display_unit(unit(panel.history))
         y = factor * _array(panel.history(motion))[lane][frames]
         limits = [factor * limit for limit, _ in panel.limits]
-        label = f"{full_name(panel.history)} ({'; '.join(panel.asked)})"
+        label = f"{full_name(panel.history)} ({'; '.join(panel.goals)})"
         strips.append({"label": label, "unit": name, "limits": limits, "curves": [{"name": "", "y": _packed(y)}]})
     return strips
 
