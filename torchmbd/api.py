@@ -6,7 +6,6 @@ Checked in tests/test_api.py.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,7 +52,7 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
+from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, checked_signature
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
@@ -126,6 +125,7 @@ def __getattr__(name: str) -> Any:
     return Study
 
 
+@checked_signature
 def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
     """Load a study of the tracking store: system, best design, motion; see torchmbd.study.stored_run.
 
@@ -143,6 +143,7 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
     return load_run(run, uri, model)
 
 
+@checked_signature
 def problem_of(file: str | Path, *assignments: str) -> Problem:
     """The problem of an experiment file, for tasks that files have no keys for, such as other criteria of the same motion.
 
@@ -289,7 +290,3 @@ __all__ = [
     "verify",
     "viz",
 ]
-
-for _module in (sections, mesh, forces, viz):
-    name_arguments(_module, _module.__all__)
-name_arguments(sys.modules[__name__], __all__)

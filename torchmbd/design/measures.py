@@ -30,7 +30,7 @@ from torchmbd.design.curve import curve_of
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History, Measure
 from torchmbd.design.spline import Spline, Window, checked_window
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction import eigenvalues
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, scalar
@@ -95,6 +95,7 @@ def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
     return curve
 
 
+@checked_signature
 class Integral(OfHistory):
     """Integral of a history over time [lanes], in the unit of the history times s; eq. (21).
 
@@ -110,6 +111,7 @@ class Integral(OfHistory):
         return curve.integral()
 
 
+@checked_signature
 class Mean(OfHistory):
     """Mean of a history over time [lanes], in the unit of the history.
 
@@ -122,6 +124,7 @@ class Mean(OfHistory):
         return curve.mean()
 
 
+@checked_signature
 class RMS(OfHistory):
     """Root of the mean square of a history over time [lanes], in the unit of the history.
 
@@ -142,6 +145,7 @@ PEAK_NOTE = (
 )
 
 
+@checked_signature
 class Max(OfHistory):
     """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
@@ -159,6 +163,7 @@ class Max(OfHistory):
         return curve.maximum()
 
 
+@checked_signature
 class Min(OfHistory):
     """Smallest value of a history [lanes], in its unit. A spline finds it between the output times.
 
@@ -173,6 +178,7 @@ class Min(OfHistory):
         return -curve.negative().maximum()
 
 
+@checked_signature
 class Final(OfHistory):
     """Value of a history at the end of the motion, or at the end of its window [lanes], in its unit.
 
@@ -185,6 +191,7 @@ class Final(OfHistory):
         return curve.y[..., -1]
 
 
+@checked_signature
 @dataclass(frozen=True)
 class AtTime(Measure):
     """Value of a history at one time [lanes], in its unit.
@@ -217,6 +224,7 @@ class AtTime(Measure):
         return curve.sampled(curve.t.new_tensor([float(self.time)]))[..., 0]
 
 
+@checked_signature
 @dataclass(frozen=True)
 class SmoothMax(OfHistory):
     """Smooth maximum of all samples [lanes], in the unit of the history.
@@ -249,6 +257,7 @@ class SmoothMax(OfHistory):
         return torch.logsumexp(torch.where(new, rho * y, -torch.inf), -1) / rho
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Frequency(Measure):
     """Natural frequency [lanes] [Hz] of a flexible body fixed at its reference nodes.
@@ -280,6 +289,7 @@ class Frequency(Measure):
         return torch.sqrt(square) / (2.0 * math.pi)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Frequencies(Measure):
     """Power mean of natural frequencies [lanes] [Hz]: (mean of f^(2 power))^(1 / (2 power)).
@@ -322,6 +332,7 @@ class Frequencies(Measure):
         return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Mass(Measure):
     """Mass [lanes] [kg].

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, checked_signature, nearest, unknown
 from torchmbd.integrate.simulate import entry_labels
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
@@ -31,6 +31,7 @@ from torchmbd.optimization.optimizer import require_inside
 CONSTANT = "constant"  # key of a link's offset
 
 
+@checked_signature
 class DesignSpace:
     """Maps design vectors to parameters of a system.
 

@@ -23,7 +23,7 @@ from torchmbd.design.problem_errors import design_errors
 from torchmbd.design.problem_parts import governing_row, limits_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
-from torchmbd.errors import InputError, MbdError
+from torchmbd.errors import InputError, MbdError, checked_signature
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.optimization import MultistartResult, OptimizationResult, RobustProblem
 from torchmbd.optimization.api import FEASIBILITY
@@ -36,6 +36,7 @@ _FREQUENCIES = 2  # first ones of every body that are told
 _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is known: four times the steps
 
 
+@checked_signature
 def verify(result: OptimizationResult | MultistartResult) -> Verification:
     """Simulate best design and start with finer steps and more modes: do gain and constraints hold?
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names, true_or_false
+from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
 from torchmbd.optimization.finer_motions import search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
@@ -40,6 +40,7 @@ FEASIBILITY = 1e-6
 KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option of this name
 
 
+@checked_signature
 def optimize(
     problem: Problem,
     method: str = "mmfd",

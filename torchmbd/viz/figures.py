@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.process import imports
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ BEST, OTHER, BAD = "#0072b2", "#a0a0a0", "#d55e00"
 CYCLE = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 
 
+@checked_signature
 def convergence(
     objectives: Mapping[str, Numbers],
     violations: Mapping[str, Numbers],
@@ -61,6 +62,7 @@ def convergence(
     return figure
 
 
+@checked_signature
 def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = "") -> Figure:
     """Strain energy of a body in several designs of one motion (Fig. 9).
 
@@ -102,6 +104,7 @@ def _plain(x: Any) -> np.ndarray:
     return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=float)
 
 
+@checked_signature
 def criterion(
     values: Numbers,
     criteria: Mapping[str, Numbers],
@@ -138,6 +141,7 @@ def criterion(
     return figure
 
 
+@checked_signature
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure; the ending of the name chooses the format.
 

@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.extensions.fibers.field import FiberField
 from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.math.checked_numbers import parameter
@@ -40,6 +40,7 @@ class FiberPaths(NamedTuple):
     divergence: Float[Tensor, "*lanes cells layers"]
 
 
+@checked_signature
 class SteeredLaminate(Laminate):
     """A stack of plies that vary over a mesh; parameters `.angles` [controls, layers] [rad] and `.thickness` [m].
 

@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, checked_signature, unknown, warn
 from torchmbd.extensions.windio.profile import Layer, Profile, Web, profile_section
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
@@ -48,6 +48,7 @@ class _SpanValues:
         return float(np.interp(at, self.grid, self.values, left=outside, right=outside))
 
 
+@checked_signature
 def read_windio(path: str | Path) -> WindIOBlade:
     """The blade of a windIO file (.yaml): `section(position)` makes a section, `station(position)` says where it lies.
 

@@ -37,7 +37,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.fem.materials.laminate_checks import (
     checked_angles,
     checked_correction,
@@ -84,6 +84,7 @@ class LaminateStiffness(NamedTuple):
         return cls(A, B, D, numbers[3][..., two].unflatten(-1, (2, 2)))
 
 
+@checked_signature
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 

@@ -24,13 +24,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials.strength import Strength
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import warn_unusual_material
 from torchmbd.math.variable import check_positive, number, stacked, without_variables
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Ply:
     """One unidirectional layer in its own axes (1 = fiber, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials import Ply
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
@@ -43,6 +43,7 @@ Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
 Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constant_arguments`)
 
 
+@checked_signature
 @constant_arguments
 def strip(
     width: float | Tensor,
@@ -70,6 +71,7 @@ def strip(
     return Section(parametric_mesh(build, {"width": width, "thickness": thickness}, order), ply, angles)
 
 
+@checked_signature
 @constant_arguments
 def rectangle(
     width: float | Tensor,
@@ -98,6 +100,7 @@ def rectangle(
     return Section(parametric_mesh(build, {"width": width, "height": height}, order), ply, angles)
 
 
+@checked_signature
 @constant_arguments
 def box(
     width: float | Tensor,
@@ -151,6 +154,7 @@ def box(
     )
 
 
+@checked_signature
 @constant_arguments
 def tube(
     radius: float | Tensor,
@@ -187,6 +191,7 @@ def tube(
     return Section(parametric_mesh(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
 
 
+@checked_signature
 @constant_arguments
 def circle(
     radius: float | Tensor,
@@ -221,6 +226,7 @@ def circle(
     return Section(parametric_mesh(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
 
 
+@checked_signature
 @constant_arguments
 def i_section(
     width: float | Tensor,

@@ -25,13 +25,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials import Ply, Strength
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import warn_unusual_material
 from torchmbd.math.variable import check_positive, number, stacked, varies, with_fields, without_variables
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Orthotropic:
     """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fiber, 3 = through the ply).

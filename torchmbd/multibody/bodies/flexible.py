@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.fem.elements import (
     Assembly,
     BeamLine,
@@ -74,6 +74,7 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
         )
 
 
+@checked_signature
 class FlexibleBody(MatrixMethods, nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_matrices` or `.from_reduced`, or by readers of files.
 

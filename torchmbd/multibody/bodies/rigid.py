@@ -15,7 +15,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.math.checked_numbers import parameter, positive
 from torchmbd.math.plausible_units import GYRATION, warn_unusual
 from torchmbd.multibody.bodies.frame import (
@@ -29,6 +29,7 @@ from torchmbd.multibody.bodies.frame import (
 )
 
 
+@checked_signature
 class Ground:
     """The inertial frame; joints attach bodies to it.
 
@@ -39,6 +40,9 @@ class Ground:
     name = "ground"
     position = torch.zeros(3, dtype=torch.float64)
     axes = torch.eye(3, dtype=torch.float64)
+
+    def __init__(self) -> None:
+        """It has no arguments; `at` places frames in it."""
 
     def at(
         self,
@@ -54,6 +58,7 @@ class Ground:
         return frame_at("point", self, (x, y, z), axes)
 
 
+@checked_signature
 class RigidBody(nn.Module):
     """A rigid body.
 

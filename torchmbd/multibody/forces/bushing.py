@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.forces.action import Along, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -20,6 +20,7 @@ from torchmbd.multibody.forces.laws import Spring, expand_numbers
 from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
 
+@checked_signature
 class Bushing(ForceElement):
     """An elastic mount between two frames: springs and dampers along three axes, and about them.
 

@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true
@@ -56,6 +56,7 @@ class Buckling(NamedTuple):
     status: str
 
 
+@checked_signature
 def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
     """Find the lowest positive factors of loads at which a body buckles; differentiable by its parameters.
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names
+from torchmbd.errors import argument_names, checked_signature
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
@@ -59,6 +59,7 @@ class DiscreteResult:
     names: list[str] = field(default_factory=list)
 
 
+@checked_signature
 def optimize_discrete(
     problem: Problem,
     allowed: Allowed | Sequence[Allowed],

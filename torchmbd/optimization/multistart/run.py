@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names, true_or_false
+from torchmbd.errors import argument_names, checked_signature, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.batch import parallel_batches
 from torchmbd.optimization.multistart.batched import BatchedSearches
@@ -102,6 +102,7 @@ class MultistartResult(Summary):
         return sum(r.gradient_evaluations for r in self.results)
 
 
+@checked_signature
 def multistart(
     problem: Problem,
     method: str = "mmfd",

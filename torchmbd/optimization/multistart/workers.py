@@ -32,7 +32,7 @@ import cloudpickle
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, MbdError
+from torchmbd.errors import InputError, MbdError, checked_signature
 from torchmbd.optimization.optimizer import Evaluation, Problem, require_problem
 from torchmbd.process import ONE_THREAD, brief_warnings, use_one_thread
 
@@ -183,6 +183,7 @@ class WorkerBatch:
         self.workers.cancel(self.futures)
 
 
+@checked_signature
 class Processes(Workers):
     """`problem` with its batches evaluated by `count` processes of this machine (default: one for each core).
 
