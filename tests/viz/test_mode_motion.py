@@ -35,7 +35,7 @@ def test_two_masses_swing_in_their_shapes(number, ratio, square):
     assert_close(y, ratio * x, rtol=1e-8, atol=1e-9)
     assert_close(x, float(x[0]) * torch.cos(math.sqrt(square) * motion.t), rtol=0.0, atol=1e-9)
     assert 0.05 < float(x.abs().max()) < 0.31  # of 3 m, the size of the picture
-    assert_close(motion.body("a").velocity[0, 12, 0], -math.sqrt(square) * x[0], rtol=1e-6, atol=1e-9)
+    assert_close(motion.v[0, 12, 0], -math.sqrt(square) * x[0], rtol=1e-6, atol=1e-9)
 
 
 def test_damping_is_told_and_not_shown():

@@ -38,12 +38,12 @@ def test_campbell_has_frequencies_orders_crossings_and_growth():
     figure = mbd.viz.campbell(SPEEDS, FREQUENCIES, damping, orders=(1, 2), title="a rotor")
     top, bottom = figure.axes[:2]
     assert [text.get_text() for text in top.texts][:2] == ["1/rev.", "2/rev."]
-    np.testing.assert_allclose(top.lines[0].get_ydata(), FREQUENCIES[:, 0])
+    np.testing.assert_allclose(np.asarray(top.lines[0].get_ydata()), FREQUENCIES[:, 0].numpy())
     marks = next(line for line in top.lines if line.get_marker() == "o")
-    assert len(marks.get_xdata()) == sum(len(crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), n)) for n in (1, 2))
+    assert np.asarray(marks.get_xdata()).size == sum(len(crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), n)) for n in (1, 2))
     grows = next(line for line in top.lines if line.get_label() == "grows")
-    assert float(np.min(grows.get_xdata())) == 110.0
-    np.testing.assert_allclose(bottom.lines[0].get_ydata(), 100.0 * damping[:, 0])
+    assert float(np.asarray(grows.get_xdata()).min()) == 110.0
+    np.testing.assert_allclose(np.asarray(bottom.lines[0].get_ydata()), 100.0 * damping[:, 0].numpy())
     assert figure.get_suptitle() == "a rotor"
 
 
@@ -53,7 +53,7 @@ def test_root_locus_draws_upper_poles_and_leaves_room_for_those_that_swing(tmp_p
     fast = torch.complex(-1e6 + 0.0 * c, 0.0 * c)
     figure = mbd.viz.root_locus(c, torch.stack([swinging, swinging.conj(), fast], 1), "damper [N s/m]")
     axes = figure.axes[0]
-    dots = axes.collections[0].get_offsets()
+    dots = np.asarray(axes.collections[0].get_offsets())
     assert len(dots) == 14  # not the conjugate ones
     low, high = axes.get_xlim()
     assert -2.0 < low < -1.5

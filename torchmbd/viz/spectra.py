@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.viz.figures import BAD, CYCLE, OTHER, figure_of, titled
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ _PAPER = {"facecolor": "white", "alpha": 0.7, "lw": 0.0, "pad": 0.5}  # behind n
 _WRITTEN = 14  # crossings with a number beside them, at most
 
 
+@checked_signature
 def campbell(
     speeds: Any, frequencies: Any, damping: Any = None, orders: Sequence[float] = (1, 2, 3), title: str = ""
 ) -> Figure:
@@ -68,6 +69,7 @@ def campbell(
     return titled(figure, title)
 
 
+@checked_signature
 def root_locus(values: Any, poles: Any, heading: str, title: str = "") -> Figure:
     """Poles in the complex plane, colored by a variable; those on the right grow.
 
@@ -161,7 +163,7 @@ def _per_second(turns: Any) -> Any:
     return turns * _REVOLUTION / 60.0
 
 
-def _numbers(name: str, x: Any, kind: type = float) -> np.ndarray:
+def _numbers(name: str, x: Any, kind: type = float) -> Any:
     try:
         return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=kind)
     except (TypeError, ValueError):
