@@ -39,9 +39,11 @@ def test_campbell_has_frequencies_orders_crossings_and_growth():
     top, bottom = figure.axes[:2]
     assert [text.get_text() for text in top.texts][:2] == ["1/rev.", "2/rev."]
     np.testing.assert_allclose(np.asarray(top.lines[0].get_ydata()), FREQUENCIES[:, 0].numpy())
-    marks = next(line for line in top.lines if line.get_marker() == "o")
-    assert np.asarray(marks.get_xdata()).size == sum(len(crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), n)) for n in (1, 2))
-    grows = next(line for line in top.lines if line.get_label() == "grows")
+    [marks] = [line for line in top.lines if line.get_marker() == "o"]
+    assert np.asarray(marks.get_xdata()).size == sum(
+        len(crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), n)) for n in (1, 2)
+    )
+    [grows] = [line for line in top.lines if line.get_label() == "grows"]
     assert float(np.asarray(grows.get_xdata()).min()) == 110.0
     np.testing.assert_allclose(np.asarray(bottom.lines[0].get_ydata()), 100.0 * damping[:, 0].numpy())
     assert figure.get_suptitle() == "a rotor"
