@@ -59,6 +59,7 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
+from torchmbd.identification import Channel, Experiment, Identification, TimeSeries, identify
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -181,6 +182,7 @@ __all__ = [
     "BucklingIndex",
     "Bushing",
     "Chain",
+    "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
@@ -195,6 +197,7 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
+    "Experiment",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -206,6 +209,7 @@ __all__ = [
     "GivenSection",
     "Ground",
     "History",
+    "Identification",
     "InputError",
     "Integral",
     "Interface",
@@ -251,6 +255,7 @@ __all__ = [
     "Strength",
     "Study",
     "System",
+    "TimeSeries",
     "Torque",
     "Tradeoff",
     "Trajectory",
@@ -268,6 +273,7 @@ __all__ = [
     "forces",
     "frequencies",
     "history",
+    "identify",
     "latin_hypercube",
     "load",
     "measure",

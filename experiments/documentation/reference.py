@@ -40,6 +40,7 @@ GROUPS: dict[str, str] = {
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
+    "identification": "identify Identification Experiment TimeSeries Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
     "errors": "MbdError InputError ArgumentError SimulationFailure",
 }

@@ -142,6 +142,35 @@ def criterion(
 
 
 @checked_signature
+def data_and_model(channels: Sequence[tuple[str, str, str, Numbers, Numbers, Numbers]]) -> Figure:
+    """Measured numbers and those of a model over time, frequency or load, a panel for each channel, and their difference below.
+
+    channels  of each: name, title of its axis, title of what it is over, values of that, data, model
+
+    >>> t = np.linspace(0.0, 1.0, 20)
+    >>> figure = mbd.viz.data_and_model([("tip", "x position of tip [m]", "time [s]", t, np.sin(t), t)])
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['x position of tip [m]', 'model - data']
+    """
+    if not channels:
+        raise InputError("channels is empty; allowed: one channel at least")
+    figure, axes = figure_of(3.2 * len(channels), rows=2 * len(channels), ratios=[3, 1] * len(channels), sharex=False)
+    for (name, title, over, x, data, model), top, bottom in zip(channels, axes[::2], axes[1::2], strict=True):
+        x, data, model = (_plain(values) for values in (x, data, model))
+        order = np.argsort(x, kind="stable")
+        top.plot(x, data, ".", color=OTHER, ms=3, label="data")
+        top.plot(x[order], model[order], color=BEST, lw=1.2, label="model")
+        top.set_title(name, loc="left", fontsize=9)
+        top.set_ylabel(wrapped(title, 30))
+        top.legend(frameon=False)
+        bottom.plot(x, model - data, ".", color=BAD, ms=3)
+        bottom.set_ylabel("model - data", fontsize=8)
+        bottom.set_xlabel(over)
+        bottom.sharex(top)
+    return figure
+
+
+@checked_signature
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure; the ending of the name chooses the format.
 

@@ -28,7 +28,8 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.extensions.fibers.field import FiberField
-from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.fem.materials import Laminate
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.plausible_units import check_angles
 
@@ -65,7 +66,7 @@ class SteeredLaminate(Laminate):
 
     def __init__(
         self,
-        ply: Ply | Sequence[Ply],
+        ply: Lamina | Sequence[Lamina],
         angles: Sequence | Tensor,
         thickness: float | Sequence | Tensor,
         field: FiberField,

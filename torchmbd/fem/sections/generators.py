@@ -22,7 +22,7 @@ import numpy as np
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.materials import Ply
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
 from torchmbd.fem.sections.section import Section
@@ -39,7 +39,7 @@ from torchmbd.fem.sections.section_checks import (
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.variable import number
 
-Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
+Plies = Lamina | Orthotropic | Sequence[Lamina | Orthotropic]
 Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constant_arguments`)
 
 
@@ -147,7 +147,7 @@ def box(
                 patches.append(Patch(points, k if shared else w * layers + k))
         return patches
 
-    plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
+    plies = ply if shared or isinstance(ply, Lamina | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
     section_angles = angles if shared else np.concatenate([np.asarray(walls[w]) for w in WALLS]).tolist()
     return Section(
         parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, section_angles
@@ -195,7 +195,7 @@ def tube(
 @constant_arguments
 def circle(
     radius: float | Tensor,
-    ply: Ply | Orthotropic,
+    ply: Lamina | Orthotropic,
     angle: float = 0.0,
     cells: tuple[int, int] = (6, 4),
     order: int = 2,
@@ -274,7 +274,7 @@ def i_section(
             patches.append(Patch(grid(across[k], web).transpose(1, 0, 2), layers + k))
         return patches
 
-    plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
+    plies = ply if isinstance(ply, Lamina | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
     section_angles = np.concatenate([np.asarray(angles[n]) for n in names]).tolist()
     return Section(
         parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, section_angles

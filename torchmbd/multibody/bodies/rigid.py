@@ -50,12 +50,14 @@ class Ground:
         y: float | Tensor = 0.0,
         z: float | Tensor = 0.0,
         axes: Sequence | Tensor | None = None,
+        turn: Sequence[float | Tensor] = (0.0, 0.0, 0.0),
     ) -> Frame:
         """Frame at a point in ground axes [m]; `axes`: columns of its triad (default: ground axes).
 
         x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_a.x"
+        turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_a.turn_x"
         """
-        return frame_at("point", self, (x, y, z), axes)
+        return frame_at("point", self, (x, y, z), axes, turn)
 
 
 @checked_signature
@@ -119,12 +121,14 @@ class RigidBody(nn.Module):
         y: float | Tensor = 0.0,
         z: float | Tensor = 0.0,
         axes: Sequence | Tensor | None = None,
+        turn: Sequence[float | Tensor] = (0.0, 0.0, 0.0),
     ) -> Frame:
         """Frame at a point in body axes [m]; `axes`: columns of its triad in body axes.
 
         x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_b.x"
+        turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_b.turn_x"
         """
-        return frame_at(f"point on {self.name!r}", self, (x, y, z), axes)
+        return frame_at(f"point on {self.name!r}", self, (x, y, z), axes, turn)
 
     def invariants(self) -> dict[str, Tensor]:
         """Mass, first and second moments about the origin of the body (keys as in fem/reduction/invariants.py)."""

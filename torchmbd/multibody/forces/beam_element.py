@@ -107,7 +107,7 @@ def _check(name: str, frame: Frame) -> None:
     allowed = "frames of rigid bodies without design variables, and of the ground"
     if frame.interpolation is not None:
         raise InputError(f"{name!r} ends at {frame!r}, on a flexible body; allowed: {allowed}")
-    if frame.varying_point is not None or isinstance(frame.body.position, nn.Parameter):
+    if frame.varying is not None or isinstance(frame.body.position, nn.Parameter):
         raise InputError(f"{name!r} ends at {frame!r}, whose place varies with the design; allowed: {allowed}")
 
 

@@ -7,8 +7,8 @@
     Friction   f = -f0 tanh(s' / v0)
     Scaled     f = factor g(s, s', t), g any law
 
-Numbers of Spring, and the factor of Scaled, may be design variables: `Spring(mbd.variable(2e3))` (parametric_law.py). Where a
-force is a function of time alone, the law g of Scaled is g(t).
+Numbers of Spring and Friction, and the factor of Scaled, may be design variables: `Spring(mbd.variable(2e3))`
+(parametric_law.py). Where a force is a function of time alone, the law g of Scaled is g(t).
 
 A law is a frozen dataclass. `data_fields` names its fields that are data of compiled code, and may be design variables; all
 else is compiled. Such a law states `slopes`, and consists of + - * / and functions of math/elementwise.py, which take pairs.
@@ -30,9 +30,11 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature, user_line
 from torchmbd.math.checked_numbers import reals, scalar
+from torchmbd.math.elementwise import reciprocal, tanh
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.pair import Pair, linear
 from torchmbd.math.torch_law import require_differentiable
+from torchmbd.math.variable import number
 from torchmbd.multibody.joints.laws import finite
 
 Slopes = tuple[Tensor, Tensor]
@@ -245,28 +247,36 @@ class Gap:
 class Friction:
     """Dry friction, smoothed: f = -force tanh(s' / speed). Below `speed` bodies creep instead of sticking."""
 
-    force: float
-    speed: float
+    force: float | Tensor
+    speed: float | Tensor
     center: float = 0.0
+    data_fields: ClassVar[tuple[str, ...]] = ("force", "speed")
+    positive: ClassVar[tuple[str, ...]] = ("force", "speed")
 
     def __post_init__(self) -> None:
-        for name in ("force", "speed"):
-            if not scalar(f"{name} of a Friction", getattr(self, name)) > 0.0:
-                raise InputError(f"{name} of a Friction is {getattr(self, name)!r}; allowed: positive")
+        for name in self.positive:
+            x = getattr(self, name)
+            if getattr(x, "shape", ()):
+                continue  # data of a batch of designs, which were checked
+            if not scalar(f"{name} of a Friction", number(x)) > 0.0:
+                raise InputError(
+                    f"{name} of a Friction is {number(x)!r}; allowed: positive, or mbd.variable(...) of such a number"
+                )
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        return -self.force * torch.tanh(rate / self.speed)
+        return -self.force * tanh(rate * reciprocal(self.speed))
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
         """Derivatives by s and s'."""
-        share = torch.tanh(rate / self.speed)
-        return torch.zeros_like(s), -self.force / self.speed * (1.0 - share * share)
+        inverse = reciprocal(self.speed)
+        share = tanh(rate * inverse)
+        return torch.zeros_like(s), -self.force * inverse * (1.0 - share * share)
 
 
 # What of a law of a force may be a design variable; part of messages.
 VARIABLES = (
-    "numbers of a Spring, the factor of Scaled and data_fields of a law, given to a force element as mbd.variable(...); "
-    "constant tensors"
+    "numbers of a Spring or a Friction, the factor of Scaled and data_fields of a law, given to a force element as "
+    "mbd.variable(...); constant tensors"
 )
 
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)

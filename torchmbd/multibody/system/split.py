@@ -102,9 +102,9 @@ def _line(body: Any) -> BeamLine:
         raise InputError(f"body {body.name!r} of split is no beam; allowed: {allowed}")
     if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):
         raise InputError(f"body {body.name!r} of split has motion or position of its own; allowed: {allowed}")
-    if any(body.damping.ratios):
+    if body.damping.ratios is not None or body.damping.rate != 0.0:
         raise InputError(
-            f"body {body.name!r} of split has damping ratios; allowed: `damping` in proportion to stiffness"
+            f"body {body.name!r} of split has damping ratios, or a rate; allowed: `damping` in proportion to stiffness"
         )
     line: BeamLine = body.mesh
     chain = torch.arange(len(line.nodes))

@@ -1,0 +1,10 @@
+"""The registry of measurements: names as experiment files spell them. A new one is one file here, and one line."""
+
+from __future__ import annotations
+
+from torchmbd.identification.measurement import Measurement
+from torchmbd.identification.time_series import TimeSeries
+
+MEASUREMENTS: dict[str, type[Measurement]] = {
+    "time_series": TimeSeries,
+}
