@@ -31,6 +31,7 @@ from torchmbd.multibody.system.spectrum import Spectrum
 from torchmbd.multibody.system.steady_rotation import MovingObserver, Observer, SteadyRotation
 
 NATURAL, POLES = "natural", "poles"
+_NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
 _UNEQUAL = 1e-6  # of derivatives of eigenvalues that coincide: more than rounding
 _HELD = "allowed: functions of other eigenvalues, or drives, joints and springs that hold the mechanism"
 
@@ -83,8 +84,9 @@ class _Eigenproblem:
             dynamics, observer = replace(self.model, data=data), self._observer(state, data)
             rest = Linearization.of(dynamics, state[0][:, 0, 0], self.t, None, observer)
             self.balance.append(rest)
-            self.spectra.append(Spectrum.natural(rest) if self.kind == NATURAL else Spectrum.poles(rest))
-        sizes = {len(x.values) for x in self.spectra}
+            few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+            self.spectra.append(Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest))
+        sizes = {rest.N.shape[1] * (1 + (self.kind == POLES)) for rest in self.balance}
         if len(sizes) > 1:
             raise InputError(
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
@@ -132,7 +134,9 @@ class _Eigenproblem:
             if not self.symmetric:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
-        leaves, slopes = self._slopes(modes, [(i, i) for i in range(len(modes))])
+        needed = bars.flatten(2).abs().amax((0, 2)).nonzero()[:, 0].tolist()  # one of many eigenvalues has one column
+        leaves, slopes = self._slopes([modes[i] for i in needed], [(i, i) for i in range(len(needed))])
+        bars = bars[:, needed]
         by_leaf: list[list[Tensor]] = [[] for _ in leaves]
         for row in range(rows):
             for parts, g, x in zip(by_leaf, _gradients(slopes, list(bars[:, :, row]), leaves), leaves, strict=True):
