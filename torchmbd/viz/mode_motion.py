@@ -31,7 +31,7 @@ from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.viz.animation import require_lane, scene_of, write_scene
 
-SWINGS = 1e-4  # share of |s| that the imaginary part of a pole has at least: else rounding decides whether it is real
+SWINGS = 1e-2  # share of |s| that the imaginary part has at least: nearly equal real poles get 1e-4 by rounding
 _UNDAMPED = 1e-7  # damping [%] that is rounding
 _PERIODS = 3  # in a page: the player takes about six seconds for all
 _CLOSING = 4  # Newton steps
@@ -123,7 +123,7 @@ def _moved(rest: Equilibrium, lane: int, pole: Tensor, shape: Tensor, phases: Te
     q = _closed(dynamics, observer.perturbed(T, wide, x[:, None], none, none)[0], rest.t[-1].detach())[:, 0]
     unknown = q.new_full((T.rows, len(phases)), torch.nan)
     damping = -100.0 * float(pole.real / pole.abs())
-    words = "no damping" if abs(damping) < _UNDAMPED else f"damping {damping:.2g} %"
+    words = "no damping" if abs(damping) < _UNDAMPED else f"damping {damping:.3g} %"
     return Trajectory(
         t=phases / float(pole.imag),
         signals=TensorSignals({"q": q.T[None], "v": v.T[None], "a": a.T[None], "lam": unknown.T[None]}),
