@@ -59,7 +59,7 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
+from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
@@ -194,6 +194,7 @@ __all__ = [
     "CriticalSpeed",
     "Cylindrical",
     "DampingRatio",
+    "DesignFailure",
     "DesignSpace",
     "Differences",
     "Displacement",

@@ -42,7 +42,7 @@ GROUPS: dict[str, str] = {
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
-    "errors": "MbdError InputError ArgumentError SimulationFailure",
+    "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
 }
 
 

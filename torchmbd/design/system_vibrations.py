@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure, InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.steady_states import Shaft, SteadyStates, steady_states
@@ -145,7 +145,7 @@ class DampingRatio(OfVibrations):
         for lane in poles:
             oscillating = (lane.detach().imag > 0.0).nonzero()[:, 0]
             if len(oscillating) < self.number:
-                raise InputError(
+                raise DesignFailure(
                     f"number is {self.number}; allowed: 1 to {len(oscillating)}, the vibrations of the system that oscillate"
                 )
             s = lane[oscillating[self.number - 1]]
