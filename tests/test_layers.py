@@ -27,6 +27,7 @@ LAYERS = (
     {"integrate"},
     {"optimization"},
     {"design"},
+    {"identification"},
     {"viz", "tracking", "examples"},
     {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.meshes", "extensions.nastran"},
     {"extensions.lamination", "extensions.matrices", "extensions.openmdao", "extensions.robots", "extensions.windio"},

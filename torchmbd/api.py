@@ -6,7 +6,6 @@ Checked in tests/test_api.py.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -59,13 +58,14 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, name_arguments
+from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, checked_signature
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
+from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -102,7 +102,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Buckling, buckling
+from torchmbd.multibody.statics import Buckling, Vibrations, buckling, frequencies
 from torchmbd.multibody.system import Chain, Dynamics, System, split
 from torchmbd.optimization import (
     OptimizationResult,
@@ -132,6 +132,7 @@ def __getattr__(name: str) -> Any:
     return Study
 
 
+@checked_signature
 def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
     """Load a study of the tracking store: system, best design, motion; see torchmbd.study.stored_run.
 
@@ -149,6 +150,7 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
     return load_run(run, uri, model)
 
 
+@checked_signature
 def problem_of(file: str | Path, *assignments: str) -> Problem:
     """The problem of an experiment file, for tasks that files have no keys for, such as other criteria of the same motion.
 
@@ -187,6 +189,7 @@ __all__ = [
     "Bushing",
     "CampbellClearance",
     "Chain",
+    "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
@@ -204,6 +207,7 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
+    "Experiment",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -215,6 +219,7 @@ __all__ = [
     "GivenSection",
     "Ground",
     "History",
+    "Identification",
     "InputError",
     "Integral",
     "Interface",
@@ -226,6 +231,7 @@ __all__ = [
     "Measure",
     "Mesh",
     "Min",
+    "ModalData",
     "OptimizationResult",
     "Phase",
     "Planar",
@@ -258,16 +264,19 @@ __all__ = [
     "SpringDamper",
     "StabilityLimit",
     "StabilityMargin",
+    "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
     "SystemFrequency",
+    "TimeSeries",
     "Torque",
     "Tradeoff",
     "Trajectory",
     "Universal",
     "Velocity",
+    "Vibrations",
     "WeightedSum",
     "buckling",
     "craig_bampton",
@@ -277,7 +286,9 @@ __all__ = [
     "equilibrium",
     "examples",
     "forces",
+    "frequencies",
     "history",
+    "identify",
     "latin_hypercube",
     "load",
     "measure",
@@ -300,7 +311,3 @@ __all__ = [
     "verify",
     "viz",
 ]
-
-for _module in (sections, mesh, forces, viz):
-    name_arguments(_module, _module.__all__)
-name_arguments(sys.modules[__name__], __all__)

@@ -12,9 +12,9 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterable
-from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
+T = TypeVar("T")
 _INSIDE = ("torchmbd", "torch", "scipy", "numpy", "contextlib", "functools")  # packages whose lines are not the user's
 
 
@@ -127,36 +127,24 @@ def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
     return tuple(p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
 
 
-def name_arguments(module: ModuleType, names: Iterable[str]) -> None:
-    """Let the functions and classes of a module refuse calls that do not fit their signatures by ArgumentError.
+def checked_signature(x: T) -> T:
+    """Decorator of a public function or class: a call that does not fit its signature is refused by ArgumentError.
 
     It names the argument, its value and what is allowed, with the nearest name. Of a class these are its constructor and its
     class methods. A call that fits costs nothing: the signature is looked at when Python has refused it.
     """
-    for name in names:
-        x = getattr(module, name)
-        if not getattr(x, "__module__", "").startswith("torchmbd."):
-            continue
-        if isinstance(x, type):
-            _name_constructors(x)
-        elif inspect.isfunction(x):
-            named = _named(x, x.__name__)
-            setattr(module, name, named)
-            home = sys.modules[x.__module__]
-            if getattr(home, x.__name__, None) is x:  # pickle looks functions up where they are defined
-                setattr(home, x.__name__, named)
-
-
-def _name_constructors(kind: type) -> None:
-    for owner in (base for base in kind.__mro__ if base.__module__.startswith("torchmbd.")):
+    if not isinstance(x, type):
+        return _named(x, x.__name__)  # type: ignore[attr-defined]
+    for owner in (base for base in x.__mro__ if base.__module__.startswith("torchmbd.")):
         for name, member in list(vars(owner).items()):
             if name == "__init__" and inspect.isfunction(member):
                 owner.__init__ = _named(member, None)
             elif isinstance(member, classmethod) and name[0] != "_":
                 setattr(owner, name, classmethod(_named(member.__func__, f"{owner.__name__}.{name}")))
+    return x
 
 
-def _named(function: Callable[..., Any], name: str | None) -> Callable[..., Any]:
+def _named(function: Any, name: str | None) -> Any:
     """The function, with ArgumentError in place of Python's TypeError; `name` None: of the class that is constructed."""
     if hasattr(function, "_names_arguments"):
         return function

@@ -13,8 +13,6 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
-from torchmbd.errors import name_arguments
-
 EXTENSIONS = "torchmbd.extensions"
 T = TypeVar("T")
 
@@ -60,10 +58,7 @@ def public(name: str) -> Any:
         if name in names.split():
             if not _is_installed(extension):
                 raise AttributeError(f"mbd.{name} is of the extension {extension}, which is not installed")
-            module = import_module(f"{EXTENSIONS}.{extension}")
-            attribute = name.rpartition(".")[2]
-            name_arguments(module, [attribute])
-            return getattr(module, attribute)
+            return getattr(import_module(f"{EXTENSIONS}.{extension}"), name.rpartition(".")[2])
     raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
 
 

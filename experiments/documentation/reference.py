@@ -30,7 +30,7 @@ GROUPS: dict[str, str] = {
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
+    "simulation": "simulate equilibrium Equilibrium buckling Buckling frequencies Vibrations Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",
@@ -41,6 +41,7 @@ GROUPS: dict[str, str] = {
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
+    "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
     "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
 }

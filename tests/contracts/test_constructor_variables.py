@@ -94,6 +94,8 @@ CASES: dict[str, tuple[Callable[..., Any], Mapping[str, Any], Mapping[str, Any]]
     ),
     "BeamLine": (mbd.BeamLine.straight, {"length": 1.0}, {"elements": 2}),
     "FlexibleBody": (plate, {"damping": 0.1}, {}),
+    "damped": (lambda **k: plate().damped(**k), {"ratio": 0.1, "rate": 1.0}, {}),
+    "turn of a Frame": (lambda turn: body().at(turn=(turn, 0.0, 0.0)), {"turn": 0.1}, {}),
     "System": (
         lambda gravity: mbd.System([body()], [], gravity=(0.0, gravity, 0.0)),
         {"gravity": -9.81},

@@ -247,6 +247,45 @@ def test_argument_value_and_what_is_allowed_are_named(name):
     assert "allowed" in text or "must" in text
 
 
+# Classes that users are given, or derive from.
+RESULTS = [
+    "Buckling",
+    "BeamState",
+    "Chain",
+    "Constraint",
+    "CoveringTriangles",
+    "Damage",
+    "Dynamics",
+    "Equilibrium",
+    "ForceElement",
+    "Frame",
+    "History",
+    "Measure",
+    "NodeCloud",
+    "OptimizationResult",
+    "PlyHistory",
+    "Section",
+    "SectionHistory",
+    "SectionStress",
+    "Study",
+    "Trajectory",
+]
+
+
+def public_calls() -> dict[str, Any]:
+    """All functions and classes with public names, but those of RESULTS and errors."""
+    modules = {"": mbd, "sections.": mbd.sections, "mesh.": mbd.mesh, "forces.": mbd.forces, "viz.": mbd.viz}
+    names = {f"{prefix}{name}": getattr(module, name) for prefix, module in modules.items() for name in module.__all__}
+    calls = {name: x for name, x in names.items() if callable(x) and x.__name__ not in RESULTS}
+    return {name: x for name, x in calls.items() if not (isinstance(x, type) and issubclass(x, Exception))}
+
+
+@pytest.mark.parametrize("name", public_calls())
+def test_an_argument_that_does_not_exist_is_refused_by_every_public_call(name):
+    with pytest.raises(InputError, match=r"allowed"):
+        public_calls()[name](no_such_argument=1)
+
+
 def test_switches_that_are_none_are_named():
     assert (true_or_false("x", True), true_or_false("x", np.bool_(False))) == (True, False)
     for given in (None, "no", 0, 1.0, [], torch.tensor(True)):

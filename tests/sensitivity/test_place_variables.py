@@ -113,5 +113,5 @@ def test_what_is_refused():
         with pytest.raises(mbd.InputError, match=words):
             make()
     slide = mbd.Drive(GROUND.at(), ball.at(V(0.1)), axis="x", velocity=0.1)
-    with pytest.raises(mbd.InputError, match="coordinates that vary, but a displacement"):
+    with pytest.raises(mbd.InputError, match="coordinates or axes that vary, but a displacement"):
         mbd.System([ball], [mbd.Prismatic(GROUND.at(), ball.at(), axis="x"), slide])

@@ -19,7 +19,7 @@ from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.measures import Max
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.digest import digest
@@ -33,6 +33,7 @@ _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = (
 )  # body -> digest of loads and supports
 
 
+@checked_signature
 @dataclass(frozen=True)
 class BucklingFactor(Measure):
     """Factor [lanes] [-] of loads at which a body buckles: of static ones (mbd.buckling), or the least along the motion.

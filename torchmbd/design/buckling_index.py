@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.digest import digest
@@ -34,6 +34,7 @@ from torchmbd.results.body_loads import body_loads, interpolations
 _SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()  # body -> digest of supports
 
 
+@checked_signature
 @dataclass(frozen=True)
 class BucklingIndex(History):
     """Share of the critical load that a flexible body carries [lanes, times] [-]: 1 / buckling factor of its stress.

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.system_vibrations import OfVibrations, number_of, positive_band, rising
-from torchmbd.errors import DesignFailure, InputError, one_of
+from torchmbd.errors import DesignFailure, InputError, checked_signature, one_of
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.steady_states import steady_states
@@ -89,6 +89,7 @@ def _check_points(points: object) -> None:
         raise InputError(f"points is {points!r}; allowed: 2, 3, ...")
 
 
+@checked_signature
 @dataclass(frozen=True)
 class CriticalSpeed(OfVibrations):
     """A speed [lanes] [rad/s] at which a natural frequency is a multiple of the speed.
@@ -143,9 +144,10 @@ class CriticalSpeed(OfVibrations):
         return float(speeds[i]), float(speeds[i + 1]), k
 
 
+@checked_signature
 @dataclass(frozen=True)
 class StabilityLimit(OfVibrations):
-    """The least value [lanes] of a parameter, within a range, at which vibrations begin to grow: a flutter load or speed.
+    """The least value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.
 
     parameter   name of a parameter of the system of one number, such as "push.x"; "speed": of rotation [rad/s]
     between     (lowest, highest) value that is searched

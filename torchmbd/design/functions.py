@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History, Measure
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, checked_signature, warn
 from torchmbd.integrate import Trajectory
 
 
@@ -99,6 +99,7 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
 def history(function: Callable[[Any], Tensor], unit: str | None = None) -> History: ...
 @overload
 def history(function: None = None, unit: str | None = None) -> Callable[[Callable[[Any], Tensor]], History]: ...
+@checked_signature
 def history(function: Any = None, unit: str | None = None) -> Any:
     """Make a history from a function of the motion.
 
@@ -125,6 +126,7 @@ def history(function: Any = None, unit: str | None = None) -> Any:
 def measure(function: Callable[[Any], Tensor], unit: str | None = None) -> Measure: ...
 @overload
 def measure(function: None = None, unit: str | None = None) -> Callable[[Callable[[Any], Tensor]], Measure]: ...
+@checked_signature
 def measure(function: Any = None, unit: str | None = None) -> Any:
     """Make a measure from a function of the motion.
 

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.system import System
@@ -39,6 +39,7 @@ GROUND = "ground"
 Direction = str | Sequence[float]
 
 
+@checked_signature
 @dataclass(frozen=True)
 class StrainEnergy(History):
     """Elastic energy of a flexible body, of a linear one U = 1/2 w' Kr w, or of a flexible beam [lanes, times] [J]; eq. (17).
@@ -69,6 +70,7 @@ class StrainEnergy(History):
         return (force * wd).sum(-1), (stiff * wd + force * wdd).sum(-1)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Position(History):
     """Component of the position of a point [lanes, times] [m].
@@ -145,6 +147,7 @@ class Position(History):
         return y, rate, ydd - _cross(body.omega, yd + rate) - _cross(body.omega_rate, y)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Displacement(Position):
     """Change of position since the start [lanes, times] [m]; arguments as of `Position`.
@@ -177,6 +180,7 @@ class Displacement(Position):
         return y - y[:, :1]
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Velocity(Position):
     """Rate of the position as the observer sees it [lanes, times] [m/s]; arguments as of `Position`.
@@ -189,6 +193,7 @@ class Velocity(Position):
     order: ClassVar[int] = 1
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Acceleration(Position):
     """Second rate of the position as the observer sees it [lanes, times] [m/s2]; arguments as of `Position`.
@@ -201,6 +206,7 @@ class Acceleration(Position):
     order: ClassVar[int] = 2
 
 
+@checked_signature
 @dataclass(frozen=True)
 class RelativeDisplacement(History):
     """Elastic displacement of node a less that of node b [lanes, times] [m]: along z of a plate the local torsion, eq. (38).
@@ -243,6 +249,7 @@ class RelativeDisplacement(History):
         ) @ unit_vector(self.axis)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Reaction(History):
     """Force of a joint on one of its bodies, or torque about the point of the joint: one component [lanes, times].

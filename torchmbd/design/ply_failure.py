@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, checked_signature, unknown, warn
 from torchmbd.fem.materials import CRITERIA, Strength
 from torchmbd.integrate import Trajectory
 from torchmbd.math.variable import number
@@ -31,6 +31,7 @@ from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 LONGEST = 2.0
 
 
+@checked_signature
 @dataclass(frozen=True)
 class PlyFailure(History):
     """Failure index of a laminated body [lanes, times] [-]: nothing fails where it is below one.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.fem.materials import PLY_COMPONENTS
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
@@ -25,6 +25,7 @@ from torchmbd.results.ply_history import PlyHistory, require_plies
 EXTREMES = ("highest", "lowest")
 
 
+@checked_signature
 @dataclass(frozen=True)
 class PlyStress(History):
     """Highest or lowest stress among the ply points of a laminated body [lanes, times] [Pa].

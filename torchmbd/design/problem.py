@@ -46,7 +46,7 @@ from torchmbd.design.problem_steps import (
 )
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
-from torchmbd.errors import InputError, SimulationFailure, argument_names
+from torchmbd.errors import InputError, SimulationFailure, argument_names, checked_signature
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
@@ -64,6 +64,7 @@ from torchmbd.summary import Summary, few
 BOUND = "bound"  # name of the extra variable beta
 
 
+@checked_signature
 class Problem(Summary):
     """A transient optimization problem.
 

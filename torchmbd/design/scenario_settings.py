@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, nearest
-from torchmbd.integrate.arguments import is_positive
+from torchmbd.integrate.arguments import of_allowed_sign
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import System
@@ -63,8 +63,9 @@ def settings_of(
         if name in variables:
             raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
         value = _value(f"{name} in scenario {scenario!r}", setting, parameters[name].detach())
-        if is_positive(system, name) and not (value > 0.0).all():
-            raise InputError(f"{name} in scenario {scenario!r} is {setting!r}; allowed: positive numbers")
+        good, allowed = of_allowed_sign(system, name, value)
+        if not good.all():
+            raise InputError(f"{name} in scenario {scenario!r} is {setting!r}; allowed: {allowed}")
         check_parameter(f"scenario {scenario!r} sets", name, value)
         values[name] = value
     return values

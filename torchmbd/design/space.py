@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Sized
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, nearest, unknown
-from torchmbd.integrate.simulate import entry_labels
+from torchmbd.errors import InputError, checked_signature, nearest, unknown
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
@@ -31,6 +30,7 @@ from torchmbd.optimization.optimizer import require_inside
 CONSTANT = "constant"  # key of a link's offset
 
 
+@checked_signature
 class DesignSpace:
     """Maps design vectors to parameters of a system.
 
@@ -59,7 +59,24 @@ class DesignSpace:
     ):
         if not isinstance(system, System):
             raise InputError(f"system is {system!r}; allowed: a System")
-        parameters = dict(system.named_parameters())
+        self._span(dict(system.named_parameters()), variables, bounds, start, links)
+
+    @classmethod
+    def of_parameters(
+        cls,
+        parameters: Mapping[str, Tensor],
+        bounds: Any = (-np.inf, np.inf),
+        start: Any = None,
+        links: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> Self:
+        """The space of parameters by name, of one system, of several, or of none; all of them are variables."""
+        space = cls.__new__(cls)
+        space._span(parameters, list(parameters), bounds, start, links)
+        return space
+
+    def _span(
+        self, parameters: Mapping[str, Tensor], variables: Sequence[str] | None, bounds: Any, start: Any, links: Any
+    ) -> None:
         for name in variables or ():
             if name not in parameters:
                 raise unknown("parameter", name, parameters)
@@ -71,7 +88,7 @@ class DesignSpace:
                 "the system has no parameter that requires a gradient; allowed: at least one design variable"
             )
         self.shapes = {name: parameters[name].shape for name in self.variables}
-        self.entries = list(entry_labels(system, self.variables))
+        self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]
         self.map, self.offset = _linked(self.entries, links or {})
         free = [i for i, entry in enumerate(self.entries) if entry not in (links or {})]
         self.names = [self.entries[i] for i in free]

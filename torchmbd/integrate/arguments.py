@@ -158,16 +158,20 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
         numbers_of = untransformed(x).reshape(-1, *parameters[name].shape)
         lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())
         check_parameter(f"design of lane {lane}:", name, numbers_of[lane])
-        if is_positive(system, name):
-            _check_lanes(name, x, x > 0.0, "positive numbers")
+        _check_lanes(name, x, *of_allowed_sign(system, name, x))
         result[name] = x
     return result
 
 
-def is_positive(system: System, parameter: str) -> bool:
-    """Whether only positive numbers are allowed for a parameter, as for a mass."""
+def of_allowed_sign(system: System, parameter: str, x: Tensor) -> tuple[Tensor, str]:
+    """Which values of a parameter have a sign that it may have, and what is allowed: a mass is positive."""
     owner, _, name = parameter.rpartition(".")
-    return name in getattr(system.get_submodule(owner), "positive", ())
+    module = system.get_submodule(owner)
+    if name in getattr(module, "positive", ()):
+        return x > 0.0, "positive numbers"
+    if name in getattr(module, "nonnegative", ()):
+        return x >= 0.0, "zero or positive numbers"
+    return torch.ones_like(x, dtype=torch.bool), "finite numbers"
 
 
 def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, argument_names
+from torchmbd.errors import InputError, argument_names, checked_signature
 from torchmbd.integrate.arguments import (
     check_backend,
     check_gradients,
@@ -60,6 +60,7 @@ from torchmbd.results.time_rows import IntegratedSignals, StepStates
 from torchmbd.results.trajectory import Trajectory
 
 
+@checked_signature
 @exclusive
 def simulate(
     system: System,

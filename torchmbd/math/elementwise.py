@@ -35,6 +35,10 @@ def sqrt(x: Any) -> Any:
     return function(torch.sqrt, lambda y: 0.5 * torch.rsqrt(y), x)
 
 
+def tanh(x: Any) -> Any:
+    return function(torch.tanh, lambda y: 1.0 - torch.tanh(y) * torch.tanh(y), x)
+
+
 def partial_derivatives(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
     """Partial derivatives of an elementwise function by each of its arguments."""
     result = []

@@ -45,8 +45,13 @@ UNITS: dict[str, tuple[float, str]] = {
     "N/m": (1.0, "N/m"),
     "N/mm": (1e3, "N/m"),
     "J": (1.0, "J"),
+    "N m": (1.0, "N m"),
     "m/s": (1.0, "m/s"),
+    "mm/s": (1e-3, "m/s"),
+    "m/s2": (1.0, "m/s2"),
+    "g0": (GRAVITY, "m/s2"),
     "rad/s": (1.0, "rad/s"),
+    "deg/s": (math.pi / 180.0, "rad/s"),
     "rpm": (math.pi / 30.0, "rad/s"),
     NONE: (1.0, ""),
 }

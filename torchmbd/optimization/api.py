@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names, true_or_false
+from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
 from torchmbd.optimization.finer_motions import search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
@@ -21,8 +21,8 @@ from torchmbd.optimization.optimizer import (
     Ending,
     Iterate,
     Method,
+    NonlinearProgram,
     OptimizationResult,
-    Problem,
     as_numbers,
     checked_names,
     find_method,
@@ -40,8 +40,9 @@ FEASIBILITY = 1e-6
 KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option of this name
 
 
+@checked_signature
 def optimize(
-    problem: Problem,
+    problem: NonlinearProgram,
     method: str = "mmfd",
     start: np.ndarray | None = None,
     max_iterations: int = MAX_ITERATIONS,
@@ -87,7 +88,9 @@ def optimize(
     analyses = 0
     with shown(progress, method, max_iterations) as show:
 
-        def search_from(problem: Problem, x: np.ndarray, iterations: int, report: Report) -> OptimizationResult:
+        def search_from(
+            problem: NonlinearProgram, x: np.ndarray, iterations: int, report: Report
+        ) -> OptimizationResult:
             nonlocal analyses
             search = Search.of(
                 problem,

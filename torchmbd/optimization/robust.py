@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.optimization.api import checked_box
 from torchmbd.optimization.extra_variable import ExtraVariable
-from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers, require_inside
+from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, as_numbers, require_inside
 
 KINDS = ("expected", "worst")
 NODE, OUTER = np.sqrt(0.6), 5.0 / 18.0  # of the Gauss rule of three points on [-1, 1], weights of sum one
@@ -36,6 +36,7 @@ BETA = "beta"
 MAX_CORNERS = 4096
 
 
+@checked_signature
 class RobustProblem:
     """`problem` with its criterion replaced by its mean or its worst case over a tolerance. It is a problem too.
 
@@ -51,7 +52,7 @@ class RobustProblem:
     True
     """
 
-    def __init__(self, problem: Problem, tolerance: Any, kind: str = "expected") -> None:
+    def __init__(self, problem: NonlinearProgram, tolerance: Any, kind: str = "expected") -> None:
         if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):

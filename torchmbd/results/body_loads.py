@@ -80,7 +80,9 @@ def _concentrated(motion: MotionData, body: FlexibleBody) -> Tensor:
         if attached.body is body and attached.interpolation is not None:
             k = of_body.index(attached.interpolation)
             f = at_times(motion, local[:, i])
-            lever = attached.vector - attached.interpolation.center(x) if attached.is_point else attached.vector
+            lever = attached.vector - attached.interpolation.center(x)
+            if not attached.is_point:
+                lever = at_times(motion, data["x"][:, i].expand(-1, -1, local.shape[-1]))
             moment = torch.linalg.cross(lever.expand_as(f), f, dim=-1)
             total[k] = total[k] + torch.cat([f if attached.is_point else torch.zeros_like(f), moment], -1)
     return torch.stack(total, 2)

@@ -207,12 +207,32 @@ def point_of(motion: MotionData, frame: Frame) -> Tensor:
     if frame.interpolation is not None and varying_nodes(frame.body.mesh):
         nominal = frame.interpolation.center(frame.body.mesh.nodes - frame.body.origin)
         return (frame.interpolation.center(_node_positions(motion, frame.body)) + frame.point - nominal)[:, None]
-    if frame.varying_point is None:
+    if frame.varying is None:
         return frame.point[None, None]
-    places = [attached.varying_point for attached in motion.dynamics.topology.attached]
-    if frame.varying_point not in places:
+    places = [attached.varying if attached.is_point else None for attached in motion.dynamics.topology.attached]
+    if frame.varying not in places:
         return frame.present_point[None, None]
-    return value(motion.dynamics.data["x"])[:, places.index(frame.varying_point), 0].T[:, None]
+    return value(motion.dynamics.data["x"])[:, places.index(frame.varying), 0].T[:, None]
+
+
+class _Triad(nn.Module):
+    """The triad of a frame with the present parameters of its system, for call_module."""
+
+    def __init__(self, system: Any, place: nn.Module):
+        super().__init__()
+        self.system, self.place = system, place
+
+    def forward(self) -> Tensor:
+        return self.place().triad()
+
+
+def triad_of(motion: MotionData, frame: Frame) -> Tensor:
+    """Columns: the axes of a frame in those of its body [lanes or 1, 1, 3, 3], as the designs have them."""
+    if frame.varying is None:
+        return frame.axes[None, None]
+    designs = {f"system.{name}": x for name, x in motion.designs.items()}
+    triad = call_module(_Triad(motion.system, frame.varying), designs)
+    return triad[:, None] if triad.dim() == 3 else triad[None, None]
 
 
 @dataclass(frozen=True)

@@ -91,14 +91,13 @@ def _sizes(motion: Trajectory) -> list[float]:
     mass = value(data["mass"])[:, 0]
     acceleration = in_lanes(motion.a)[: 3 * T.bodies].unflatten(0, (3, -1))
     if "gravity" in data:
-        acceleration = acceleration - value(data["gravity"])[..., :1]
-    times = len(motion.t)
-    forces = (mass.repeat_interleave(times, -1) if mass.shape[-1] > 1 else mass) * _lengths(acceleration[:, :, 0])
+        acceleration = acceleration - _at_all_times(motion, data["gravity"])
+    forces = _at_all_times(motion, mass) * _lengths(acceleration[:, :, 0])
     total = forces.sum(0)
     if T.actions:
         wide, at = placement_at_times(motion)
         total = total + _lengths(equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]).sum(0)
-    largest = (total.nan_to_num(0.0, 0.0, 0.0).reshape(motion.lanes, times) * _known(motion)).amax(1)
+    largest = (total.nan_to_num(0.0, 0.0, 0.0).reshape(motion.lanes, len(motion.t)) * _known(motion)).amax(1)
     sizes = []
     for k, name in enumerate(T.names[: T.flexible]):
         lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
@@ -106,6 +105,12 @@ def _sizes(motion: Trajectory) -> list[float]:
         size = largest / (lowest * (mass[k] * second).sqrt())
         sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
     return sizes
+
+
+def _at_all_times(motion: Trajectory, x: Any) -> Tensor:
+    """A number of the designs [..., lanes or 1] with lanes x times, or one, as its lanes."""
+    plain = value(x)
+    return plain.repeat_interleave(len(motion.t), -1) if plain.shape[-1] > 1 else plain
 
 
 def _lengths(x: Tensor) -> Tensor:
@@ -142,7 +147,7 @@ def _loads(motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
     _, om, _ = equations.split_v(T, v)
     gravity = motion.dynamics.data.get("gravity")
     if gravity is not None:
-        rdd = rdd - value(gravity)[..., :1]
+        rdd = rdd - _at_all_times(motion, gravity)
     A = at.A[:, :, :f]
     u = matvec_t(A, rdd[:, :f])
     spin = skew(om[:, :f])

@@ -23,7 +23,7 @@ from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
-from torchmbd.results.body_motion import BodyMotion, point_of
+from torchmbd.results.body_motion import BodyMotion, point_of, triad_of
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.ringing import warn_of_ringing
 from torchmbd.summary import Summary, few
@@ -97,13 +97,13 @@ def frame_point(motion: MotionData, frame: Frame) -> Tensor:
 def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
     """Axes of a frame, columns in ground axes [lanes, times, 3, 3]; those on nodes turn with them."""
     if isinstance(frame.body, Ground):
-        return frame.axes.expand(motion.lanes, len(motion.t), 3, 3)
+        return triad_of(motion, frame).expand(motion.lanes, len(motion.t), 3, 3)
     view = BodyMotion(motion, frame.body.name)
     if frame.interpolation is None:
-        return view.A @ frame.axes
+        return view.A @ triad_of(motion, frame)
     turn = frame.interpolation.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
     elastic = rotation_matrix(exponential(torch.einsum("lim,ltm->ilt", turn, view.w)))
-    return view.A @ elastic.movedim((0, 1), (-2, -1)) @ frame.axes
+    return view.A @ elastic.movedim((0, 1), (-2, -1)) @ triad_of(motion, frame)
 
 
 def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Placement, Tensor]:

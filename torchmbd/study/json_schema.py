@@ -99,9 +99,9 @@ def json_schema() -> dict[str, Any]:
         "properties": _measure()["properties"] | types,
         "oneOf": [{"required": [kind]} for kind in LIMIT_KINDS],
     }
-    asked = {"$ref": "#/$defs/Measure"}
-    study["properties"] |= {"minimize": asked, "maximize": asked}
-    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
+    measure = {"$ref": "#/$defs/Measure"}
+    study["properties"] |= {"minimize": measure, "maximize": measure}
+    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": measure}
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
     for section, constructors in CONSTRUCTORS.items():
         part: Any = {"StudyFile": study, "Figures": figures, **parts}[section.__name__]

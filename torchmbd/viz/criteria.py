@@ -16,7 +16,7 @@ from torchmbd.design.problem_parts import responses_of
 from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.viz.animation import require_motion
 from torchmbd.viz.figures import BAD, BEST, CYCLE, LINE, OTHER, figure_of, over_time, titled, wrapped
 from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of
@@ -34,6 +34,7 @@ _APART = 30.0  # ratio of the largest values of designs from which on an axis of
 _FAR = 3.0  # ranges of the curves: a limit that is farther away is written, not drawn
 
 
+@checked_signature
 def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
     """The histories of the objective and the constraints of a problem, with their limits; a curve for each design.
 
@@ -78,7 +79,7 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
                 axes.axvspan(*window, color="#f0f0f0", zorder=0)
         else:
             _show_only(axes, parts)
-        said = "; ".join(panel.asked) if span == whole else f"the window {span[0]:.4g} to {span[1]:.4g} s"
+        said = "; ".join(panel.goals) if span == whole else f"the window {span[0]:.4g} to {span[1]:.4g} s"
         axes.set_title(wrapped(said, LINE), loc="left", fontsize=8)
         axes.set_ylabel(_label(full_name(panel.history), name), fontsize=8)
         if axes.get_yscale() == "linear":
@@ -89,6 +90,7 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     return titled(figure, title)
 
 
+@checked_signature
 def criteria_over_iterations(
     problem: Problem, searches: Mapping[str, Sequence[Iterate]], best: str | None = None, title: str = ""
 ) -> Figure:
@@ -136,6 +138,7 @@ def criteria_over_iterations(
     return titled(figure, title or (f"{len(searches)} starts" if len(searches) > 1 else "1 start"))
 
 
+@checked_signature
 def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
     """The parts of an objective that is a sum, times their weights: a bar for each design; None for other objectives.
 

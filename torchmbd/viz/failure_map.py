@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated
@@ -30,6 +30,7 @@ _CHUNK = 500_000  # indices in memory at once
 _FACES = ("bottom", "top")
 
 
+@checked_signature
 def failure_map(
     motion: Trajectory, body: str, labels: Sequence[str], criterion: str = "tsai_wu", title: str = ""
 ) -> Figure:

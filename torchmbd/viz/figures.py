@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.process import imports
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ BEST, OTHER, BAD = "#0072b2", "#a0a0a0", "#d55e00"
 CYCLE = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 
 
+@checked_signature
 def convergence(
     objectives: Mapping[str, Numbers],
     violations: Mapping[str, Numbers],
@@ -61,6 +62,7 @@ def convergence(
     return figure
 
 
+@checked_signature
 def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = "") -> Figure:
     """Strain energy of a body in several designs of one motion (Fig. 9).
 
@@ -102,6 +104,7 @@ def _plain(x: Any) -> np.ndarray:
     return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=float)
 
 
+@checked_signature
 def criterion(
     values: Numbers,
     criteria: Mapping[str, Numbers],
@@ -138,6 +141,36 @@ def criterion(
     return figure
 
 
+@checked_signature
+def data_and_model(channels: Sequence[tuple[str, str, str, Numbers, Numbers, Numbers]]) -> Figure:
+    """Measured numbers and those of a model over time, frequency or load, a panel for each channel, and their difference below.
+
+    channels  of each: name, title of its axis, title of what it is over, values of that, data, model
+
+    >>> t = np.linspace(0.0, 1.0, 20)
+    >>> figure = mbd.viz.data_and_model([("tip", "x position of tip [m]", "time [s]", t, np.sin(t), t)])
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['x position of tip [m]', 'model - data']
+    """
+    if not channels:
+        raise InputError("channels is empty; allowed: one channel at least")
+    figure, axes = figure_of(3.2 * len(channels), rows=2 * len(channels), ratios=[3, 1] * len(channels), sharex=False)
+    for (name, title, over, x, data, model), top, bottom in zip(channels, axes[::2], axes[1::2], strict=True):
+        x, data, model = (_plain(values) for values in (x, data, model))
+        order = np.argsort(x, kind="stable")
+        top.plot(x, data, ".", color=OTHER, ms=3, label="data")
+        top.plot(x[order], model[order], color=BEST, lw=1.2, label="model")
+        top.set_title(name, loc="left", fontsize=9)
+        top.set_ylabel(wrapped(title, 30))
+        top.legend(frameon=False)
+        bottom.plot(x, model - data, ".", color=BAD, ms=3)
+        bottom.set_ylabel("model - data", fontsize=8)
+        bottom.set_xlabel(over)
+        bottom.sharex(top)
+    return figure
+
+
+@checked_signature
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure; the ending of the name chooses the format.
 

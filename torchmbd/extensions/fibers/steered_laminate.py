@@ -26,9 +26,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.extensions.fibers.field import FiberField
-from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.fem.materials import Laminate
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.plausible_units import check_angles
 
@@ -40,6 +41,7 @@ class FiberPaths(NamedTuple):
     divergence: Float[Tensor, "*lanes cells layers"]
 
 
+@checked_signature
 class SteeredLaminate(Laminate):
     """A stack of plies that vary over a mesh; parameters `.angles` [controls, layers] [rad] and `.thickness` [m].
 
@@ -64,7 +66,7 @@ class SteeredLaminate(Laminate):
 
     def __init__(
         self,
-        ply: Ply | Sequence[Ply],
+        ply: Lamina | Sequence[Lamina],
         angles: Sequence | Tensor,
         thickness: float | Sequence | Tensor,
         field: FiberField,

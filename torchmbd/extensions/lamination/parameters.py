@@ -25,10 +25,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.extensions.fibers.field import FiberField
 from torchmbd.extensions.lamination.conditions import infeasibility_reasons
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, warn_unusual
 from torchmbd.math.variable import varies
@@ -38,6 +39,7 @@ _UNKNOWN = (
 )
 
 
+@checked_signature
 class LaminationParameters(Laminate):
     """A laminate of one ply by lamination parameters; `.membrane`, `.coupling`, `.bending` [4] and `.thickness` vary.
 
@@ -74,7 +76,7 @@ class LaminationParameters(Laminate):
         checked: bool = True,
     ) -> None:
         nn.Module.__init__(self)
-        if not isinstance(ply, Ply):
+        if not isinstance(ply, Lamina):
             raise InputError(f"ply of LaminationParameters is {ply!r}; allowed: a Ply")
         if varies(ply):
             raise InputError("ply of LaminationParameters has numbers that vary; allowed: a ply of numbers")

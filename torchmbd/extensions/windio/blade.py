@@ -19,8 +19,9 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, checked_signature, unknown, warn
 from torchmbd.extensions.windio.profile import Layer, Profile, Web, profile_section
+from torchmbd.fem.materials.ply import IsotropicPly
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
 from torchmbd.fem.sections.section_checks import check_order
@@ -48,6 +49,7 @@ class _SpanValues:
         return float(np.interp(at, self.grid, self.values, left=outside, right=outside))
 
 
+@checked_signature
 def read_windio(path: str | Path) -> WindIOBlade:
     """The blade of a windIO file (.yaml): `section(position)` makes a section, `station(position)` says where it lies.
 
@@ -194,7 +196,7 @@ class WindIOBlade:
         beside = self._layer_end(name, other, position, length, len(self._layers) + 1)
         return beside + width if side == "end" else beside - width
 
-    def _solid(self, name: str) -> Orthotropic:
+    def _solid(self, name: str) -> Orthotropic | IsotropicPly:
         try:
             material = self._materials[name]
             if not material.get("orth"):

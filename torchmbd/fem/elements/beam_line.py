@@ -24,7 +24,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.fem.elements.beam_nodes import Straight, evaluate_nodes, node_module_of
 from torchmbd.fem.mesh.mesh import node_members
 from torchmbd.math.checked_numbers import indices, is_whole, reals
@@ -33,6 +33,7 @@ from torchmbd.math.plausible_units import EXTENT, warn_unusual
 from torchmbd.math.variable import ParameterVector, is_variable, number
 
 
+@checked_signature
 class BeamLine:
     """A chain or net of beam elements.
 

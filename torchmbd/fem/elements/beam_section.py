@@ -22,11 +22,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.gradients import all_true, constant_arguments, refuse_gradients
 from torchmbd.math.gradients import untransformed as plain_numbers
 from torchmbd.math.plausible_units import DIMENSION, warn_unusual, warn_unusual_material
-from torchmbd.math.variable import Numbers, number, stacked, varies, without_variables
+from torchmbd.math.variable import Numbers, is_variable, number, stacked, varies, without_variables
 
 
 @runtime_checkable
@@ -41,11 +42,16 @@ class BeamSection(Protocol):
     def mass(self) -> Float[Tensor, "*lanes 6 6"]: ...
 
 
+@checked_signature
 class GivenSection(nn.Module):
     """A section of known matrices. `.matrix` is a parameter, the stiffness; it requires no gradient by default.
 
     stiffness   6 x 6, symmetric and positive definite; of a design the symmetric part
     mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
+
+    An entry may be mbd.variable(...): a design variable, "section.stiffness_55" or "section.mass_11", rows and columns from 1.
+    Off the diagonal it stands on both sides; entries with the same variable are one. A torch.nn.Parameter [6, 6] is a design
+    variable as a whole: "section.matrix", "section.inertia".
 
     >>> area, I = 1e-4, 8.3e-10  # a square rod of 10 mm [m2], [m4]
     >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=area, Iyy=I, Izz=I, J=1.4e-9)
@@ -55,12 +61,24 @@ class GivenSection(nn.Module):
 
     matrix: Tensor
     inertia: Tensor
-    mass_varies = False
 
     def __init__(self, stiffness: Sequence | Tensor, mass: Sequence | Tensor) -> None:
         super().__init__()
-        self.matrix = nn.Parameter(checked("stiffness", stiffness), requires_grad=False)
-        self.register_buffer("inertia", checked("mass", mass), persistent=False)
+        self._entries = _VaryingEntries(self, "stiffness", stiffness), _VaryingEntries(self, "mass", mass)
+        K, M = (entries.numbers for entries in self._entries)
+        varying = isinstance(stiffness, nn.Parameter)
+        self.matrix = (
+            parameter("stiffness of a section", stiffness) if varying else nn.Parameter(K, requires_grad=False)
+        )
+        if isinstance(mass, nn.Parameter):
+            self.inertia = parameter("mass of a section", mass)
+        else:
+            self.register_buffer("inertia", M, persistent=False)
+
+    @property
+    def mass_varies(self) -> bool:
+        """Whether the mass depends on the design."""
+        return "inertia" in self._parameters or bool(self._entries[1].places)
 
     @classmethod
     @constant_arguments
@@ -85,11 +103,51 @@ class GivenSection(nn.Module):
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix of the section."""
-        return 0.5 * (self.matrix + self.matrix.mT)
+        K = self._entries[0].put(self, self.matrix)
+        return 0.5 * (K + K.mT)
 
     def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Mass matrix of the section, per length."""
-        return self.inertia
+        M = self._entries[1].put(self, self.inertia)
+        return 0.5 * (M + M.mT)
+
+
+class _VaryingEntries:
+    """Entries of a 6 x 6 matrix that are variables, parameters of `owner`.
+
+    numbers   the matrix with their first values [6, 6]
+    places    name of a parameter -> its places in the matrix, as a matrix of ones [6, 6]
+    """
+
+    def __init__(self, owner: nn.Module, label: str, matrix: Any):
+        rows = matrix if isinstance(matrix, (list, tuple)) else []
+        entries = {
+            (i, j): x
+            for i, row in enumerate(rows)
+            for j, x in enumerate(row if isinstance(row, (list, tuple)) else [])
+            if is_variable(x)
+        }
+        for (i, j), x in entries.items():
+            if entries.get((j, i)) is not x:
+                place, other = f"{i + 1},{j + 1}", f"{j + 1},{i + 1}"
+                raise InputError(
+                    f"{label} of a section: entry {place} is a variable, and entry {other} is not the same one; allowed: one "
+                    "variable in both places"
+                )
+        plain = [[number(x) for x in row] for row in rows] if entries else matrix
+        self.numbers = checked(label, plain.detach() if isinstance(plain, nn.Parameter) else plain)
+        self.places: dict[str, Tensor] = {}
+        names: dict[int, str] = {}
+        for (i, j), x in entries.items():
+            name = names.setdefault(id(x), f"{label}_{i + 1}{j + 1}")
+            self.places.setdefault(name, torch.zeros(6, 6, dtype=torch.float64))[i, j] = 1.0
+            owner.register_parameter(name, x)
+
+    def put(self, owner: nn.Module, matrix: Tensor) -> Tensor:
+        """The matrix [*lanes, 6, 6] with the present entries."""
+        for name, place in self.places.items():
+            matrix = matrix * (1.0 - place) + getattr(owner, name)[..., None, None] * place
+        return matrix
 
 
 @dataclass(frozen=True)

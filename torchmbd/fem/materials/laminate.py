@@ -37,14 +37,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.fem.materials.laminate_checks import (
     checked_angles,
     checked_correction,
     checked_plies,
     checked_thickness,
 )
-from torchmbd.fem.materials.ply import Ply
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.variable import LayerNumbers, is_variable, stacked
@@ -84,6 +84,7 @@ class LaminateStiffness(NamedTuple):
         return cls(A, B, D, numbers[3][..., two].unflatten(-1, (2, 2)))
 
 
+@checked_signature
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 
@@ -116,7 +117,7 @@ class Laminate(nn.Module):
 
     def __init__(
         self,
-        ply: Ply | Sequence[Ply],
+        ply: Lamina | Sequence[Lamina],
         angles: Sequence[float] | Tensor,
         thickness: float | Sequence[float] | Tensor,
         symmetric: bool = False,
@@ -137,7 +138,7 @@ class Laminate(nn.Module):
         self.register_buffer("_constant", _constants_of(plies).detach(), persistent=False)
 
     @property
-    def plies(self) -> tuple[Ply, ...]:
+    def plies(self) -> tuple[Lamina, ...]:
         """The ply of every given layer, with the numbers of the present design."""
         return self._plies.current(self)
 
@@ -211,7 +212,7 @@ class Laminate(nn.Module):
         return self._stack(self.thickness)
 
     @property
-    def layer_plies(self) -> tuple[Ply, ...]:
+    def layer_plies(self) -> tuple[Lamina, ...]:
         """Ply of every layer, both halves of a symmetric stack."""
         plies = self.plies
         return plies + plies[::-1] if self.symmetric else plies
@@ -282,7 +283,7 @@ class Laminate(nn.Module):
         return self.layer_thickness, (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
 
 
-def _constants_of(plies: Sequence[Ply]) -> Float[Tensor, "*lanes layers 14"]:
+def _constants_of(plies: Sequence[Lamina]) -> Float[Tensor, "*lanes layers 14"]:
     """Stiffness in plane (9 numbers) and in transverse shear (4), and density of every ply."""
     rows = [(p.plane_stiffness().flatten(-2), p.shear_stiffness().flatten(-2), stacked([p.density])) for p in plies]
     lanes = np.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.fem.materials.ply import Ply
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, check_angles, warn_unusual
 
@@ -23,12 +23,12 @@ def checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
     return theta
 
 
-def checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
-    if not isinstance(ply, (Ply, Sequence)) or isinstance(ply, str):
+def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
+    if not isinstance(ply, (Lamina, Sequence)) or isinstance(ply, str):
         raise InputError(f"Laminate: ply = {ply!r}; allowed: a Ply, or one Ply per layer")
-    plies = [ply] * layers if isinstance(ply, Ply) else list(ply)
+    plies = [ply] * layers if isinstance(ply, Lamina) else list(ply)
     for k, p in enumerate(plies):
-        if not isinstance(p, Ply):
+        if not isinstance(p, Lamina):
             raise InputError(f"Laminate: ply[{k}] = {p!r}; allowed: a Ply, or one Ply per layer")
     if len(plies) != layers:
         raise InputError(f"Laminate: {len(plies)} plies for {layers} angles; allowed: one Ply, or one per angle")

@@ -18,21 +18,47 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials.strength import Strength
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import warn_unusual_material
-from torchmbd.math.variable import check_positive, number, stacked, without_variables
+from torchmbd.math.variable import check_positive, is_variable, number, stacked, without_variables
 
 
+class Lamina:
+    """What laminates and sections ask of a layer: its constants, numbers or tensors, and these two stiffnesses."""
+
+    E1: Any
+    E2: Any
+    G12: Any
+    G13: Any
+    G23: Any
+    nu12: Any
+    density: Any
+    strength: Any
+
+    def plane_stiffness(self) -> Float[Tensor, "*lanes 3 3"]:
+        """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
+        nu21 = self.nu12 * self.E2 / self.E1
+        d = 1.0 - self.nu12 * nu21
+        mixed = self.nu12 * self.E2 / d
+        rows = (self.E1 / d, mixed, 0.0, mixed, self.E2 / d, 0.0, 0.0, 0.0, self.G12)
+        return stacked(rows).unflatten(-1, (3, 3))
+
+    def shear_stiffness(self) -> Float[Tensor, "*lanes 2 2"]:
+        """Transverse shear stiffness [Pa]: (tau_13, tau_23) = diag(G13, G23) (gamma_13, gamma_23)."""
+        return torch.diag_embed(stacked((self.G13, self.G23)))
+
+
+@checked_signature
 @dataclass(frozen=True)
-class Ply:
+class Ply(Lamina):
     """One unidirectional layer in its own axes (1 = fiber, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.
 
     E1, E2          moduli along and across the fiber [Pa]
@@ -77,23 +103,61 @@ class Ply:
         warn_unusual_material("Ply", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
 
     @classmethod
-    def isotropic(cls, E: float, nu: float, density: float | Tensor, strength: Strength | None = None) -> Ply:
-        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], which may vary."""
-        if not (is_real(nu) and -1.0 < nu <= 0.5):
-            raise InputError(f"Ply.isotropic: nu = {nu!r}; allowed: -1 < nu <= 0.5")
-        if not (is_real(E) and E > 0):
-            raise InputError(f"Ply.isotropic: E = {E!r}; allowed: a finite number > 0; Ply(...) takes moduli that vary")
+    def isotropic(
+        cls,
+        E: float | Tensor,
+        nu: float | Tensor,
+        density: float | Tensor,
+        strength: Strength | None = None,
+    ) -> Ply | IsotropicPly:
+        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3].
+
+        Each may be mbd.variable(...): a design variable, "plate.laminate.ply.E".
+        """
+        check_isotropic("Ply.isotropic", E, nu, 0.5)
+        if is_variable(E) or is_variable(nu):
+            return IsotropicPly(E, nu, density, strength)
         G = E / (2.0 * (1.0 + nu))
         return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength)
 
-    def plane_stiffness(self) -> Float[Tensor, "*lanes 3 3"]:
-        """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
-        nu21 = self.nu12 * self.E2 / self.E1
-        d = 1.0 - self.nu12 * nu21
-        mixed = self.nu12 * self.E2 / d
-        rows = (self.E1 / d, mixed, 0.0, mixed, self.E2 / d, 0.0, 0.0, 0.0, self.G12)
-        return stacked(rows).unflatten(-1, (3, 3))
 
-    def shear_stiffness(self) -> Float[Tensor, "*lanes 2 2"]:
-        """Transverse shear stiffness [Pa]: (tau_13, tau_23) = diag(G13, G23) (gamma_13, gamma_23)."""
-        return torch.diag_embed(stacked((self.G13, self.G23)))
+@dataclass(frozen=True)
+class IsotropicPly(Lamina):
+    """The ply of a metal whose modulus or Poisson's ratio varies; made by `Ply.isotropic`."""
+
+    positive: ClassVar[tuple[str, ...]] = ("E", "density")
+    E: float | Tensor
+    nu: float | Tensor
+    density: float | Tensor
+    strength: Strength | None = None
+
+    def __post_init__(self) -> None:
+        Ply.isotropic(number(self.E), number(self.nu), number(self.density), self.strength)  # the checks of a ply
+
+    @property
+    def E1(self) -> float | Tensor:
+        """[Pa]"""
+        return self.E
+
+    E2 = E1
+
+    @property
+    def nu12(self) -> float | Tensor:
+        """[-]"""
+        return self.nu
+
+    @property
+    def G12(self) -> float | Tensor:
+        """[Pa]"""
+        return self.E / (2.0 * (1.0 + self.nu))
+
+    G13 = G23 = G12
+
+
+def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
+    """InputError unless E and nu, or the values of variables, are those of a metal; `most`: the largest nu."""
+    ratio, modulus = number(nu), number(E)
+    if not (is_real(ratio) and -1.0 < ratio <= most):
+        raise InputError(f"{name}: nu = {ratio!r}; allowed: -1 < nu <= {most:g}, or mbd.variable(...) of such a number")
+    if not (is_real(modulus) and 0.0 < modulus < math.inf):
+        raise InputError(f"{name}: E = {modulus!r}; allowed: a finite number > 0, or mbd.variable(...) of one")

@@ -27,7 +27,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import check, check_positive_diagonal, lane_name, recognize
 from torchmbd.fem.reduction.shared_modes import shared_modes
@@ -63,6 +63,7 @@ class ModalBasis(NamedTuple):
     stiffness: Float[Tensor, "*lanes modes modes"]
 
 
+@checked_signature
 def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True) -> ModalBasis:
     """Reduce to the n lowest modes.
 

@@ -31,7 +31,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import jvp
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, rounding, solve
 from torchmbd.fem.reduction.eigenpairs import same_cluster
 from torchmbd.fem.reduction.forms import Dense, Diagonal
@@ -57,6 +57,7 @@ class Branches(NamedTuple):
     split: Int[Tensor, " modes"]
 
 
+@checked_signature
 def eigenpair_branches(
     matrices: Callable[[Tensor], tuple[Matrix, Matrix]],
     b: Float[Tensor, " variables"],

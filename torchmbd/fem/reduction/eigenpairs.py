@@ -44,7 +44,7 @@ from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 from torch.func import debug_unwrap
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, parse_pencil, rounding
 from torchmbd.fem.reduction.near_modes import ModeSeparation
 from torchmbd.fem.reduction.spectral import chained
@@ -69,6 +69,7 @@ class Eigenpairs(NamedTuple):
     vectors: Float[Tensor, "*lanes freedoms modes"]
 
 
+@checked_signature
 def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER) -> Eigenpairs:
     """Find the n lowest modes of K psi = lambda M psi.
 

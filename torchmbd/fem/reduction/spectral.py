@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction.basis import CLUSTER, ModalBasis
 
 NODES = (
@@ -33,6 +33,7 @@ NODES = (
 )  # three, then two Gauss points
 
 
+@checked_signature
 def spectral_function(
     basis: ModalBasis, g: Callable[[Tensor], Tensor], columns: Float[Tensor, "*lanes freedoms k"] | None = None
 ) -> Float[Tensor, "*lanes freedoms k"]:

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.fem.materials import Ply
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
 from torchmbd.fem.sections.section import Section
@@ -39,10 +39,11 @@ from torchmbd.fem.sections.section_checks import (
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.variable import number
 
-Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
+Plies = Lamina | Orthotropic | Sequence[Lamina | Orthotropic]
 Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constant_arguments`)
 
 
+@checked_signature
 @constant_arguments
 def strip(
     width: float | Tensor,
@@ -70,6 +71,7 @@ def strip(
     return Section(parametric_mesh(build, {"width": width, "thickness": thickness}, order), ply, angles)
 
 
+@checked_signature
 @constant_arguments
 def rectangle(
     width: float | Tensor,
@@ -98,6 +100,7 @@ def rectangle(
     return Section(parametric_mesh(build, {"width": width, "height": height}, order), ply, angles)
 
 
+@checked_signature
 @constant_arguments
 def box(
     width: float | Tensor,
@@ -144,13 +147,14 @@ def box(
                 patches.append(Patch(points, k if shared else w * layers + k))
         return patches
 
-    plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
+    plies = ply if shared or isinstance(ply, Lamina | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
     section_angles = angles if shared else np.concatenate([np.asarray(walls[w]) for w in WALLS]).tolist()
     return Section(
         parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, section_angles
     )
 
 
+@checked_signature
 @constant_arguments
 def tube(
     radius: float | Tensor,
@@ -187,10 +191,11 @@ def tube(
     return Section(parametric_mesh(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
 
 
+@checked_signature
 @constant_arguments
 def circle(
     radius: float | Tensor,
-    ply: Ply | Orthotropic,
+    ply: Lamina | Orthotropic,
     angle: float = 0.0,
     cells: tuple[int, int] = (6, 4),
     order: int = 2,
@@ -221,6 +226,7 @@ def circle(
     return Section(parametric_mesh(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
 
 
+@checked_signature
 @constant_arguments
 def i_section(
     width: float | Tensor,
@@ -268,7 +274,7 @@ def i_section(
             patches.append(Patch(grid(across[k], web).transpose(1, 0, 2), layers + k))
         return patches
 
-    plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
+    plies = ply if isinstance(ply, Lamina | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
     section_angles = np.concatenate([np.asarray(angles[n]) for n in names]).tolist()
     return Section(
         parametric_mesh(build, {"width": width, "height": height, "thickness": thickness}, order), plies, section_angles

@@ -27,13 +27,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.sections.shapes import rule, shape
 from torchmbd.math.checked_numbers import indices, reals
 
 KINDS = (3, 4, 6, 8)
 
 
+@checked_signature
 class SectionMesh:
     """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given.
 

@@ -25,13 +25,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.fem.materials import Ply, Strength
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.fem.materials import Strength
+from torchmbd.fem.materials.ply import IsotropicPly, Lamina, check_isotropic
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import warn_unusual_material
-from torchmbd.math.variable import check_positive, number, stacked, varies, with_fields, without_variables
+from torchmbd.math.variable import check_positive, is_variable, number, stacked, varies, with_fields, without_variables
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Orthotropic:
     """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fiber, 3 = through the ply).
@@ -73,23 +75,23 @@ class Orthotropic:
         warn_unusual_material("Orthotropic", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
 
     @classmethod
-    def isotropic(cls, E: float, nu: float, density: float | Tensor) -> Orthotropic:
-        """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3], which may vary."""
-        if not (is_real(nu) and -1.0 < nu < 0.5):
-            raise InputError(f"Orthotropic.isotropic: nu = {nu!r}; allowed: -1 < nu < 0.5")
-        if not (is_real(E) and E > 0):
-            raise InputError(
-                f"Orthotropic.isotropic: E = {E!r}; allowed: a finite number > 0; Orthotropic(...) takes moduli that vary"
-            )
+    def isotropic(cls, E: float | Tensor, nu: float | Tensor, density: float | Tensor) -> Orthotropic | IsotropicPly:
+        """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3].
+
+        Each may be mbd.variable(...): a design variable, "section.ply.E".
+        """
+        check_isotropic("Orthotropic.isotropic", E, nu, math.nextafter(0.5, 0.0))
+        if is_variable(E) or is_variable(nu):
+            return IsotropicPly(E, nu, density)
         G = E / (2.0 * (1.0 + nu))
         return cls(E, E, E, G, G, G, nu, nu, nu, density)
 
     @classmethod
-    def of(cls, ply: Ply | Orthotropic) -> Orthotropic:
+    def of(cls, ply: Lamina | Orthotropic) -> Orthotropic:
         """Complete a ply as transversely isotropic; InputError where its G23 admits no such solid."""
         if isinstance(ply, Orthotropic):
             return ply
-        if not isinstance(ply, Ply):
+        if not isinstance(ply, Lamina):
             raise InputError(f"ply is {ply!r}; allowed: a Ply or an Orthotropic")
         if varies(ply):
             raise InputError(f"ply is {ply!r}, whose numbers vary; allowed: numbers, or a Section of the ply itself")
@@ -103,7 +105,7 @@ class Orthotropic:
                 f"(nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine constants as Orthotropic"
             ) from error
 
-    def of_design(self, ply: Ply | Orthotropic) -> Orthotropic:
+    def of_design(self, ply: Lamina | Orthotropic) -> Orthotropic:
         """Return the solid with the numbers of a design, [] or [lanes], of the ply that it was made of; unchecked."""
         if isinstance(ply, Orthotropic):
             return ply

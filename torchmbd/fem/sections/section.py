@@ -33,7 +33,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.fem.materials import Ply
+from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.orthotropic import Orthotropic, in_wall_axes, strain_rotation
@@ -78,12 +78,12 @@ class Section(nn.Module):
     def __init__(
         self,
         mesh: SectionMesh,
-        ply: Ply | Orthotropic | Sequence[Ply | Orthotropic],
+        ply: Lamina | Orthotropic | Sequence[Lamina | Orthotropic],
         angles: Sequence[float] | Tensor = (0.0,),
     ) -> None:
         super().__init__()
         theta = _checked_angles(angles)
-        plies = [ply] * len(theta) if isinstance(ply, Ply | Orthotropic) else list(ply)
+        plies = [ply] * len(theta) if isinstance(ply, Lamina | Orthotropic) else list(ply)
         if len(plies) != len(theta):
             raise InputError(f"Section: {len(plies)} plies for {len(theta)} angles; allowed: one ply, or one per angle")
         if mesh.layers > len(theta):

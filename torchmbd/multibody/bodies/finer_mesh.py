@@ -75,8 +75,7 @@ def refine(body: Any) -> None:
         rigid=[middles.with_middles(node_indices(body.mesh, nodes)) for nodes in rigid],
         stiffening=body.stiffening is not None,
     )
-    ratios = body.damping.ratios
-    finer.damping = replace(body.damping, ratios=(ratios + ratios[-1:] * finer.modes)[: finer.modes])
+    finer.damping = body.damping
     for name in _KEPT:
         setattr(finer, name, getattr(body, name))
     finer.velocities_given = body.velocities_given

@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.fem.elements import (
     Assembly,
     BeamLine,
@@ -74,6 +74,7 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
         )
 
 
+@checked_signature
 class FlexibleBody(MatrixMethods, nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_matrices` or `.from_reduced`, or by readers of files.
 
@@ -112,7 +113,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
         reference: str | int | Sequence[int] | None = None,
-        damping: float = 0.0,
+        damping: float | Tensor = 0.0,
         reduction: str = "vibration",
         interface: InterfaceArgument = (),
         updated: bool = True,
@@ -187,7 +188,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
         reference: str | int | Sequence[int] | None = None,
-        damping: float = 0.0,
+        damping: float | Tensor = 0.0,
         reduction: str = "vibration",
         interface: InterfaceArgument = (),
         updated: bool = True,
@@ -204,7 +205,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
                         retained where others have the frequency of the last, as bending of a tube in two directions
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); the joints correct both
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
-        damping         stiffness-proportional damping C = damping * Kr [s]
+        damping         stiffness-proportional damping C = damping * Kr [s]; mbd.variable(...): "rod.damping.time"
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
                         (or Interface) of `interface`; the highest frequencies are then those of these nodes
         interface       nodes where joints and loads act, or `mbd.Interface` of several nodes with six freedoms in common, or
@@ -231,7 +232,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
         reference: str | int | Sequence[int] | None = None,
-        damping: float = 0.0,
+        damping: float | Tensor = 0.0,
         reduction: str = "vibration",
         interface: InterfaceArgument = (),
         updated: bool = True,
@@ -303,12 +304,14 @@ class FlexibleBody(MatrixMethods, nn.Module):
         set_modal_start(self, modal, rate)
         return self
 
-    def damped(self, ratio: float | Sequence[float]) -> Self:
-        """Set damping ratios of the modes, in addition to `damping`. Returns the body.
+    def damped(self, ratio: float | Sequence[float] | Tensor = 0.0, rate: float | Tensor = 0.0) -> Self:
+        """Set damping of the modes, in addition to `damping`. Returns the body.
 
-        ratio  one for all modes, or one for each, lowest frequency first [-]
+        ratio  damping ratio, one for all modes, or one for each, lowest frequency first [-]; mbd.variable(...) of one for
+               all, or a torch.nn.Parameter with one for each, is the design variable "rod.damping.ratios"
+        rate   mass-proportional part of Rayleigh's damping [1/s]; mbd.variable(...): "rod.damping.rate"
         """
-        self.damping = self.damping.with_ratios(ratio, self.modes)
+        self.damping.with_ratios(ratio, self.modes, rate)
         return self
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:

@@ -9,21 +9,26 @@ Checked in tests/multibody/bodies/test_flexible_beam.py, tests/validation/test_f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.elements.beam_nodes import varying_nodes
 from torchmbd.fem.exact_beam import ExactBeam
 from torchmbd.fem.exact_beam.half_elements import half_element_masses
 from torchmbd.fem.exact_beam.sections import ElementProperties
-from torchmbd.math.checked_numbers import nonnegative
+from torchmbd.math.checked_numbers import nonnegative as zero_or_positive
+from torchmbd.math.variable import is_variable, number, stacked
 from torchmbd.multibody.bodies.frame import Frame, identifier, rotation, set_start, vector
 from torchmbd.multibody.bodies.rigid import RigidBody
+
+
+def _lanes(x: float | Tensor) -> torch.Size:
+    return x.shape if isinstance(x, Tensor) else torch.Size()
 
 
 class BeamNode(RigidBody):
@@ -64,6 +69,7 @@ class Structure(NamedTuple):
         return {"mass": m, "mu": torch.zeros_like(m)} | moments
 
 
+@checked_signature
 class FlexibleBeam(ExactBeam):
     """A beam of finite displacements and rotations, as a body of a System.
 
@@ -71,7 +77,7 @@ class FlexibleBeam(ExactBeam):
     position, axes    initial origin of the mesh axes in ground axes [m] and their rotation; the beam starts without strain
     velocity          initial velocity of that origin in ground axes [m/s]; None: the smallest that the joints allow
     angular_velocity  initial angular velocity of the beam as a rigid body, in mesh axes [rad/s]; None likewise
-    damping           time [s]: section forces grow by stiffness x damping x rate of strain
+    damping           time [s]: section forces grow by stiffness x damping x rate of strain; mbd.variable(...): "NAME.damping"
 
     `at(node)` is a frame for joints and forces. Nodes are bodies of the system, called "NAME_0", "NAME_1", ...: they have
     positions, velocities and all other histories. `motion.body(NAME)` has displacements and section forces of the beam.
@@ -85,6 +91,8 @@ class FlexibleBeam(ExactBeam):
     torch.Size([1, 51, 4, 2, 6])
     """
 
+    nonnegative: ClassVar[tuple[str, ...]] = ("damping",)  # parameters that are, in every design
+
     def __init__(
         self,
         name: str,
@@ -97,14 +105,15 @@ class FlexibleBeam(ExactBeam):
         axes: Sequence | Tensor | None = None,
         velocity: Sequence[float] | Tensor | None = None,
         angular_velocity: Sequence[float] | Tensor | None = None,
-        damping: float = 0.0,
+        damping: float | Tensor = 0.0,
     ) -> None:
         super().__init__(identifier("flexible beam", name), line, section, orientation, offset, twist)
         if varying_nodes(line):
             raise InputError(
                 f"line of the flexible beam {name!r} varies with the design; allowed: a fixed line, or an ExactBeam on its own"
             )
-        self.damping = nonnegative(f"damping of {name!r}", damping, "s")
+        time = zero_or_positive(f"damping of {name!r}", number(damping), "s")
+        self.damping = damping if is_variable(damping) else time
         x0, A = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
         v, om = (
             None if x is None else vector(f"{label} of {name!r}", x)
@@ -148,6 +157,6 @@ class FlexibleBeam(ExactBeam):
             "beam_start": elements.axes[..., 0, :, :],
             "beam_end": elements.axes[..., 1, :, :],
         }
-        if self.damping:
-            data["beam_damping"] = torch.full((len(self.mesh.elements),), self.damping, dtype=torch.float64)
+        if isinstance(self.damping, Tensor) or self.damping:
+            data["beam_damping"] = stacked([self.damping]).expand(*_lanes(self.damping), len(self.mesh.elements))
         return Structure(*nodal, data, elements)

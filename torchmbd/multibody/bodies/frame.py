@@ -15,6 +15,7 @@ Checked in tests/physics/test_virtual_bodies.py, tests/multibody/bodies/test_int
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -25,6 +26,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.gradients import refuse_gradients
+from torchmbd.math.rigid_motion import exponential
 from torchmbd.math.variable import Numbers, is_variable, number, stacked
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 
@@ -42,9 +44,9 @@ class Frame:
     """A point and a triad of axes attached to a body; made by `body.at(...)`.
 
     point           position in the undeformed body, in body axes [3] [m]; of design variables, their first values
-    axes            columns: the axes of the frame in body axes [3, 3]
+    axes            columns: the axes of the frame in body axes [3, 3], likewise
     interpolation   mesh nodes whose motion the frame takes; None on a rigid body
-    varying_point   the point as a module (Numbers of Point) where coordinates are design variables; else None
+    varying         point and axes as a module (Numbers of Place) where numbers of them are design variables; else None
 
     >>> body = mbd.RigidBody("tool", 0.2, (1e-4, 1e-4, 1e-4))
     >>> frame = body.at(0.02, 0, 0, axes=[[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # columns: its x is the body's y
@@ -56,7 +58,7 @@ class Frame:
     point: Tensor
     axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
     interpolation: InterpolationConstraint | None = None
-    varying_point: Numbers | None = None
+    varying: Numbers | None = None
 
     def __post_init__(self) -> None:
         if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
@@ -75,11 +77,12 @@ class Frame:
     @property
     def present_point(self) -> Tensor:
         """The point in the present design [3], without a gradient."""
-        return self.point if self.varying_point is None else self.varying_point().vector().detach()
+        return self.point if self.varying is None else self.varying().point().detach()
 
     def axis(self, name: str) -> Tensor:
-        """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
-        return self.axes[:, axis_index(name)]
+        """Unit vector "x", "y" or "z" of the frame in the present design, in body axes [3], without a gradient."""
+        k = axis_index(name)
+        return self.axes[:, k] if self.varying is None else self.varying().triad()[..., k].detach()
 
     def __repr__(self) -> str:
         if self.interpolation is None:
@@ -94,26 +97,56 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Point:
-    """Coordinates [m] of a point of a body, in its axes."""
+class Place:
+    """A point of a body [m], and a triad: `axes` turned by a rotation vector in their own axes [rad]; in axes of the body."""
 
+    axes: Tensor
     x: Any
     y: Any
     z: Any
+    turn_x: Any = 0.0
+    turn_y: Any = 0.0
+    turn_z: Any = 0.0
 
-    def vector(self) -> Tensor:
+    def point(self) -> Tensor:
         """[*lanes, 3]."""
         return stacked((self.x, self.y, self.z))
 
+    def triad(self) -> Tensor:
+        """Columns: the axes of the frame in body axes [*lanes, 3, 3]."""
+        return self.axes @ exponential(stacked((self.turn_x, self.turn_y, self.turn_z)))
 
-def frame_at(name: str, body: Any, coordinates: tuple, axes: Sequence | Tensor | None) -> Frame:
-    """A frame at a point in body axes [m], whose coordinates may be design variables; InputError names the argument."""
+    @property
+    def turns(self) -> bool:
+        """Whether the axes are design variables."""
+        return any(map(is_variable, (self.turn_x, self.turn_y, self.turn_z)))
+
+
+def frame_at(
+    name: str, body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | None, turn: Sequence[Any]
+) -> Frame:
+    """A frame at a point in body axes [m], turned by a rotation vector [rad]; InputError names the argument.
+
+    Coordinates and components of the rotation vector may be design variables.
+    """
     allowed = "three finite numbers, or mbd.variable(...) of one"
-    point = read_numbers(name, [number(x) for x in coordinates], allowed)
-    if point.shape != (3,) or not bool(torch.isfinite(point).all()):
-        raise InputError(f"{name} is {coordinates!r}; allowed: {allowed}")
-    varying = Numbers(Point(*coordinates)) if any(map(is_variable, coordinates)) else None
-    return Frame(body, point, rotation("axes", axes), varying_point=varying)
+    point, vector_of_turn = (
+        _three_numbers(label, x, allowed) for label, x in ((name, coordinates), (f"turn of the {name}", turn))
+    )
+    if float(vector_of_turn.norm()) > math.pi:
+        raise InputError(f"turn of the {name} is {turn!r} rad; allowed: a rotation vector of at most pi")
+    triad = rotation("axes", axes)
+    varying = Numbers(Place(triad, *coordinates, *turn)) if any(map(is_variable, (*coordinates, *turn))) else None
+    return Frame(body, point, triad @ exponential(vector_of_turn), varying=varying)
+
+
+def _three_numbers(name: str, x: Any, allowed: str) -> Tensor:
+    if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
+        raise InputError(f"{name} is {x!r}; allowed: {allowed}")
+    result = read_numbers(name, [number(y) for y in x], allowed)
+    if result.shape != (3,) or not bool(torch.isfinite(result).all()):
+        raise InputError(f"{name} is {x!r}; allowed: {allowed}")
+    return result
 
 
 def axis_index(name: str) -> int:
@@ -146,7 +179,7 @@ def vector_or_parameter(name: str, x: Sequence[float] | Tensor) -> Tensor:
     return parameter(name, x) if isinstance(x, nn.Parameter) else result
 
 
-def register(module: nn.Module, name: str, x: Tensor) -> None:
+def register(module: nn.Module, name: str, x: Tensor | None) -> None:
     """Register x as a parameter of the module if it is a Parameter, else as a buffer, in the place of an earlier x."""
     if name in module._parameters or name in module._buffers:
         delattr(module, name)

@@ -111,7 +111,7 @@ class MatrixMethods:
         structure: MatrixStructure | ReducedStructure,
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
-        damping: float = 0.0,
+        damping: float | Tensor = 0.0,
     ) -> Self:
         body: Any = cls.__new__(cls)
         nn.Module.__init__(body)

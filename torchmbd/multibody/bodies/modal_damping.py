@@ -1,66 +1,108 @@
-"""Damping of the modes of a body: in proportion to its stiffness, and a damping ratio for each mode.
+"""Damping of the modes of a body: Rayleigh's two parts, and a damping ratio for each mode.
 
-    D = c Kr + V diag(2 z_k om_k) V'            Kr = V diag(om_k^2) V'
+    D = a 1 + c Kr + V diag(2 z_k om_k) V'            Kr = V diag(om_k^2) V', modes of unit mass
 
+a   rate of the mass-proportional part                            [1/s]
 c   time of the stiffness-proportional part                       [s]
 z   damping ratios of the modes, by growing frequency om [rad/s]  [-]
 
 Kr is full, so the ratios are those of its eigenvectors V. With F_ij the divided differences of 2 z om by om^2,
 
-    dD = V (F o V' dKr V) V'
+    dD = V (F o V' dKr V) V' + V diag(2 dz om) V'
 
 also at repeated frequencies, if their ratios are equal; where frequencies of modes with different ratios cross, D jumps.
-Differentiable, forward and reverse, in Kr; first derivatives only.
-Checked in tests/multibody/bodies/test_modal_damping.py.
+Differentiable, forward and reverse, in Kr, a, c and z; first derivatives only.
+Checked in tests/multibody/bodies/test_modal_damping.py, tests/contracts/test_parameters.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, ClassVar, Self
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.checked_numbers import scalar
+from torchmbd.math.checked_numbers import parameter, scalar
+from torchmbd.math.variable import is_variable, number, stacked
 
 
-@dataclass(frozen=True)
-class ModalDamping:
-    """Damping of the body of a name: time c, and ratios z for each mode, or none; see the module header."""
+class ModalDamping(nn.Module):
+    """Damping of the body of a name, see the module header; numbers that are mbd.variable(...) are its parameters.
 
-    body: str
-    time: float = 0.0
-    ratios: tuple[float, ...] = ()
+    time, rate   zero or positive [s], [1/s]
+    ratios       [modes], or [] for all modes alike; None: no ratios
+    """
 
-    def __post_init__(self) -> None:
-        if not scalar(f"damping of {self.body!r}", self.time, "zero or positive, in s") >= 0:
-            raise InputError(f"damping of {self.body!r} is {self.time!r} s; allowed: zero or positive")
+    nonnegative: ClassVar[tuple[str, ...]] = ("time", "rate", "ratios")  # parameters that are, in every design
+    time: float | Tensor
+    rate: float | Tensor
+    ratios: Tensor | None
 
-    def with_ratios(self, ratio: float | Sequence[float], modes: int) -> Self:
-        """The same with damping ratios: one for all modes, or one for each."""
-        allowed = f"a number from 0 to 1, or {modes} of them, one for each mode"
-        several = list(ratio) if isinstance(ratio, Sequence) and not isinstance(ratio, str) else [ratio] * modes
-        ratios = [scalar(f"damping ratio of {self.body!r}", z, allowed) for z in several]
-        if len(ratios) != modes or not all(0.0 <= z < 1.0 for z in ratios):
-            raise InputError(f"damping ratio of {self.body!r} is {ratio!r}; allowed: {allowed}")
-        return replace(self, ratios=tuple(float(z) for z in ratios))
+    def __init__(self, body: str, time: float | Tensor = 0.0):
+        super().__init__()
+        self.body = body
+        self.time = self._number("damping", time, "s")
+        self.rate, self.ratios, self._shared = 0.0, None, True
+
+    def _number(self, label: str, x: Any, unit: str) -> float | Tensor:
+        allowed = "zero or positive, or mbd.variable(...) of such a number"
+        value = scalar(f"{label} of {self.body!r}", number(x), allowed, f" {unit}")
+        if value < 0.0:
+            raise InputError(f"{label} of {self.body!r} is {value!r} {unit}; allowed: {allowed}")
+        return x if is_variable(x) else value
+
+    def with_ratios(self, ratio: float | Sequence[float] | Tensor, modes: int, rate: float | Tensor = 0.0) -> Self:
+        """Set damping ratios, one for all modes or one for each, and the rate. Returns itself."""
+        allowed = (
+            f"a number from 0 to 1, or {modes} of them, one for each mode; mbd.variable(...) for all, or a "
+            "torch.nn.Parameter with one for each"
+        )
+        name, plain = f"damping ratio of {self.body!r}", ratio.detach() if isinstance(ratio, nn.Parameter) else ratio
+        several = (isinstance(plain, Sequence) and not isinstance(plain, str)) or (
+            isinstance(plain, Tensor) and plain.dim()
+        )
+        values: Any = plain if several else [plain]
+        numbers = [scalar(name, z, allowed) for z in values]
+        if len(numbers) != (modes if several else 1) or not all(0.0 <= z < 1.0 for z in numbers):
+            raise InputError(f"{name} is {plain!r}; allowed: {allowed}")
+        self.rate, self._shared = self._number("damping rate", rate, "1/s"), not several
+        if "ratios" in self.__dict__:
+            del self.ratios
+        if isinstance(ratio, nn.Parameter):
+            self.ratios = parameter(name, ratio)
+        else:
+            z = torch.tensor(numbers if several else numbers[0], dtype=torch.float64)
+            self.ratios = z if any(numbers) else None
+        return self
+
+    def of_modes(self, modes: int) -> Tensor | None:
+        """Ratios of so many modes [*lanes, modes], further modes with that of the last one; None: there are none."""
+        if self.ratios is None:
+            return None
+        z = self.ratios[..., None] if self._shared else self.ratios
+        last = z[..., -1:].expand(*z.shape[:-1], max(modes - z.shape[-1], 0))
+        return torch.cat([z[..., :modes], last], -1)
 
     def matrix(self, Kr: Float[Tensor, "*lanes m m"]) -> Float[Tensor, "*lanes m m"] | None:
         """D [1/s] of modes of unit mass; None without damping."""
-        if not self.time and not any(self.ratios):
+        plain = not any(isinstance(x, Tensor) or x for x in (self.time, self.rate))
+        z = self.of_modes(Kr.shape[-1])
+        if plain and z is None:
             return None
-        D = self.time * Kr
-        if not any(self.ratios):
+        rate, time = stacked((self.rate, self.time))[..., None, None].unbind(-3)
+        D = rate * torch.eye(Kr.shape[-1], dtype=Kr.dtype) + time * Kr
+        if z is None:
             return D
         fixed = Kr.detach()
         values, V = torch.linalg.eigh(fixed)
-        om, z = values.clamp_min(0.0).sqrt(), Kr.new_tensor(self.ratios)
+        om = values.clamp_min(0.0).sqrt()
         sums, gaps = om[..., :, None] + om[..., None, :], om[..., :, None] - om[..., None, :]
-        differences = z[:, None] - z
-        F = (z[:, None] + z) / sums + torch.where((differences == 0.0) | (gaps == 0.0), 0.0, differences / gaps)
+        differences = z[..., :, None] - z[..., None, :]
+        F = (z[..., :, None] + z[..., None, :]) / sums + torch.where(
+            (differences == 0.0) | (gaps == 0.0), 0.0, differences / gaps
+        )
         change = V.mT @ (Kr - fixed) @ V  # has the value zero and the derivative of Kr
-        return D + V @ (torch.diag_embed(2.0 * z * om) + F * change) @ V.mT
+        return D + V @ (torch.diag_embed(2.0 * z * om) + F.detach() * change) @ V.mT

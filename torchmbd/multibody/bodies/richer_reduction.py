@@ -43,7 +43,6 @@ def enrich(body: Any) -> bool:
         body.reduction = reduction
     else:
         structure.keep(reduction)
-    body.modes, ratios = reduction.size, body.damping.ratios
-    body.damping = replace(body.damping, ratios=ratios + ratios[-1:] * (reduction.size - before.size))
+    body.modes = reduction.size
     set_modal_start(body, None, None)
     return True

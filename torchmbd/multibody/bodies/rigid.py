@@ -15,7 +15,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.math.checked_numbers import parameter, positive
 from torchmbd.math.plausible_units import GYRATION, warn_unusual
 from torchmbd.multibody.bodies.frame import (
@@ -29,6 +29,7 @@ from torchmbd.multibody.bodies.frame import (
 )
 
 
+@checked_signature
 class Ground:
     """The inertial frame; joints attach bodies to it.
 
@@ -40,20 +41,26 @@ class Ground:
     position = torch.zeros(3, dtype=torch.float64)
     axes = torch.eye(3, dtype=torch.float64)
 
+    def __init__(self) -> None:
+        """It has no arguments; `at` places frames in it."""
+
     def at(
         self,
         x: float | Tensor = 0.0,
         y: float | Tensor = 0.0,
         z: float | Tensor = 0.0,
         axes: Sequence | Tensor | None = None,
+        turn: Sequence[float | Tensor] = (0.0, 0.0, 0.0),
     ) -> Frame:
         """Frame at a point in ground axes [m]; `axes`: columns of its triad (default: ground axes).
 
         x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_a.x"
+        turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_a.turn_x"
         """
-        return frame_at("point", self, (x, y, z), axes)
+        return frame_at("point", self, (x, y, z), axes, turn)
 
 
+@checked_signature
 class RigidBody(nn.Module):
     """A rigid body.
 
@@ -114,12 +121,14 @@ class RigidBody(nn.Module):
         y: float | Tensor = 0.0,
         z: float | Tensor = 0.0,
         axes: Sequence | Tensor | None = None,
+        turn: Sequence[float | Tensor] = (0.0, 0.0, 0.0),
     ) -> Frame:
         """Frame at a point in body axes [m]; `axes`: columns of its triad in body axes.
 
         x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_b.x"
+        turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_b.turn_x"
         """
-        return frame_at(f"point on {self.name!r}", self, (x, y, z), axes)
+        return frame_at(f"point on {self.name!r}", self, (x, y, z), axes, turn)
 
     def invariants(self) -> dict[str, Tensor]:
         """Mass, first and second moments about the origin of the body (keys as in fem/reduction/invariants.py)."""

@@ -18,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.math.checked_numbers import nonnegative, parameter, reals
 from torchmbd.math.rigid_motion import LARGEST, logarithm
 from torchmbd.math.variable import ParameterVector
@@ -27,6 +27,7 @@ from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 
+@checked_signature
 class BeamElement(ForceElement):
     """An elastic connection of two frames of rigid bodies, whose displacements and rotations are not small.
 
@@ -106,7 +107,7 @@ def _check(name: str, frame: Frame) -> None:
     allowed = "frames of rigid bodies without design variables, and of the ground"
     if frame.interpolation is not None:
         raise InputError(f"{name!r} ends at {frame!r}, on a flexible body; allowed: {allowed}")
-    if frame.varying_point is not None or isinstance(frame.body.position, nn.Parameter):
+    if frame.varying is not None or isinstance(frame.body.position, nn.Parameter):
         raise InputError(f"{name!r} ends at {frame!r}, whose place varies with the design; allowed: {allowed}")
 
 

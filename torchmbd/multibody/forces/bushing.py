@@ -8,23 +8,39 @@ in a bearing, the tilt of this axis is measured: it does not depend on the turn 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.math.checked_numbers import nonnegative
+from torchmbd.math.variable import number
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.forces.action import Along, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Spring, expand_numbers
 from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
+_UNITS = {
+    "stiffness": "N/m",
+    "damping": "N s/m",
+    "turning_stiffness": "N m/rad",
+    "turning_damping": "N m s/rad",
+}
 
+
+class _Mount(Spring):
+    """A spring and damper that give no energy, whatever the design."""
+
+    nonnegative: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+
+
+@checked_signature
 class Bushing(ForceElement):
     """An elastic mount between two frames: springs and dampers along three axes, and about them.
 
     a, b                                  the frames that it joins
-    stiffness, damping                    along x, y, z of frame a [N/m], [N s/m]
+    stiffness, damping                    along x, y, z of frame a [N/m], [N s/m], zero or positive
     turning_stiffness, turning_damping    about them [N m/rad], [N m s/rad]
     name                                  of the element, and of its design variables
 
@@ -51,29 +67,32 @@ class Bushing(ForceElement):
         super().__init__((a, b), name)
         self.along = self._springs("", stiffness, damping)
         self.about = self._springs("turning_", turning_stiffness, turning_damping)
-        if all(law == Spring() for law in (*self.along, *self.about)):
+        if all(law == _Mount() for law in (*self.along, *self.about)):
             raise InputError(f"{self.name!r} has neither stiffness nor damping; allowed: at least one of them")
 
     def _springs(self, kind: str, *values: Any) -> list[Any]:
         """The laws of the three axes: of stiffness and damping."""
         labels = [f"{kind}stiffness", f"{kind}damping"]
         k, c = (expand_numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, values, strict=True))
+        for label, x in zip(labels, (k, c), strict=True):
+            for y in x:
+                nonnegative(f"{label} of {self.name!r}", number(y), _UNITS[label])
         result = []
         for i, axis in enumerate("xyz"):
             names = [
                 label if x is argument else f"{label}_{axis}"
                 for label, x, argument in zip(labels, (k[i], c[i]), values, strict=True)
             ]
-            result.append(self.law_variables.law(Spring(k[i], c[i]), stiffness=names[0], damping=names[1]))
+            result.append(self.law_variables.law(_Mount(k[i], c[i]), stiffness=names[0], damping=names[1]))
         return result
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
-        free = [axis for axis, about in zip("xyz", self.about, strict=True) if about == Spring()]
+        free = [axis for axis, about in zip("xyz", self.about, strict=True) if about == _Mount()]
         for axis, along, about in zip("xyz", self.along, self.about, strict=True):
-            if along != Spring():
+            if along != _Mount():
                 yield Applied(Along, (attachments.point(a), attachments.point(b), attachments.axis(a, axis)), along)
-            if about != Spring():
+            if about != _Mount():
                 x, y = other_axes(axis)
                 if free == [y]:
                     x, y = y, x  # the tilt of the free axis; its angle about -axis has the same linear spring

@@ -7,8 +7,8 @@
     Friction   f = -f0 tanh(s' / v0)
     Scaled     f = factor g(s, s', t), g any law
 
-Numbers of Spring, and the factor of Scaled, may be design variables: `Spring(mbd.variable(2e3))` (parametric_law.py). Where a
-force is a function of time alone, the law g of Scaled is g(t).
+Numbers of Spring and Friction, and the factor of Scaled, may be design variables: `Spring(mbd.variable(2e3))`
+(parametric_law.py). Where a force is a function of time alone, the law g of Scaled is g(t).
 
 A law is a frozen dataclass. `data_fields` names its fields that are data of compiled code, and may be design variables; all
 else is compiled. Such a law states `slopes`, and consists of + - * / and functions of math/elementwise.py, which take pairs.
@@ -28,11 +28,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, user_line
+from torchmbd.errors import InputError, checked_signature, user_line
 from torchmbd.math.checked_numbers import reals, scalar
+from torchmbd.math.elementwise import reciprocal, tanh
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.pair import Pair, linear
 from torchmbd.math.torch_law import require_differentiable
+from torchmbd.math.variable import number
 from torchmbd.multibody.joints.laws import finite
 
 Slopes = tuple[Tensor, Tensor]
@@ -43,6 +45,7 @@ def data_fields(law: Any) -> tuple[str, ...]:
     return getattr(law, "data_fields", ())
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Spring:
     """Linear spring and damper: stiffness k, damping c, rest s0."""
@@ -65,6 +68,7 @@ class Spring:
         return zero - self.stiffness, zero - self.damping
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Scaled:
     """Another law times a factor: the strength of an actuator."""
@@ -81,6 +85,7 @@ class Scaled:
         return self.factor * self.law(s, rate, t)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Table:
     """Continuous, piecewise linear: knots (s, f) with growing s, constant outside; and damping c."""
@@ -117,6 +122,7 @@ class Table:
         return list(zip(x, [b - a for a, b in zip([0.0, *k], [*k, 0.0], strict=True)], strict=True))
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Pieces:
     """Piecewise linear with jumps: f = intercepts[i] + inclines[i] s between borders[i - 1] and borders[i].
@@ -167,6 +173,7 @@ class Pieces:
         return self.intercepts[i + 1] - self.intercepts[i] + (self.inclines[i + 1] - self.inclines[i]) * s
 
 
+@checked_signature
 @dataclass(frozen=True)
 class OfTime:
     """A force that is a torch function of time alone, or constant."""
@@ -192,6 +199,7 @@ class OfTime:
         return torch.zeros_like(s), torch.zeros_like(s)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Gap:
     """A one-sided stop: f = k d - c d' s' for the penetration d = limit - s > 0 (sign +1), or s - limit (sign -1).
@@ -234,32 +242,41 @@ class Gap:
         return depth, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.smooth
 
 
+@checked_signature
 @dataclass(frozen=True)
 class Friction:
     """Dry friction, smoothed: f = -force tanh(s' / speed). Below `speed` bodies creep instead of sticking."""
 
-    force: float
-    speed: float
+    force: float | Tensor
+    speed: float | Tensor
     center: float = 0.0
+    data_fields: ClassVar[tuple[str, ...]] = ("force", "speed")
+    positive: ClassVar[tuple[str, ...]] = ("force", "speed")
 
     def __post_init__(self) -> None:
-        for name in ("force", "speed"):
-            if not scalar(f"{name} of a Friction", getattr(self, name)) > 0.0:
-                raise InputError(f"{name} of a Friction is {getattr(self, name)!r}; allowed: positive")
+        for name in self.positive:
+            x = getattr(self, name)
+            if getattr(x, "shape", ()):
+                continue  # data of a batch of designs, which were checked
+            if not scalar(f"{name} of a Friction", number(x)) > 0.0:
+                raise InputError(
+                    f"{name} of a Friction is {number(x)!r}; allowed: positive, or mbd.variable(...) of such a number"
+                )
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        return -self.force * torch.tanh(rate / self.speed)
+        return -self.force * tanh(rate * reciprocal(self.speed))
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
         """Derivatives by s and s'."""
-        share = torch.tanh(rate / self.speed)
-        return torch.zeros_like(s), -self.force / self.speed * (1.0 - share * share)
+        inverse = reciprocal(self.speed)
+        share = tanh(rate * inverse)
+        return torch.zeros_like(s), -self.force * inverse * (1.0 - share * share)
 
 
 # What of a law of a force may be a design variable; part of messages.
 VARIABLES = (
-    "numbers of a Spring, the factor of Scaled and data_fields of a law, given to a force element as mbd.variable(...); "
-    "constant tensors"
+    "numbers of a Spring or a Friction, the factor of Scaled and data_fields of a law, given to a force element as "
+    "mbd.variable(...); constant tensors"
 )
 
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)

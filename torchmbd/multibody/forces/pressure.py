@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.mesh import Mesh, directed_area
 from torchmbd.multibody.bodies.frame import Frame, vector
 from torchmbd.multibody.bodies.rigid import Ground
@@ -29,6 +29,7 @@ from torchmbd.multibody.joints.joint import AttachmentTable
 _ZERO = 1e-12  # share of the largest component of area that counts as none
 
 
+@checked_signature
 class Pressure(ForceElement):
     """`Pressure(body, p)` [Pa] along the normals of the mesh, or `Pressure(body, p, direction=(0, 0, -1))`.
 

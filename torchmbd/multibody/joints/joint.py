@@ -39,24 +39,35 @@ class Equation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A vector attached to a body: a point or an axis, in the axes of the undeformed body."""
+    """A vector attached to a body: a point or an axis, in the axes of the undeformed body.
+
+    vector    of design variables, their first values
+    varying   place of a frame whose design variables it follows, as of Frame; None: it is constant
+    axis      letter of the axis of this frame; of a point, none
+    matrix    from axes of the body of this frame to those of `body`; None: they are the same body
+    """
 
     body: Any
     vector: Tensor
     interpolation: InterpolationConstraint | None
     is_point: bool
-    varying_point: Numbers | None = None  # as of Frame
+    varying: Numbers | None = None
+    axis: str = ""
+    matrix: Tensor | None = None
 
     @property
     def varies(self) -> bool:
         """Whether it depends on the design."""
         on_nodes = self.is_point and self.interpolation is not None and varying_nodes(self.body.mesh)
-        return on_nodes or self.varying_point is not None
+        return on_nodes or self.varying is not None
 
     def now(self) -> Tensor:
         """The vector in the present design [*lanes, 3]."""
-        if self.varying_point is not None:
-            return self.varying_point().vector()
+        if self.varying is not None and self.is_point:
+            return self.varying().point()
+        if self.varying is not None:
+            axis = self.varying().triad()[..., axis_index(self.axis)]
+            return axis if self.matrix is None else (self.matrix @ axis[..., None])[..., 0]
         if self.interpolation is None or not self.varies:
             return self.vector
         return (
@@ -71,8 +82,8 @@ class Attached:
             return torch.zeros_like(psi[..., 0, :3, :])
         x = self.body.mesh.nodes - self.body.origin
         moved = self.interpolation.motion(x, psi)
-        lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
-        turned = torch.linalg.cross(moved[..., 3:, :], lever[:, None].expand_as(moved[..., 3:, :]), dim=-2)
+        lever = self.vector - self.interpolation.center(x) if self.is_point else self.now()
+        turned = torch.linalg.cross(*torch.broadcast_tensors(moved[..., 3:, :], lever[..., :, None]), dim=-2)
         return moved[..., :3, :] + turned if self.is_point else turned
 
     def quadratic_rows(self, psi: Tensor, psi2: Tensor, nodes: Sequence[int]) -> Tensor:
@@ -88,9 +99,9 @@ class Attached:
         index = [list(nodes).index(k) for k in members]
         local = InterpolationConstraint(tuple(range(len(index))), self.interpolation.weights)
         moved = local.motion(x[members], psi2[..., index, :, :, :].flatten(-2)).unflatten(-1, psi2.shape[-2:])
-        lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
+        lever = self.vector - self.interpolation.center(x) if self.is_point else self.now()
         turn = moved[..., 3:, :, :]
-        turned = torch.linalg.cross(turn, lever[:, None, None].expand_as(turn), dim=-3)
+        turned = torch.linalg.cross(*torch.broadcast_tensors(turn, lever[..., :, None, None]), dim=-3)
         turned = turned + turned_arm(self.interpolation.motion(x, psi)[..., 3:, :], lever)
         return moved[..., :3, :, :] + turned if self.is_point else turned
 
@@ -108,34 +119,39 @@ class AttachmentTable:
         vector: Tensor,
         interpolation: InterpolationConstraint | None,
         is_point: bool,
-        varying_point: Numbers | None = None,
+        varying: Numbers | None = None,
+        axis: str = "",
+        matrix: Tensor | None = None,
     ) -> int:
-        key = (id(body), interpolation, is_point, tuple(vector.tolist()), id(varying_point))
+        if varying is not None and axis and not varying.record.turns:
+            varying = None
+        key = (id(body), interpolation, is_point, tuple(vector.tolist()), id(varying), axis if varying else "")
         if key not in self._index:
             self._index[key] = len(self.vectors)
-            self.vectors.append(Attached(body, vector, interpolation, is_point, varying_point))
+            self.vectors.append(Attached(body, vector, interpolation, is_point, varying, axis, matrix))
         return self._index[key]
 
     def point(self, frame: Frame) -> int:
         """Index of the frame's point."""
-        return self._add(frame.body, frame.present_point, frame.interpolation, True, frame.varying_point)
+        return self._add(frame.body, frame.present_point, frame.interpolation, True, frame.varying)
 
     def axis(self, frame: Frame, axis: str) -> int:
         """Index of an axis of the frame."""
-        return self._add(frame.body, frame.axis(axis), frame.interpolation, False)
+        return self._add(frame.body, frame.axis(axis), frame.interpolation, False, frame.varying, axis)
 
     def coincident_axis(self, frame: Frame, axis: str, other: Frame) -> int:
         """Index of the axis on the other body that coincides with an axis of the first frame at the given positions."""
-        ground = frame.body.axes @ frame.axis(axis)
-        return self._add(other.body, other.body.axes.T @ ground, other.interpolation, False)
+        matrix = other.body.axes.T @ frame.body.axes
+        vector = other.body.axes.T @ (frame.body.axes @ frame.axis(axis))
+        return self._add(other.body, vector, other.interpolation, False, frame.varying, axis, matrix)
 
     def coincident_point(self, frame: Frame, other: Frame) -> int:
         """Index of the point on the other body that coincides with the point of the first frame at the given positions."""
         varying = any(f.interpolation is not None and varying_nodes(f.body.mesh) for f in (frame, other))
-        if frame.varying_point is not None or varying:
+        if frame.varying is not None or varying:
             raise InputError(
-                f"{frame!r} has coordinates that vary, but a displacement is measured from where it is at the given positions; "
-                "allowed: numbers"
+                f"{frame!r} has coordinates or axes that vary, but a displacement is measured from where it is at the given "
+                "positions; allowed: numbers"
             )
         for body in (frame.body, other.body):
             if isinstance(body.position, nn.Parameter):

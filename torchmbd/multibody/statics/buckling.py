@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true
@@ -56,6 +56,7 @@ class Buckling(NamedTuple):
     status: str
 
 
+@checked_signature
 def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
     """Find the lowest positive factors of loads at which a body buckles; differentiable by its parameters.
 
@@ -119,16 +120,10 @@ class BucklingCase:
         inverse, vectors = eigenproblem(
             supported.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number
         )
-        factors, shapes = reciprocal(inverse), self._shapes(vectors.detach())
+        factors, shapes = reciprocal(inverse), supported.shapes(vectors.detach())
         buckles = torch.isfinite(factors)
         status = "ok" if all_true(buckles) else "no buckling: the loads stiffen the body in all further shapes"
         return Buckling(factors, shapes * buckles[..., None, None, :], displacements[..., 0], status)
-
-    def _shapes(self, vectors: Float[Tensor, "*lanes N number"]) -> Float[Tensor, "*lanes n 6 number"]:
-        motion = self.supported.motion(vectors)
-        flat = motion[..., :3, :].flatten(-3, -2)
-        size = flat.gather(-2, flat.abs().argmax(-2, keepdim=True))[..., None, :]
-        return motion / torch.where(size == 0.0, 1.0, size)
 
 
 def reciprocal(inverse: Float[Tensor, "*lanes"]) -> Float[Tensor, "*lanes"]:

@@ -1,6 +1,6 @@
-"""A flexible body on static supports: its unsupported freedoms, and its stiffness and geometric stiffness on these.
+"""A flexible body on supports: its unsupported freedoms, and its stiffness, geometric stiffness and mass on these.
 
-Checked in tests/multibody/statics/test_buckling.py.
+Checked in tests/multibody/statics/test_buckling.py, tests/multibody/statics/test_vibrations.py.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ Supports = Mapping[Any, str | Sequence[float | None]]
 class SupportedBody:
     """A body of elements on supports, arguments as of `buckling`.
 
+    vibrating  False: for buckling, which needs parts whose stress is known. True: for frequencies; supports may be {}, a free
+               body, and impose no displacements
     assembly   of the body without its reference
     kept       indices of the unsupported ones among the free freedoms of the assembly [N]
     pattern    of matrices on these
@@ -33,20 +35,30 @@ class SupportedBody:
     Raises InputError where the arguments are wrong.
     """
 
-    def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
+    def __init__(self, body: FlexibleBody, supports: Supports | None = None, vibrating: bool = False) -> None:
+        what = "frequencies" if vibrating else "buckling"
         if not isinstance(body, FlexibleBody):
-            raise InputError(f"body of buckling is {body!r}; allowed: a FlexibleBody")
+            raise InputError(f"body of {what} is {body!r}; allowed: a FlexibleBody")
         if body.given_structure is not None:
+            lack = "no freedoms to support" if vibrating else "no stress"
             raise InputError(
-                f"body {body.name!r} of buckling is made of matrices, which give no stress; allowed: one of elements"
+                f"body {body.name!r} of {what} is made of matrices, which give {lack}; allowed: one of elements"
             )
-        check_stressed(body.name, "buckling", body.parts)
+        if not vibrating:
+            check_stressed(body.name, what, body.parts)
         self.name = body.name
         self.assembly = Assembly(body.mesh, body.assembly.parts, (), body.links)
-        held = _held(body, {tuple(body.reference): "all"} if supports is None else supports)
-        free = self.assembly.freedoms.free
+        held = _held(body, {tuple(body.reference): "all"} if supports is None else supports, free_body=vibrating)
+        free, absent = self.assembly.freedoms.free, set(self.assembly.freedoms.absent.tolist())
         row = {int(f): i for i, f in enumerate(free)}
         for f in held:
+            if f in absent:  # as rotations of nodes of solids, which "all" names, too
+                continue
+            if vibrating and held[f] != 0.0:
+                raise InputError(
+                    f"supports impose {held[f]:g} on {FREEDOMS[f % 6]} of node {f // 6} of {body.name!r}, and frequencies are "
+                    "those of the unstressed body; allowed: 0, or names of freedoms"
+                )
             if f not in row:
                 raise InputError(
                     f"supports hold node {f // 6} of {body.name!r}, which follows another; allowed: its leader"
@@ -54,7 +66,8 @@ class SupportedBody:
         self.imposed = torch.zeros(len(free), 1, dtype=torch.float64)
         kept = torch.ones(len(free), dtype=torch.bool)
         for f, value in held.items():
-            self.imposed[row[f], 0], kept[row[f]] = value, False
+            if f in row:
+                self.imposed[row[f], 0], kept[row[f]] = value, False
         if not bool(kept.any()):
             raise InputError(f"supports hold all freedoms of {body.name!r}; allowed: fewer")
         self.kept = kept.nonzero()[:, 0]
@@ -78,17 +91,23 @@ class SupportedBody:
         full = of_supports.expand(*u.shape[:-2], len(of_supports), u.shape[-1]).index_copy(-2, self.kept, u)
         return self.assembly.freedoms.expand(full)
 
+    def shapes(self, vectors: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes n 6 k"]:
+        """Motions of all nodes of which the largest displacement is 1."""
+        motion = self.motion(vectors)
+        flat = motion[..., :3, :].flatten(-3, -2)
+        size = flat.gather(-2, flat.abs().argmax(-2, keepdim=True))[..., None, :]
+        return motion / torch.where(size == 0.0, 1.0, size)
+
     def movable(self, error: InputError) -> InputError:
         """The error for a stiffness on supports that is not positive definite."""
         return InputError(f"supports of {self.name!r} leave it movable: {error}")
 
 
-def _held(body: FlexibleBody, supports: Supports) -> dict[int, float]:
-    """Imposed displacements of the supported freedoms 6 * node + i."""
-    if not isinstance(supports, Mapping) or not supports:
-        raise InputError(
-            f"supports of {body.name!r} is {supports!r}; allowed: nodes -> freedoms, at least one, or None"
-        )
+def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:
+    """Imposed displacements of the supported freedoms 6 * node + i; none of a free body, where it is allowed."""
+    if not isinstance(supports, Mapping) or not (supports or free_body):
+        allowed = "nodes -> freedoms, {} for a free body" if free_body else "nodes -> freedoms, at least one"
+        raise InputError(f"supports of {body.name!r} is {supports!r}; allowed: {allowed}, or None")
     imposed: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(body, where, support)

@@ -15,8 +15,8 @@ from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import VARIABLES as OF_FORCES
 from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 
-_CONSTANTS = ("gravity", "axes")  # numbers of a system and its bodies that cannot be design variables
-_VARIABLES = ("mass", "center", "inertia", "position", *VELOCITIES, *MODAL)  # those that can, as Parameters of bodies
+_CONSTANTS = ("axes",)  # numbers of bodies that cannot be design variables
+_VARIABLES = ("gravity", "mass", "center", "inertia", "position", *VELOCITIES, *MODAL)  # those that can, as Parameters
 
 
 def refuse_lost_constants(system: Any) -> None:
@@ -28,7 +28,7 @@ def refuse_lost_constants(system: Any) -> None:
                 label = name if owner is system else f"{owner.name}.{name}"
                 allowed = "a tensor that requires none"
                 if name in _VARIABLES:
-                    allowed += ", or a Parameter given to the constructor of the body"
+                    allowed += ", or a Parameter given to the constructor"
                 raise InputError(f"{label!r} is a constant: it has no gradient; allowed: {allowed}")
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.elements import BeamLine, Beams
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.bodies import FlexibleBody
@@ -59,6 +59,7 @@ class Chain:
         return self.bodies[piece].at(nodes[0] - self.starts[piece], axes, offset)
 
 
+@checked_signature
 def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Sequence[str | int] = ()) -> Chain:
     """A beam as a chain of n flexible bodies with about equal numbers of elements, for large bending.
 
@@ -101,9 +102,9 @@ def _line(body: Any) -> BeamLine:
         raise InputError(f"body {body.name!r} of split is no beam; allowed: {allowed}")
     if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):
         raise InputError(f"body {body.name!r} of split has motion or position of its own; allowed: {allowed}")
-    if any(body.damping.ratios):
+    if body.damping.ratios is not None or body.damping.rate != 0.0:
         raise InputError(
-            f"body {body.name!r} of split has damping ratios; allowed: `damping` in proportion to stiffness"
+            f"body {body.name!r} of split has damping ratios, or a rate; allowed: `damping` in proportion to stiffness"
         )
     line: BeamLine = body.mesh
     chain = torch.arange(len(line.nodes))

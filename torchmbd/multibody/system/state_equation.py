@@ -16,7 +16,7 @@ Checked in tests/multibody/system/test_state_equation.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -31,14 +31,22 @@ from torchmbd.multibody.system.dynamics import Dynamics
 class StateEquation(nn.Module):
     """f(t, y) of one design, whose parameters have their values at each call.
 
-    modules   children of the system, by name
-    reduce    runs the structure stage of the system
+    modules      children of the system, by name
+    parameters   those of the system itself, by name
+    reduce       runs the structure stage of the system with such numbers
     """
 
-    def __init__(self, modules: dict[str, nn.Module], reduce: Callable[[], Dynamics]):
+    def __init__(
+        self,
+        modules: Mapping[str, nn.Module],
+        parameters: Mapping[str, nn.Parameter | None],
+        reduce: Callable[[Mapping[str, Tensor]], Dynamics],
+    ):
         super().__init__()
         for name, module in modules.items():
             self.add_module(name, module)
+        for name, x in parameters.items():
+            self.register_parameter(name, x)
         self._reduce = reduce
         # For each grad mode: tensors and copies of their values, and the dynamics of these values.
         self._cache: dict[bool, tuple[list[tuple[Tensor, Tensor]], Dynamics]] = {}
@@ -60,14 +68,17 @@ class StateEquation(nn.Module):
                 raise InputError(f"the system was moved to {x.dtype} on {x.device}; allowed: torch.float64 on cpu")
         if grad not in self._cache or not unchanged(self._cache[grad][0], tensors):
             plain = not any(map(in_transform, tensors))
-            dynamics = outside_transforms(lambda: self._with_kept_graph(grad)) if plain else self._reduce()
+            dynamics = outside_transforms(lambda: self._with_kept_graph(grad)) if plain else self._reduced()
             self._cache[grad] = with_copies(tensors), dynamics
         return self._cache[grad][1]
+
+    def _reduced(self) -> Dynamics:
+        return self._reduce({name: x for name, x in self._parameters.items() if x is not None})
 
     def _with_kept_graph(self, grad: bool) -> Dynamics:
         """Dynamics of plain parameters, whose graph permits any number of backward passes."""
         with torch.set_grad_enabled(grad):
-            dynamics = self._reduce()
+            dynamics = self._reduced()
             if grad:
                 dynamics.data = _with_kept_graph(dynamics.data, [x for x in self.parameters() if x.requires_grad])
             return dynamics

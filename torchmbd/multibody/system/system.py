@@ -17,14 +17,14 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, one_of, unknown
+from torchmbd.errors import InputError, checked_signature, one_of, unknown
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.math.gradients import refuse_derivatives
 from torchmbd.math.module_call import call_module, exclusive, outside_transforms
 from torchmbd.math.variable import law_key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
-from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, has_modal_start, vector
+from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, has_modal_start, register, vector_or_parameter
 from torchmbd.multibody.forces.beam_chain import BeamChain
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable, Joint
@@ -48,13 +48,14 @@ _START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # numbers of the initial s
 _START = (*POSE, *VELOCITIES, *MODAL)  # all numbers of the initial state
 
 
+@checked_signature
 class System(nn.Module):
     """Bodies joined by joints.
 
     bodies         rigid and flexible bodies and flexible beams; their names are unique
     joints         between frames of these bodies and the ground
     forces         force elements between frames of these bodies and the ground
-    gravity        acceleration of gravity in ground axes [m/s2]
+    gravity        acceleration of gravity in ground axes [m/s2]; a torch.nn.Parameter is a design variable, "gravity"
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
     truncation     share of stiffness that retained modes may have too much at joints and forces before the first motion warns
@@ -109,7 +110,7 @@ class System(nn.Module):
             if names.count(name) > 1:
                 raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
         self.bodies = bodies
-        self.register_buffer("gravity", None if gravity is None else vector("gravity", gravity))
+        register(self, "gravity", None if gravity is None else vector_or_parameter("gravity", gravity))
         self.stabilization = positive("stabilization", stabilization, "s")
         self.truncation = None if truncation is None else positive("truncation", truncation, "")
         self.forces = forces
@@ -127,9 +128,16 @@ class System(nn.Module):
         """Register the modules with the design variables of joints and forces, by the names of these and of their frames."""
         elements = [*self.joints, *self.forces]
         names = [element.name for element in elements]
+        axes_in_use = [attached.varying for attached in self.topology.attached if not attached.is_point]
         for element in elements:
+            for side, frame in zip("ab", element.frames, strict=False):
+                if frame.varying is not None and frame.varying.record.turns and frame.varying not in axes_in_use:
+                    raise InputError(
+                        f"turn of frame {side} of {element.name!r} is a design variable, but no axis of this frame is used, as "
+                        "joints take those of their first frame; allowed: turn of the other frame, or numbers"
+                    )
             modules = {
-                f"{element.name}_{side}": frame.varying_point for side, frame in zip("ab", element.frames, strict=False)
+                f"{element.name}_{side}": frame.varying for side, frame in zip("ab", element.frames, strict=False)
             }
             modules |= {element.name: None if element.variables is None else element.variables.module}
             for name, module in modules.items():
@@ -219,7 +227,7 @@ class System(nn.Module):
         """
         if part is None:
             system = self._with_present_numbers()
-            equation = StateEquation(dict(system.named_children()), system._own_dynamics)
+            equation = StateEquation(dict(system.named_children()), system._parameters, system._own_dynamics)
             equation.register_load_state_dict_post_hook(functools.partial(_rebuild_topology_of, system))
             return equation
         if part not in ("data", "stages"):
@@ -242,10 +250,10 @@ class System(nn.Module):
         return dict(self.named_parameters()) | dict(self.named_buffers())
 
     @exclusive
-    def _own_dynamics(self) -> Dynamics:
-        """Structure stage of the present parameters: one design."""
+    def _own_dynamics(self, numbers: Mapping[str, Tensor]) -> Dynamics:
+        """Structure stage of the present parameters, one design; numbers: in the place of parameters of the system itself."""
         self._check()
-        return self._dynamics(self._data(list(self._structures().values())))
+        return self._dynamics(call_module(self, numbers, "data"))
 
     @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
@@ -354,7 +362,7 @@ class System(nn.Module):
             forces = [force for force in self.forces if force.beams(AttachmentTable())]
             data |= beam_data([beams[f.name].data if isinstance(f, BeamChain) else f.beam_data() for f in forces])
         if self.gravity is not None:
-            data["gravity"] = self.gravity[:, None, None, None]
+            data["gravity"] = stack_bodies([self.gravity], 1)
         return data
 
 

@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names
+from torchmbd.errors import argument_names, checked_signature
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
 from torchmbd.optimization.discrete.grid import Allowed, Grid
 from torchmbd.optimization.multistart.run import MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts
-from torchmbd.optimization.optimizer import OptimizationResult, Problem, find_method, require_count
+from torchmbd.optimization.optimizer import NonlinearProgram, OptimizationResult, find_method, require_count
 from torchmbd.optimization.search import Search
 
 
@@ -59,8 +59,9 @@ class DiscreteResult:
     names: list[str] = field(default_factory=list)
 
 
+@checked_signature
 def optimize_discrete(
-    problem: Problem,
+    problem: NonlinearProgram,
     allowed: Allowed | Sequence[Allowed],
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names, true_or_false
+from torchmbd.errors import argument_names, checked_signature, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.batch import parallel_batches
 from torchmbd.optimization.multistart.batched import BatchedSearches
@@ -17,8 +17,8 @@ from torchmbd.optimization.multistart.minima import Minimum, covered_share, dist
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.optimizer import (
     Iterate,
+    NonlinearProgram,
     OptimizationResult,
-    Problem,
     convergence_figure,
     find_method,
     require_count,
@@ -102,8 +102,9 @@ class MultistartResult(Summary):
         return sum(r.gradient_evaluations for r in self.results)
 
 
+@checked_signature
 def multistart(
-    problem: Problem,
+    problem: NonlinearProgram,
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,
     callback: Callable[[Iterate], None] | None = None,

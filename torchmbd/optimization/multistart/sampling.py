@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, true_or_false
+from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.optimization.optimizer import Box, as_numbers, require_count
 
 
@@ -29,6 +29,7 @@ class Starts:
         return self.draw(problem)
 
 
+@checked_signature
 def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Start designs of a scrambled Sobol sequence over the bounds of the problem [count, n].
 
@@ -48,6 +49,7 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     return Starts("sobol", count, partial(_spread, partial(_sobol, seed), count, include_initial))
 
 
+@checked_signature
 def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Start designs [count, n]; the values of each variable fill its range evenly.
 
@@ -65,7 +67,7 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     return Starts("latin_hypercube", count, partial(_spread, partial(_latin, seed), count, include_initial))
 
 
-def given(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
+def starts_at(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     """Return the listed starts, in their order."""
     designs = [as_numbers("points", point) for point in points]
     X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
@@ -83,12 +85,12 @@ def _listed(X: np.ndarray, problem: Box) -> np.ndarray:
 def recipe(starts: Starts | Sequence[Any] | np.ndarray | None, initial: np.ndarray) -> Starts:
     """Return the starts that an argument of this name stands for; None: the initial design alone."""
     if starts is None or isinstance(starts, Starts):
-        return given([initial]) if starts is None else starts
+        return starts_at([initial]) if starts is None else starts
     if isinstance(starts, str) or not isinstance(starts, Iterable):
         raise InputError(
             f"starts is {starts!r}; allowed: mbd.sobol(...) or another sampler, a list of designs, or None"
         )
-    return given(list(starts))
+    return starts_at(list(starts))
 
 
 def _sobol(seed: int, size: int, number: int) -> np.ndarray:

@@ -1,0 +1,186 @@
+"""Frequencies of a body on supports: supports, status, lanes, derivatives, also where frequencies coincide."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.multibody.statics.test_buckling import CARBON, panel, richardson, tube
+from torchmbd.fem.elements import Assembly, Beams, GivenElements
+from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.statics import VibrationCase
+
+EDGES = {"left_edge": "u1 u2 u3 phi1", "right_edge": "u3", "top_edge": "u3"}
+
+
+class Frequencies(nn.Module):
+    def __init__(self, body: mbd.FlexibleBody, supports: Any, number: int) -> None:
+        super().__init__()
+        self.body, self.case, self.number = body, VibrationCase(body, supports), number
+
+    def forward(self) -> Tensor:
+        return self.case(self.number).frequencies
+
+    def of(self, name: str) -> tuple[Any, Tensor]:
+        """The frequencies as a function of one parameter, and its value."""
+        x = dict(self.named_parameters())[name].detach().clone()
+        return lambda x: torch.func.functional_call(self, {name: x}, ()), x
+
+
+def check_gradients(model: Frequencies, name: str, step: float) -> None:
+    f, x = model.of(name)
+    reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
+    with torch.no_grad():
+        wanted = richardson(f, x, step)
+    scale = float(wanted.abs().max())
+    assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
+    assert_close(reverse, wanted, rtol=0.0, atol=1e-6 * scale)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["quad", "triangle"])
+@pytest.mark.parametrize(("name", "step"), [("angles", 1e-2), ("thickness", 2e-5)])
+@pytest.mark.parametrize("supports", [EDGES, {}])
+def test_gradients_of_plates(kind, name, step, supports):
+    check_gradients(Frequencies(panel(kind=kind), supports, 3), f"body.laminate.{name}", step)
+
+
+@pytest.mark.thorough
+def test_gradients_of_a_beam_by_angles_and_nodes():
+    section = mbd.sections.tube(0.03, CARBON, [0.3, 0.3, -0.2], 5e-4)
+    nodes = torch.tensor([[0.0, 0.0, 0.0], [0.3, 0.01, 0.0], [0.7, 0.0, -0.05], [1.0, 0.0, 0.0]], dtype=torch.float64)
+    line = mbd.BeamLine(nn.Parameter(nodes))
+    body = mbd.FlexibleBody.beam("beam", line, section, modes=2, reference=0, mass="consistent")
+    model = Frequencies(body, {0: "u1 u2 u3 phi1", 3: (None, 0.0, 0, None, None, None)}, 1)
+    check_gradients(model, "body.line.nodes", 1e-3)
+    name = next(name for name, _ in model.named_parameters() if name.endswith("angles"))
+    check_gradients(model, name, 1e-2)
+
+
+@pytest.mark.thorough
+def test_the_sparse_and_the_dense_way_have_the_same_gradients(monkeypatch):
+    f, x = Frequencies(panel((8, 6)), EDGES, 3).of("body.laminate.angles")
+    sparse = f(x), torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
+    monkeypatch.setattr("torchmbd.fem.reduction.basis.SMALL", 1000)
+    assert_close(sparse, (f(x), torch.func.jacrev(f)(x), torch.func.jacrev(f)(x)), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.thorough
+def test_coinciding_frequencies_of_a_tube_have_the_mean_of_their_derivatives():
+    model = Frequencies(tube(), {"start": "u1 u2 u3 phi1", "end": "u2 u3"}, 3)  # the third of a pair, too
+    frequencies = model()
+    assert_close(frequencies[0], frequencies[1], rtol=1e-6, atol=0.0)
+    f, x = model.of(next(name for name, _ in model.named_parameters() if name.endswith("angles")))
+    reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
+    scale = float(reverse.abs().max())
+    assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
+    assert_close(reverse[0], reverse[1], rtol=0.0, atol=1e-7 * scale)
+    with torch.no_grad():
+        wanted = richardson(lambda x: f(x)[:2].mean(), x, 1e-2)
+    assert_close(reverse[0], wanted, rtol=0.0, atol=1e-6 * scale)
+
+
+def test_lanes_are_designs():
+    f, x = Frequencies(panel(), EDGES, 2).of("body.laminate.angles")
+    angles = torch.stack([x, torch.tensor([0.0, 0.9, 0.2], dtype=torch.float64)])
+    each = torch.stack([f(x) for x in angles])
+    assert_close(f(angles), each, rtol=1e-10, atol=0.0)
+    assert_close(torch.func.vmap(f)(angles), each, rtol=1e-10, atol=0.0)
+    slopes = torch.func.jacrev(lambda x: f(x).sum(0))(angles)  # [number, lane, angle]
+    assert_close(slopes[:, 1], torch.func.jacrev(f)(angles[1]), rtol=1e-8, atol=1e-8)
+
+
+def test_a_second_derivative_is_refused():
+    f, x = Frequencies(panel((2, 2)), EDGES, 1).of("body.laminate.angles")
+    with pytest.raises(NotImplementedError, match="second derivatives of modes"):
+        torch.func.hessian(lambda x: f(x)[0])(x)
+
+
+def test_reference_nodes_are_clamped_without_supports():
+    body = panel()
+    kept = body.structure()["Kr"].detach()
+    assert_close(mbd.frequencies(body).frequencies[0].detach(), kept[0, 0].sqrt() / (2.0 * torch.pi))
+    assert_close(mbd.frequencies(body, {"left_edge": "all"}, 2)[:2], mbd.frequencies(body, None, 2)[:2])
+
+
+def test_shapes_are_those_of_the_supports():
+    found = mbd.frequencies(panel(), EDGES, number=2)
+    assert found.status == "ok"
+    assert not found.shapes.requires_grad
+    assert not bool(found.shapes[list(panel().mesh.node_sets["top_edge"]), 2].any())
+    assert_close(found.shapes[:, :3].flatten(0, 1).abs().amax(0), torch.ones(2, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("cells", [(2, 2), (12, 8)])
+def test_rigid_motions_of_a_free_body_are_left_out(cells):
+    body = panel(cells)
+    found = mbd.frequencies(body, {}, number=3)
+    assert found.status == "six rigid motions of the free body are left out"
+    assert found.frequencies[0].item() > 10.0
+    mass = body.assembly.masses()
+    momentum = (mass.mass[:, None, None] * found.shapes[mass.ends[:, 0], :3]).sum(0).detach()
+    assert float(momentum.abs().max()) < 1e-8 * float(mass.mass.sum())
+
+
+@pytest.mark.parametrize("supports", [{"left_edge": "u3"}, {0: "u1 u2 u3"}, {"left_edge": "u1 u2 phi1 phi2 phi3"}])
+@pytest.mark.parametrize("cells", [(2, 2), (12, 8)])
+def test_a_movable_body_is_refused(supports, cells):
+    with pytest.raises(mbd.InputError, match="supports of 'panel' leave it movable: a frequency is zero"):
+        mbd.frequencies(panel(cells), supports)
+
+
+def test_a_body_that_is_hardly_stiff_is_not_taken_for_movable():
+    film = mbd.Laminate(CARBON, [0.3], [3e-4])
+    body = mbd.FlexibleBody.plate("film", mbd.mesh.rectangle(12.0, 1.0, (20, 2)), film, modes=1, reference="left_edge")
+    assert 0.0 < mbd.frequencies(body).frequencies.item() < 3e-3
+
+
+def test_springs_between_beams_vibrate():
+    """A spring along its beam: frequencies need no stress, which springs do not give."""
+    K = torch.zeros(12, 12, dtype=torch.float64)
+    K[2, 2] = K[8, 8] = 100.0
+    K[2, 8] = K[8, 2] = -100.0
+    mesh = mbd.BeamLine.straight(1.0, 1)
+    spring = GivenElements(
+        mesh, [torch.arange(12)[None]], [K[None]], torch.arange(2), torch.ones(2, dtype=torch.float64)
+    )
+    section = mbd.sections.tube(0.03, CARBON, [0.3], 5e-4)
+    body = mbd.FlexibleBody("link", mesh, {"beam": Beams(mesh, section), "spring": spring}, 1, reference=0)
+    assert mbd.frequencies(body).frequencies.item() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"body": "rod"}, "body of frequencies is 'rod'; allowed: a FlexibleBody"),
+        ({"supports": 3}, "supports of 'panel' is 3; allowed: nodes -> freedoms, {} for a free body, or None"),
+        ({"supports": {"lef": "all"}}, "does not exist"),
+        ({"supports": {"left_edge": "u4"}}, "support 'left_edge' of 'panel' is 'u4'"),
+        (
+            {"supports": {"left_edge": (0.0, 0.1, None, 0.0, 0.0, 0.0)}},
+            "supports impose 0.1 on u2 of node 0 of 'panel'",
+        ),
+        ({"number": 0}, "number is 0; allowed: 1 to"),
+        ({"number": 1000}, "number is 1000; allowed: 1 to 36, the free freedoms of 'panel'"),
+        ({"number": 1.5}, "number is 1.5"),
+        ({"number": 49, "supports": {}}, "number is 49; allowed: 1 to 48"),
+    ],
+)
+def test_wrong_arguments_are_named(change, message):
+    arguments: dict[str, Any] = {"body": panel((2, 2))} | change
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.frequencies(**arguments)
+
+
+def test_bodies_of_matrices_are_refused():
+    line = mbd.BeamLine.straight(1.0, 1)
+    assembly = Assembly(line, {"beam": Beams(line, mbd.sections.tube(0.03, CARBON, [0.3], 5e-4))})
+    K, M = (x.dense().detach() for x in (assembly.stiffness(), assembly.mass()) if isinstance(x, SparseMatrix))
+    body = mbd.FlexibleBody.from_matrices("bar", M, K, line.nodes, modes=1)
+    with pytest.raises(mbd.InputError, match="body 'bar' of frequencies is made of matrices"):
+        mbd.frequencies(body)

@@ -1,0 +1,14 @@
+"""The registry of measurements: names as experiment files spell them. A new one is one file here, and one line."""
+
+from __future__ import annotations
+
+from torchmbd.identification.measurement import Measurement
+from torchmbd.identification.modal_data import ModalData
+from torchmbd.identification.static_curve import StaticCurve
+from torchmbd.identification.time_series import TimeSeries
+
+MEASUREMENTS: dict[str, type[Measurement]] = {
+    "time_series": TimeSeries,
+    "modal_data": ModalData,
+    "static_curve": StaticCurve,
+}
