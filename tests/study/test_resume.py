@@ -209,7 +209,7 @@ def _below(study: int) -> dict[int, str]:
 
 @pytest.mark.slow
 def test_a_full_disk_is_a_message_and_no_loss(write, folder, monkeypatch):
-    """No file may grow beyond 36 KiB: more than SQLite's index of a log, less than the log of evaluations and MLflow's database."""
+    """No file may grow beyond 36 KiB: more than SQLite's index of a log, less than that log and MLflow's database."""
     monkeypatch.chdir(folder)
     monkeypatch.delenv("TORCHMBD_STORE")
     file = write(starts={"sampler": "sobol", "count": 12, "seed": 7}, tracking={"experiment": "full"})
