@@ -58,14 +58,14 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, checked_signature
+from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, checked_signature
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import Channel, Experiment, Identification, TimeSeries, identify
+from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -197,6 +197,7 @@ __all__ = [
     "CriticalSpeed",
     "Cylindrical",
     "DampingRatio",
+    "DesignFailure",
     "DesignSpace",
     "Differences",
     "Displacement",
@@ -230,6 +231,7 @@ __all__ = [
     "Measure",
     "Mesh",
     "Min",
+    "ModalData",
     "OptimizationResult",
     "Phase",
     "Planar",
@@ -262,6 +264,7 @@ __all__ = [
     "SpringDamper",
     "StabilityLimit",
     "StabilityMargin",
+    "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",

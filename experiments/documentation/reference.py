@@ -41,9 +41,9 @@ GROUPS: dict[str, str] = {
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
-    "identification": "identify Identification Experiment TimeSeries Channel",
+    "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
-    "errors": "MbdError InputError ArgumentError SimulationFailure",
+    "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
 }
 
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.system_vibrations import OfVibrations, number_of, positive_band, rising
-from torchmbd.errors import InputError, one_of
+from torchmbd.errors import DesignFailure, InputError, checked_signature, one_of
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.steady_states import steady_states
@@ -46,7 +46,7 @@ def root(g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float
     tensors = list(designs.values())
     p, slope, more = outside_transforms(lambda *x: _search(g, dict(zip(designs, x, strict=True)), bracket), *tensors)
     if not slope:
-        raise InputError(f"{name} has no derivative at {p:g}: the curves touch and do not cross")
+        raise DesignFailure(f"{name} has no derivative at {p:g}: the curves touch and do not cross")
     y = g(torch.tensor(p, dtype=torch.float64), designs, more)
     return p - (y - y.detach()) / slope
 
@@ -89,6 +89,7 @@ def _check_points(points: object) -> None:
         raise InputError(f"points is {points!r}; allowed: 2, 3, ...")
 
 
+@checked_signature
 @dataclass(frozen=True)
 class CriticalSpeed(OfVibrations):
     """A speed [lanes] [rad/s] at which a natural frequency is a multiple of the speed.
@@ -135,7 +136,7 @@ class CriticalSpeed(OfVibrations):
             crossings.append((float(speeds[i]) + share * float(speeds[i + 1] - speeds[i]), i, k))
         if len(crossings) < self.number:
             low, high = self.between
-            raise InputError(
+            raise DesignFailure(
                 f"critical speed {self.number} of order {self.order:g} is not between {low:g} and {high:g} rad/s, where "
                 f"{len(crossings)} are found; allowed: another range, or more points"
             )
@@ -143,9 +144,10 @@ class CriticalSpeed(OfVibrations):
         return float(speeds[i]), float(speeds[i + 1]), k
 
 
+@checked_signature
 @dataclass(frozen=True)
 class StabilityLimit(OfVibrations):
-    """The least value [lanes] of a parameter, within a range, at which vibrations begin to grow: a flutter load or speed.
+    """The least value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.
 
     parameter   name of a parameter of the system of one number, such as "push.x"; "speed": of rotation [rad/s]
     between     (lowest, highest) value that is searched
@@ -206,7 +208,7 @@ class StabilityLimit(OfVibrations):
                 return float(values[i]), float(values[i + 1]), None
         low, high = self.between
         state = "vibrations grow at all values" if bool(grows.all()) else "no vibration begins to grow"
-        raise InputError(
+        raise DesignFailure(
             f"no limit of stability for {self.parameter} between {low:g} and {high:g}: {state}; allowed: another range, or "
             "more points"
         )

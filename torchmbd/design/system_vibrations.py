@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure, InputError, checked_signature
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.steady_states import Shaft, SteadyStates, steady_states
@@ -76,6 +76,7 @@ def number_of(name: str, number: object) -> None:
         raise InputError(f"{name} is {number!r}; allowed: 1, 2, ...")
 
 
+@checked_signature
 @dataclass(frozen=True)
 class SystemFrequency(OfVibrations):
     """Natural frequency [lanes] [Hz] of the whole system, without damping.
@@ -115,6 +116,7 @@ class SystemFrequency(OfVibrations):
         return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class DampingRatio(OfVibrations):
     """Damping ratio -Re s / |s| [lanes] [-] of a pole s of the whole system; negative where the vibration grows.
@@ -145,7 +147,7 @@ class DampingRatio(OfVibrations):
         for lane in poles:
             oscillating = (lane.detach().imag > 0.0).nonzero()[:, 0]
             if len(oscillating) < self.number:
-                raise InputError(
+                raise DesignFailure(
                     f"number is {self.number}; allowed: 1 to {len(oscillating)}, the vibrations of the system that oscillate"
                 )
             s = lane[oscillating[self.number - 1]]
@@ -153,6 +155,7 @@ class DampingRatio(OfVibrations):
         return torch.stack(ratios)
 
 
+@checked_signature
 @dataclass(frozen=True)
 class StabilityMargin(OfVibrations):
     """Largest real part [lanes] [1/s] of the poles of the whole system, smooth: below zero the state is stable.
@@ -191,6 +194,7 @@ class StabilityMargin(OfVibrations):
         return growth.gather(1, worst[:, None])[:, 0]
 
 
+@checked_signature
 @dataclass(frozen=True)
 class CampbellClearance(OfVibrations):
     """Relative distances [lanes, rows] [-] of frequencies f from n times the speed over a band of speeds; limit: at least.

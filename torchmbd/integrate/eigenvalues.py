@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure, InputError
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.math.pair import Pair
@@ -130,7 +130,9 @@ class _Eigenproblem:
         for lane, spectrum in enumerate(self.spectra):
             for i, mode in enumerate(modes):
                 if spectrum.fault[mode] and bool(bars[:, i, :, lane].any()):
-                    raise InputError(f"eigenvalue {mode + 1} has no derivative: it is {spectrum.fault[mode]}; {_HELD}")
+                    raise DesignFailure(
+                        f"eigenvalue {mode + 1} has no derivative: it is {spectrum.fault[mode]}; {_HELD}"
+                    )
             if not self.symmetric:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
@@ -226,10 +228,10 @@ class _Eigenproblem:
         return lam - torch.einsum("rvl,vl->rl", torch.stack(back, -1), forces)[:, None]
 
 
-def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> InputError:
+def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
     numbers = ", ".join(str(k + 1) for k in modes)
     value = spectrum.values[modes[0]].item()
-    return InputError(
+    return DesignFailure(
         f"eigenvalues {numbers} coincide at {value:.6g}: a single one has no derivative; allowed: functions symmetric in them, "
         "such as SystemFrequency(cluster=...)"
     )

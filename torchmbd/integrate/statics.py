@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.eigenvalues import NATURAL, POLES, eigenvalues
 from torchmbd.integrate.motion import Motion, Tensors
@@ -214,7 +214,7 @@ class StaticIntegration:
         for lane, balance in enumerate(balances):
             if balance.failure:
                 where = f" of lane {lane}" * (len(balances) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
-                raise InputError(balance.failure + (f" ({where.strip()})" if where else ""))
+                raise DesignFailure(balance.failure + (f" ({where.strip()})" if where else ""))
 
 
 @checked_signature

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
@@ -199,14 +199,14 @@ class Vibrations:
     def of(cls, rest: Linearization) -> Vibrations:
         """Solve the eigenvalue problem in the null space. InputError where the inertia is not positive definite."""
         if rest.negative_mass:
-            raise InputError(
+            raise DesignFailure(
                 f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
             )
         M, K_full = rest.inertia, rest.reduced(rest.K)
         K = 0.5 * (K_full + K_full.T)
         L, singular = torch.linalg.cholesky_ex(M)
         if int(singular):
-            raise InputError(
+            raise DesignFailure(
                 "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
                 "allowed: masses and inertias > 0 of all that is free to move"
             )
