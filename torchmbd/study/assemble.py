@@ -21,6 +21,7 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, latin_hypercube, sobol
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
+from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.schema import UNITS, Combine, Optimizer, Range, StudyFile, Variable
 from torchmbd.study.settings import Origin, StudySettings
 
@@ -78,7 +79,8 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
         kind, asked = Tradeoff, {name: read(spec) for name, spec in data.tradeoff.items()}
     if data.scenarios is not None:
         kind, combine = Scenarios, data.combine or Combine()
-        systems = scenario_systems(data.model, data.options, data.scenarios, folder)
+        change = partial(set_parameters, values=data.parameters)
+        systems = scenario_systems(data.model, data.options, data.scenarios, folder, change)
         named: dict[str, Any] = {s.name or f"scenario {k + 1}": dict(s.settings) for k, s in enumerate(data.scenarios)}
         for settings, variant in zip(named.values(), systems, strict=True):
             settings |= {} if variant is None else {SYSTEM: variant}
