@@ -59,7 +59,7 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import Channel, Experiment, Identification, TimeSeries, identify
+from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -221,6 +221,7 @@ __all__ = [
     "Measure",
     "Mesh",
     "Min",
+    "ModalData",
     "OptimizationResult",
     "Phase",
     "Planar",
@@ -251,6 +252,7 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
+    "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",

@@ -123,8 +123,12 @@ MEASURES: dict[str, list[Measure]] = {
         BucklingFactor("rod"),
         BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
     ],
-    "frequency": [Frequency("rod"), Frequency("rod", 2)],
-    "frequencies": [Frequencies("rod", (1, 2)), Frequencies("rod", (2,), power=-3.0)],
+    "frequency": [Frequency("rod"), Frequency("rod", 2), Frequency("rod", 1, {"left_edge": "all", "right_edge": "u3"})],
+    "frequencies": [
+        Frequencies("rod", (1, 2)),
+        Frequencies("rod", (2,), power=-3.0),
+        Frequencies("rod", (1, 3), supports={}),
+    ],
     "mass": [Mass("rod"), Mass()],
 }
 OTHERS = [

@@ -7,6 +7,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON
+from torchmbd.design.response_spec import measure_of
 
 DESIGN = mbd.deg([45.0, -45.0])
 VARIABLES = ["sheet.laminate.angles", "sheet.laminate.thickness"]
@@ -91,3 +92,37 @@ def test_wrong_arguments_are_named(given, message):
 def test_a_mode_that_is_not_retained_is_named(motions):
     with pytest.raises(mbd.InputError, match="number is 99; allowed: 1 to"):
         mbd.Frequencies("sheet", (6, 99)).value(motions[0])
+
+
+SUPPORTS = {"left_edge": "u1 u2 u3 phi1", "right_edge": "u3"}
+
+
+def test_frequencies_on_supports_are_those_of_the_body(motions):
+    exact, neighbors = motions
+    wanted = mbd.frequencies(exact.system.body("sheet"), SUPPORTS, 3).frequencies.detach()
+    for number in (1, 3):
+        measure = mbd.Frequency("sheet", number, SUPPORTS)
+        value, gradient = measure.value_and_gradient(exact)
+        torch.testing.assert_close(value[0], wanted[number - 1])
+        torch.testing.assert_close(gradient[0], differences(measure, neighbors), rtol=1e-5, atol=1e-2)
+    mean = mbd.Frequencies("sheet", (1, 3), supports=SUPPORTS).value(exact)[0]
+    torch.testing.assert_close(mean, (0.5 * (wanted[0] ** 2 + wanted[2] ** 2)).sqrt())
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"supports": {"edge": "all"}}, "does not exist"),
+        ({"supports": {"left_edge": "u7"}}, "support 'left_edge' of 'sheet' is 'u7'"),
+        ({"supports": SUPPORTS, "number": 0}, "number is 0; allowed: 1, 2, ..."),
+        ({"supports": SUPPORTS, "number": 999}, "number is 999; allowed: 1 to"),
+    ],
+)
+def test_wrong_supports_are_named(motions, given, message):
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.Frequency("sheet", **given).check(motions[0].system)
+
+
+def test_supports_in_a_file():
+    spec = {"frequency": {"body": "sheet", "number": 3, "supports": {"left_edge": "all"}}}
+    assert measure_of(spec) == mbd.Frequency("sheet", 3, {"left_edge": "all"})

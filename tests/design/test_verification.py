@@ -86,7 +86,7 @@ def test_a_constraint_that_fails_in_the_finer_model() -> None:
     found = verification(problem, x, 1.0)
     assert "integral of x position of bob · x position of bob is beyond its limit by" in found.status
     assert "steps: " in found.advice
-    [row] = [one for one in found.answers if one.asked == "at most"]
+    [row] = [one for one in found.answers if one.goal == "at most"]
     assert row.active
     assert row.best.finer == pytest.approx(numbers[1], rel=0.02)
     assert row.finer == pytest.approx(1.0 - numbers[1] / numbers[0], abs=0.02)
@@ -132,7 +132,7 @@ def test_results_of_optimize_and_multistart() -> None:
     for one in (result, result.best):
         assert one is not None
         found = mbd.verify(one)
-        assert [row.asked for row in found.answers] == ["maximize", "at most", "at most", "", ""]
+        assert [row.goal for row in found.answers] == ["maximize", "at most", "at most", "", ""]
         assert found.answers[0].best.value == pytest.approx(-result.best.value, rel=1e-9)
         assert found.answers[2].words == "mass of arm"
         assert found.answers[2].unit == "kg"

@@ -39,7 +39,25 @@ def time_series() -> FitProblem:
     return FitProblem({"swing": experiment}, pendulum.UNKNOWNS, bounds, priors={"bob.mass": (1.0, 0.2)})
 
 
-CASES = {"time_series": time_series}
+def static_curve() -> FitProblem:
+    """A bob on a torsion spring, pushed aside by several forces: angle and force of the hinge, with a gap."""
+    push = np.array([-2.0, -1.0, 0.0, 1.5, 4.0])
+    numbers = {"F": push, "angle": 0.1 * push, "force": np.array([1.0, 2.0, np.nan, 3.0, 4.0])}
+    channels = {
+        "angle": mbd.Channel(pendulum.ANGLE, deviation=0.1, gain=mbd.variable(1.1), offset=mbd.variable(0.02)),
+        "force": mbd.Channel(pendulum.FORCE, deviation=1.0, gain=2.0),
+    }
+    curve = mbd.StaticCurve(numbers, {"push.x": "F"}, channels)
+    return FitProblem({"pushed": mbd.Experiment(pendulum.pushed(), curve)}, ["spring.stiffness", "bob.mass"])
+
+
+def modal_data() -> FitProblem:
+    """Two masses in a row: frequencies and damping ratios of both modes, which shapes pair."""
+    data = mbd.ModalData([10.0, 20.0], [0.02, 0.03], [[1.0, 1.0], [1.2, -0.9]], pendulum.ROW_SENSORS)
+    return FitProblem({"row": mbd.Experiment(pendulum.row(), data)}, pendulum.ROW_UNKNOWNS)
+
+
+CASES = {"time_series": time_series, "static_curve": static_curve, "modal_data": modal_data}
 
 
 def test_every_measurement_has_a_case():

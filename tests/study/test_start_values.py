@@ -37,7 +37,7 @@ def test_values_are_those_of_the_motion():
     found = start_values(asked)
     assert not isinstance(found, str)
     np.testing.assert_allclose([one.value for one in found], [energy, mass, energy, np.degrees(angle)], rtol=1e-12)
-    assert [one.asked for one in found] == ["minimize", "at least 0.5", "at most initial", "at most 5.72958"]
+    assert [one.goal for one in found] == ["minimize", "at least 0.5", "at most initial", "at most 5.72958"]
     assert [one.unit for one in found] == ["J", "kg", "J", "deg"]
     assert found[1].note == ("violated" if mass < 0.5 else "")
 

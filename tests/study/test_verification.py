@@ -96,7 +96,7 @@ def test_the_store_has_it(runs: SimpleNamespace) -> None:
     assert entry.metrics["margin/mass of bob_kg"] == pytest.approx(1.0 - entry.metrics["design/mass_kg"] / 1.2)
     assert find(runs.uri, runs.coarse.run).tags["verification"].startswith("not verified: ")
     answer = json.loads((runs.folder / "mlartifacts" / runs.fine.run / "artifacts" / "answer.json").read_text())
-    assert answer["answers"][0]["asked"] == "minimize"
+    assert answer["answers"][0]["goal"] == "minimize"
 
 
 def test_best_compare_and_report_show_it(runs: SimpleNamespace) -> None:

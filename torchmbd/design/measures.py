@@ -7,7 +7,7 @@
     AtTime     y(t)                Final: y at the end
     SmoothMax  c/rho ln sum exp(rho y_k / c)      c: scale in the unit of y, rho: sharpness
                at least the largest sample, at most c ln(samples)/rho above it; smooth where another peak becomes the largest
-    Frequency  of a mode of a body fixed at its reference nodes [Hz]
+    Frequency  of a mode of a body fixed at its reference nodes, or on other supports [Hz]
     Frequencies  power mean of several, which is smooth where they cross [Hz]
     Mass       of a body, or of all bodies [kg]
 
@@ -30,10 +30,12 @@ from torchmbd.design.curve import curve_of
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History, Measure
 from torchmbd.design.spline import Spline, Window, checked_window
+from torchmbd.design.supported_frequencies import check_supports, supported_frequencies
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction import eigenvalues
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, scalar
+from torchmbd.multibody.statics.supported_body import Supports
 from torchmbd.multibody.system import System
 
 
@@ -260,10 +262,11 @@ class SmoothMax(OfHistory):
 @checked_signature
 @dataclass(frozen=True)
 class Frequency(Measure):
-    """Natural frequency [lanes] [Hz] of a flexible body fixed at its reference nodes.
+    """Natural frequency [lanes] [Hz] of a flexible body fixed at its reference nodes, or on supports.
 
-    body    its name
-    number  1 is the lowest; up to the number of retained modes
+    body      its name
+    number    1 is the lowest; without supports up to the number of retained modes
+    supports  as of mbd.frequencies, with all freedoms of the mesh; None: the reference nodes, with the retained modes
 
     Where frequencies coincide (their squares agree to 1e-6), none of them is differentiable. The gradient is then the mean of
     their one-sided slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives these slopes; `Frequencies`, a mean
@@ -277,16 +280,26 @@ class Frequency(Measure):
 
     body: str
     number: int = 1
+    supports: Supports | None = None
 
     def check(self, system: System) -> None:
-        modes = flexible_body(system, self.body).modes
-        if not is_whole(self.number) or not 1 <= self.number <= modes:
-            raise InputError(f"number is {self.number!r}; allowed: 1 to {modes}, the retained modes of {self.body!r}")
+        _check_number(system, self.body, self.number, self.supports)
 
     def value(self, motion: Trajectory) -> Tensor:
         self.check(motion.system)
+        if self.supports is not None:
+            return supported_frequencies(motion, self.body, self.supports, self.number)[:, -1]
         square = eigenvalues(motion.body(self.body).stiffness[0])[..., self.number - 1]
         return torch.sqrt(square) / (2.0 * math.pi)
+
+
+def _check_number(system: System, body: str, number: int, supports: Supports | None) -> None:
+    modes = flexible_body(system, body).modes if supports is None else 1
+    if not is_whole(number) or number < 1 or (supports is None and number > modes):
+        allowed = f"1 to {modes}, the retained modes of {body!r}" if supports is None else "1, 2, ..."
+        raise InputError(f"number is {number!r}; allowed: {allowed}")
+    if supports is not None:
+        check_supports(system, body, supports, number)
 
 
 @checked_signature
@@ -294,12 +307,13 @@ class Frequency(Measure):
 class Frequencies(Measure):
     """Power mean of natural frequencies [lanes] [Hz]: (mean of f^(2 power))^(1 / (2 power)).
 
-    body     its name
-    cluster  numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
-    power    1: root of the mean square; large and negative: nearly the lowest frequency; large and positive: nearly the
-             highest [-]
+    body      its name
+    cluster   numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
+    power     1: root of the mean square; large and negative: nearly the lowest frequency; large and positive: nearly the
+              highest [-]
+    supports  as of Frequency
 
-    The body is fixed at its reference nodes. The mean is differentiable where frequencies of the cluster cross or coincide.
+    The mean is differentiable where frequencies of the cluster cross or coincide.
     Where one of them coincides with a mode outside the cluster, the gradient is a subgradient, as of `Frequency`.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
@@ -311,6 +325,7 @@ class Frequencies(Measure):
     body: str
     cluster: tuple[int, ...]
     power: float = 1.0
+    supports: Supports | None = None
 
     def __post_init__(self) -> None:
         numbers = self.cluster
@@ -323,11 +338,16 @@ class Frequencies(Measure):
 
     def check(self, system: System) -> None:
         for number in self.cluster:
-            Frequency(self.body, number).check(system)
+            _check_number(system, self.body, number, self.supports)
 
     def value(self, motion: Trajectory) -> Tensor:
         self.check(motion.system)
-        squares = eigenvalues(motion.body(self.body).stiffness[0])[..., [number - 1 for number in self.cluster]]
+        rows = [number - 1 for number in self.cluster]
+        if self.supports is not None:
+            frequencies = supported_frequencies(motion, self.body, self.supports, max(self.cluster))[:, rows]
+            squares = (2.0 * math.pi * frequencies) ** 2
+        else:
+            squares = eigenvalues(motion.body(self.body).stiffness[0])[..., rows]
         powers = torch.logsumexp(self.power * squares.log(), -1) - math.log(len(self.cluster))
         return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 

@@ -48,7 +48,7 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
 
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Integral(mbd.StrainEnergy("arm")), steps=40)
     >>> verification = mbd.verify(mbd.optimize(problem, max_iterations=2))
-    >>> verification.verified, verification.answers[0].asked
+    >>> verification.verified, verification.answers[0].goal
     (True, 'minimize')
     """
     if not isinstance(result, (OptimizationResult, MultistartResult)):
@@ -132,7 +132,7 @@ class _Response:
     finer_limits          of all rows in the finer model
     """
 
-    asked: str
+    goal: str
     measure: Measure
     value: np.ndarray
     finer: np.ndarray
@@ -165,10 +165,10 @@ class _Response:
             for k in (0, 1)
         )
         if self.limit is None or self.excess is None or self.finer_excess is None:
-            return Answer(self.asked, words(self.measure), name, start, best)
+            return Answer(self.goal, words(self.measure), name, start, best)
         margin = -float(self.excess[1])
         return Answer(
-            self.asked,
+            self.goal,
             words(self.measure),
             name,
             start,
@@ -198,9 +198,9 @@ def _responses(
     """
     objective, *errors = design_errors(problem, np.stack(designs), beside)
     value, finer = (x.max(1) for x in _both(objective))
-    asked = "minimize" if problem.sign > 0.0 else "maximize"
+    goal = "minimize" if problem.sign > 0.0 else "maximize"
     responses = [
-        _Response(asked, problem.stated_objective, value, finer, objective, problem.sign),
+        _Response(goal, problem.stated_objective, value, finer, objective, problem.sign),
     ]
     initial = next((k for k, x in enumerate(designs) if np.array_equal(x, problem.space.start)), None)
     count = len(problem.constraints)
@@ -252,14 +252,14 @@ def _beside(problem: Problem) -> list[Measure]:
     bodies = dict.fromkeys(name.partition(".")[0] for name in problem.space.variables)
     wanted = [Mass(body) for body in bodies]
     wanted += [Frequency(body, k + 1) for body in bodies for k in range(_FREQUENCIES)]
-    asked = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
+    known = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
     measures = []
     for measure in wanted:
         try:
             measure.check(problem.system)
         except InputError:  # a rigid body has no frequency, a controller no mass
             continue
-        measures += [measure] * (measure not in asked)
+        measures += [measure] * (measure not in known)
     return measures
 
 

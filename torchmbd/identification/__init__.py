@@ -5,9 +5,12 @@ from torchmbd.identification.experiment import Experiment
 from torchmbd.identification.identification import ChannelFit, Identification
 from torchmbd.identification.identify import identify
 from torchmbd.identification.measurement import Measurement
+from torchmbd.identification.modal_data import ModalData
 from torchmbd.identification.registry import MEASUREMENTS
+from torchmbd.identification.static_curve import StaticCurve
 from torchmbd.identification.time_series import TimeSeries
 
 __all__ = [
-    "MEASUREMENTS", "Channel", "ChannelFit", "Experiment", "Identification", "Measurement", "TimeSeries", "identify",
+    "MEASUREMENTS", "Channel", "ChannelFit", "Experiment", "Identification", "Measurement", "ModalData", "StaticCurve",
+    "TimeSeries", "identify",
 ]  # fmt: skip

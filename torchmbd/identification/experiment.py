@@ -98,7 +98,8 @@ class Experiment(Summary):
         result = object.__new__(Experiment)
         vars(result).update(vars(self))
         result.duration = self.duration or last
-        result.measurements = [measurement.within(limits, result.duration) for measurement in self.measurements]
+        run = result.run({}, 1, False, None)
+        result.measurements = [measurement.within(limits, run) for measurement in self.measurements]
         return result
 
     def run(self, designs: dict[str, Tensor], lanes: int, gradients: bool, steps: int | None) -> Run:

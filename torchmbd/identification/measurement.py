@@ -84,8 +84,11 @@ class Measurement:
         """How long a motion must last for it [s], for all values of its unknowns within limits; 0: it needs no motion."""
         return 0.0
 
-    def within(self, limits: Limits, duration: float) -> Self:
-        """The measurement without numbers for which the model has none, whatever its unknowns within limits."""
+    def within(self, limits: Limits, run: Run) -> Self:
+        """The measurement without numbers for which the model has none, whatever its unknowns within limits.
+
+        run  of the model as it is, without unknowns
+        """
         return self
 
     def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:

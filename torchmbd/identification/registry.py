@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from torchmbd.identification.measurement import Measurement
+from torchmbd.identification.modal_data import ModalData
+from torchmbd.identification.static_curve import StaticCurve
 from torchmbd.identification.time_series import TimeSeries
 
 MEASUREMENTS: dict[str, type[Measurement]] = {
     "time_series": TimeSeries,
+    "modal_data": ModalData,
+    "static_curve": StaticCurve,
 }

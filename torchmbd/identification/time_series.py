@@ -88,7 +88,8 @@ class TimeSeries(Measurement):
     def until(self, limits: Limits) -> float:
         return max(s.t[-1] - self._delays(name, limits)[0] for name, s in self.samples.items())
 
-    def within(self, limits: Limits, duration: float) -> Self:
+    def within(self, limits: Limits, run: Run) -> Self:
+        duration = run.duration
         result = object.__new__(type(self))
         result.channels, result.samples = self.channels, {}
         rounding = 1e-9 * duration

@@ -12,9 +12,16 @@ from torchmbd.optimization.methods import slsqp as slsqp
 from torchmbd.optimization.methods import trust_constr as trust_constr
 from torchmbd.optimization.multistart.minima import Minimum
 from torchmbd.optimization.multistart.run import MultistartResult, multistart
-from torchmbd.optimization.multistart.sampling import Starts, given, latin_hypercube, sobol
+from torchmbd.optimization.multistart.sampling import Starts, latin_hypercube, sobol, starts_at
 from torchmbd.optimization.multistart.workers import Processes
-from torchmbd.optimization.optimizer import OPTIMIZERS, STATUSES, Evaluation, Iterate, OptimizationResult, Problem
+from torchmbd.optimization.optimizer import (
+    OPTIMIZERS,
+    STATUSES,
+    Evaluation,
+    Iterate,
+    NonlinearProgram,
+    OptimizationResult,
+)
 from torchmbd.optimization.pareto import Front, ParetoPoint, pareto_front
 from torchmbd.optimization.robust import RobustProblem
 
@@ -31,17 +38,17 @@ __all__ = [
     "ManyCriteria",
     "Minimum",
     "MultistartResult",
+    "NonlinearProgram",
     "OptimizationResult",
     "ParetoPoint",
-    "Problem",
     "Processes",
     "RobustProblem",
     "Starts",
-    "given",
     "latin_hypercube",
     "multistart",
     "optimize",
     "optimize_discrete",
     "pareto_front",
     "sobol",
+    "starts_at",
 ]

@@ -21,8 +21,8 @@ from torchmbd.optimization.optimizer import (
     Ending,
     Iterate,
     Method,
+    NonlinearProgram,
     OptimizationResult,
-    Problem,
     as_numbers,
     checked_names,
     find_method,
@@ -42,7 +42,7 @@ KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option o
 
 @checked_signature
 def optimize(
-    problem: Problem,
+    problem: NonlinearProgram,
     method: str = "mmfd",
     start: np.ndarray | None = None,
     max_iterations: int = MAX_ITERATIONS,
@@ -88,7 +88,9 @@ def optimize(
     analyses = 0
     with shown(progress, method, max_iterations) as show:
 
-        def search_from(problem: Problem, x: np.ndarray, iterations: int, report: Report) -> OptimizationResult:
+        def search_from(
+            problem: NonlinearProgram, x: np.ndarray, iterations: int, report: Report
+        ) -> OptimizationResult:
             nonlocal analyses
             search = Search.of(
                 problem,

@@ -107,8 +107,8 @@ class Box(Protocol):
         ...
 
 
-class Problem(Box, Protocol):
-    """What `optimize` and `multistart` ask of a problem (physical units everywhere)."""
+class NonlinearProgram(Box, Protocol):
+    """What `optimize` and `multistart` ask of a problem, such as an mbd.Problem (physical units everywhere)."""
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate one design per row."""

@@ -28,7 +28,7 @@ import numpy as np
 from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.optimization.api import checked_box
 from torchmbd.optimization.extra_variable import ExtraVariable
-from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers, require_inside
+from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, as_numbers, require_inside
 
 KINDS = ("expected", "worst")
 NODE, OUTER = np.sqrt(0.6), 5.0 / 18.0  # of the Gauss rule of three points on [-1, 1], weights of sum one
@@ -52,7 +52,7 @@ class RobustProblem:
     True
     """
 
-    def __init__(self, problem: Problem, tolerance: Any, kind: str = "expected") -> None:
+    def __init__(self, problem: NonlinearProgram, tolerance: Any, kind: str = "expected") -> None:
         if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):

@@ -46,7 +46,7 @@ class Number:
 class Answer:
     """A response at the start and at the best design.
 
-    asked   "minimize", "maximize", "at most", "at least", "equal to"; "": told beside what was asked
+    goal    "minimize", "maximize", "at most", "at least", "equal to"; "": told beside what was asked
     words   what it is
     unit    of all numbers; degrees for angles
     limit   of a constraint, at the best design; None: no constraint
@@ -55,7 +55,7 @@ class Answer:
     active  whether the constraint holds the best design
     """
 
-    asked: str
+    goal: str
     words: str
     unit: str
     start: Number
@@ -112,7 +112,7 @@ class Verification(Summary):
         return f"{VERIFIED}: the objective changed by {self.change:z.2f} %, in a finer model by {self.finer:z.2f} %"
 
     def _summary(self) -> list[tuple[str, Any]]:
-        rows = [(f"{row.asked} {row.heading}".strip(), f"{row.start} -> {row.best}") for row in self.answers]
+        rows = [(f"{row.goal} {row.heading}".strip(), f"{row.start} -> {row.best}") for row in self.answers]
         return [("status", self.status), *rows]
 
     def to_json(self) -> str:

@@ -58,7 +58,7 @@ def answers_page(verification: Verification) -> str:
 def comparison(first: Verification | None, second: Verification | None) -> list[tuple[str, str, str]]:
     """Return what two best designs answer: response, of the first, of the second; "-" where one has none."""
     columns = [
-        {} if side is None else {f"{row.asked} {row.heading}".strip(): str(row.best) for row in side.answers}
+        {} if side is None else {f"{row.goal} {row.heading}".strip(): str(row.best) for row in side.answers}
         for side in (first, second)
     ]
     names = dict.fromkeys(name for column in columns for name in column)
@@ -68,7 +68,7 @@ def comparison(first: Verification | None, second: Verification | None) -> list[
 def _rows(answers: Sequence[Answer]) -> list[list[str]]:
     return [
         [
-            answer.asked,
+            answer.goal,
             answer.heading,
             str(answer.start),
             str(answer.best),

@@ -48,7 +48,7 @@ def study_of(
             raise InputError(
                 f"{name} has no lower or no upper; allowed: two numbers, for entries that follow no others"
             )
-    asked = question(file) if file.is_file() else QUESTION_MISSING
+    text = question(file) if file.is_file() else QUESTION_MISSING
     searched: Any = problem
     if tolerance.any() and isinstance(problem, Problem):  # a Tradeoff has none, see StudyFile
         extra = np.zeros(len(problem.names) - len(space.names))
@@ -61,7 +61,7 @@ def study_of(
         max_iterations=optimizer.max_iterations,
         increments={name: float(step) for name, step in zip(space.names, steps, strict=True) if step},
         sweep=None if data.sweep is None else sweep_in_si(data.design, data.sweep),
-        question="" if asked == QUESTION_MISSING else asked,
+        question="" if text == QUESTION_MISSING else text,
         units={name: data.design[name].unit for name in {label.rpartition("[")[0]: None for label in space.names}},
         experiment=data.tracking.experiment,
         uri=data.tracking.uri,
@@ -74,9 +74,9 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
     simulate = data.simulate
     read = partial(measure_of, find=partial(find_response, folder=folder))
     kind, more = Problem, dict(simulate.options)
-    asked: Any = None if data.minimize is None else read(data.minimize)
+    objective: Any = None if data.minimize is None else read(data.minimize)
     if data.tradeoff is not None:
-        kind, asked = Tradeoff, {name: read(spec) for name, spec in data.tradeoff.items()}
+        kind, objective = Tradeoff, {name: read(spec) for name, spec in data.tradeoff.items()}
     if data.scenarios is not None:
         kind, combine = Scenarios, data.combine or Combine()
         change = partial(set_parameters, values=data.parameters)
@@ -88,7 +88,7 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
     return kind(
         system,
         duration=simulate.duration,
-        minimize=asked,
+        minimize=objective,
         **({} if data.maximize is None else {"maximize": read(data.maximize)}),
         subject_to=[Constraint(read(c.measure), c.si(c.limit), c.kind, c.si(c.scale)) for c in data.subject_to],
         bounds=(in_si(data.design, "lower"), in_si(data.design, "upper")),

@@ -233,10 +233,10 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     if not isinstance(problem, Problem):
         console.print(f"{valid}: {_counted(len(study.columns.names), 'design variable')}", markup=False)
         return None
-    asked = ", ".join(study.problem.criteria) if study.front else words(problem.stated_objective)
+    goal = ", ".join(study.problem.criteria) if study.front else words(problem.stated_objective)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
-        f"{valid}: {asked}, {_counted(len(study.columns.names), 'design variable')}, "
+        f"{valid}: {goal}, {_counted(len(study.columns.names), 'design variable')}, "
         f"{_counted(len(problem.constraints) - others, 'constraint')}"
         + _TOLERANCE_WORDS.get(getattr(study.problem, "kind", ""), "")
         + _over_scenarios(problem),

@@ -80,14 +80,14 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
     original = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
     _require_files(store, entry)
-    asked = entry.tags.get("question") or (question(original) if original else QUESTION_MISSING)
+    text = entry.tags.get("question") or (question(original) if original else QUESTION_MISSING)
     took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
     parts = [
-        f"<h1>{escape(entry.name if asked == QUESTION_MISSING else asked)}</h1>",
+        f"<h1>{escape(entry.name if text == QUESTION_MISSING else text)}</h1>",
         f'<p class="quiet">{escape(entry.name)}, {entry.began:%d %b %Y %H:%M}{took}, '
         f"{escape(entry.status.lower())}, run {escape(entry.run_id)}</p>",
     ]
-    if (note := entry.tags.get("mlflow.note.content")) and note != asked:
+    if (note := entry.tags.get("mlflow.note.content")) and note != text:
         parts.append(f"<p>{escape(note)}</p>")
     if verified := stored_verification(store, entry, scratch):
         parts += ["<h2>Answer</h2>", answers_page(verified)]

@@ -95,7 +95,7 @@ def meanings(documented: object) -> dict[str, str]:
 def json_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a file: a study, figures or an identification."""
     kinds = {x.__name__: x.model_json_schema() for x in (StudyFile, Figures, IdentificationFile)}
-    study, figures = kinds["StudyFile"], kinds["Figures"]
+    study = kinds["StudyFile"]
     parts: dict[str, Any] = {}
     for file in kinds.values():
         parts |= file.pop("$defs")
@@ -127,9 +127,9 @@ def json_schema() -> dict[str, Any]:
     }
     of_channel = {key: x for key, x in parts["ChannelData"]["properties"].items() if key != "response"}
     parts["ChannelData"] = {"type": "object", "properties": of_channel | _history()["properties"]}
-    asked = {"$ref": "#/$defs/Measure"}
-    study["properties"] |= {"minimize": asked, "maximize": asked}
-    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
+    measure = {"$ref": "#/$defs/Measure"}
+    study["properties"] |= {"minimize": measure, "maximize": measure}
+    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": measure}
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
     for section, constructors in CONSTRUCTORS.items():
         part: Any = (kinds | parts)[section.__name__]
@@ -143,9 +143,13 @@ def json_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",
         "if": {"required": ["figures"]},
-        "then": figures,
-        "else": {"if": {"required": ["identify"]}, "then": kinds["IdentificationFile"], "else": study},
-        "$defs": parts,
+        "then": {"$ref": "#/$defs/Figures"},
+        "else": {
+            "if": {"required": ["identify"]},
+            "then": {"$ref": "#/$defs/IdentificationFile"},
+            "else": {"$ref": "#/$defs/StudyFile"},
+        },
+        "$defs": kinds | parts,
     }
 
 

@@ -78,10 +78,10 @@ def study_key(study: StudySettings, uri: StoreURI | str) -> str:
     problem = study.problem
     box = [np.asarray(x, dtype=float) for x in (problem.start, problem.lower, problem.upper)]
     around = [getattr(problem, name, None) for name in ("tolerance", "kind", "criteria")]
-    asked = digest(
+    question_key = digest(
         box, around, study.points, study.method, study.max_iterations, study.options, study.increments, study.sweep
     )
-    return _hash([asked, problem_key(study.simulated), study.name, study.experiment, relative_store(uri)])
+    return _hash([question_key, problem_key(study.simulated), study.name, study.experiment, relative_store(uri)])
 
 
 def relative_store(uri: StoreURI | str) -> str:

@@ -20,7 +20,7 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts
 from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
 from torchmbd.optimization.discrete.grid import Grid
-from torchmbd.optimization.multistart.sampling import given, recipe
+from torchmbd.optimization.multistart.sampling import recipe, starts_at
 from torchmbd.optimization.optimizer import find_method, require_count, require_inside, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.results.answer import Verification
@@ -97,7 +97,7 @@ class StudySettings(Summary):
             count = len(self.columns.names)
             full = [np.asarray(point, dtype=float).reshape(-1) for point in starts]
             full = [np.append(x, self._start[count:]) if x.size == count else x for x in full]
-            starts = given([checked_box(problem, point)[0] for point in full])
+            starts = starts_at([checked_box(problem, point)[0] for point in full])
         self.starts = recipe(starts, self._start)
         self.increments = self._checked_increments(increments)
         self.sweep = self._sweep_values(sweep)

@@ -33,13 +33,13 @@ _IDLE = 1e-9  # share of the limit below which a value counts as zero
 class Value(NamedTuple):
     """A response at the start design.
 
-    asked  goal or limit
+    goal   "minimize", or the limit
     unit   None: unknown
     note   on the value
     error  estimated, over the value of an objective, or over the limit; 0.0: none, or not estimated; nan: not resolved
     """
 
-    asked: str
+    goal: str
     words: str
     value: float
     unit: str | None
@@ -126,7 +126,7 @@ def print_start_values(values: list[Value] | str, console: Console) -> None:
     console.print("at the start design:", markup=False)
     rows = [
         (
-            f"  {value.asked}",
+            f"  {value.goal}",
             value.words,
             f"{value.value:.6g} {value.unit or ''}".rstrip(),
             _error_text(value.error),
@@ -134,15 +134,15 @@ def print_start_values(values: list[Value] | str, console: Console) -> None:
         )
         for value in values
     ]
-    asked, _, number, error, note = (max(map(len, column)) for column in zip(*rows, strict=True))
-    width = max(console.width - asked - number - error - note - 8, 16)
+    goal, _, number, error, note = (max(map(len, column)) for column in zip(*rows, strict=True))
+    width = max(console.width - goal - number - error - note - 8, 16)
     for row in rows:
         lines = textwrap.wrap(row[1], width)
         wide = min(width, max(len(value.words) for value in values))
-        told = f"{row[0]:<{asked}}  {lines[0]:<{wide}}  {row[2]:<{number}}  {row[3]:<{error}}  {row[4]}"
+        told = f"{row[0]:<{goal}}  {lines[0]:<{wide}}  {row[2]:<{number}}  {row[3]:<{error}}  {row[4]}"
         console.print(told.rstrip(), **_PLAIN)
         for line in lines[1:]:
-            console.print(" " * (asked + 2) + line, **_PLAIN)
+            console.print(" " * (goal + 2) + line, **_PLAIN)
 
 
 def _error_text(share: float) -> str:

@@ -61,9 +61,6 @@ def animate(
     >>> mbd.viz.animate(motion, "arm.html", title="An arm swings").name
     'arm.html'
     """
-    path = Path(path)
-    if path.suffix not in (".html", ".htm"):
-        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
     require_motion(motion)
     require_lane(motion, lane)
     frames = spread_frames(motion, max_frames)
@@ -74,6 +71,14 @@ def animate(
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
     if scale is not None:
         scene["scale"] = float(scale)
+    return write_scene(scene, path)
+
+
+def write_scene(scene: dict[str, Any], path: str | Path) -> Path:
+    """Write a scene with its strips and its title as an HTML file."""
+    path = Path(path)
+    if path.suffix not in (".html", ".htm"):
+        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
     text = json.dumps(scene, allow_nan=False).replace("<", "\\u003c")  # no text ends or opens an element
     path.write_text(_VIEWER.read_text(encoding="utf-8").replace("__SCENE__", text), encoding="utf-8")
     return path
@@ -149,7 +154,7 @@ def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray)
         factor, name = display_unit(unit(panel.history))
         y = factor * _array(panel.history(motion))[lane][frames]
         limits = [factor * limit for limit, _ in panel.limits]
-        label = f"{full_name(panel.history)} ({'; '.join(panel.asked)})"
+        label = f"{full_name(panel.history)} ({'; '.join(panel.goals)})"
         strips.append({"label": label, "unit": name, "limits": limits, "curves": [{"name": "", "y": _packed(y)}]})
     return strips
 

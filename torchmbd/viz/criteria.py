@@ -79,7 +79,7 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
                 axes.axvspan(*window, color="#f0f0f0", zorder=0)
         else:
             _show_only(axes, parts)
-        said = "; ".join(panel.asked) if span == whole else f"the window {span[0]:.4g} to {span[1]:.4g} s"
+        said = "; ".join(panel.goals) if span == whole else f"the window {span[0]:.4g} to {span[1]:.4g} s"
         axes.set_title(wrapped(said, LINE), loc="left", fontsize=8)
         axes.set_ylabel(_label(full_name(panel.history), name), fontsize=8)
         if axes.get_yscale() == "linear":

@@ -23,7 +23,7 @@ class Panel:
     """A history with the responses, limits and windows that use it."""
 
     history: History
-    asked: list[str] = field(default_factory=list)  # such as "minimize integral of ..."
+    goals: list[str] = field(default_factory=list)  # such as "minimize integral of ..."
     limits: list[tuple[float, str]] = field(default_factory=list)  # number [SI], kind
     windows: list[tuple[float, float]] = field(default_factory=list)
 
@@ -32,16 +32,16 @@ def panels_of(problem: Problem) -> list[Panel]:
     """Return a panel for each history, objective first."""
     panels: list[Panel] = []
     limits = first_limits(problem)
-    for asked, limit in [(problem.stated_objective, None), *zip(problem.constraints, limits, strict=True)]:
-        outer = asked.measure if isinstance(asked, Constraint) else asked
+    for response, limit in [(problem.stated_objective, None), *zip(problem.constraints, limits, strict=True)]:
+        outer = response.measure if isinstance(response, Constraint) else response
         for history, measure in histories_of(outer):
             panel = next((known for known in panels if known.history == history), None)
             if panel is None:
                 panels.append(panel := Panel(history))
-            panel.asked.append(_question_words(asked, limit, "minimize" if problem.sign > 0.0 else "maximize"))
+            panel.goals.append(_question_words(response, limit, "minimize" if problem.sign > 0.0 else "maximize"))
             # Only limits of the history itself are drawn, not those of its integral or of other functions of it.
-            if isinstance(asked, Constraint) and measure is outer and _of_one_unit(measure, history):
-                panel.limits.append((float(limit or 0.0), asked.kind))
+            if isinstance(response, Constraint) and measure is outer and _of_one_unit(measure, history):
+                panel.limits.append((float(limit or 0.0), response.kind))
             if (window := getattr(measure, "window", None)) is not None:
                 panel.windows.append(window)
     return panels
@@ -52,11 +52,13 @@ def _of_one_unit(measure: Measure, history: History) -> bool:
     return kinds and unit(measure) == unit(history)
 
 
-def _question_words(asked: Measure | Constraint, limit: float | None, goal: str) -> str:
-    if isinstance(asked, Measure):
-        return f"{goal} {words(asked, bodies=False)}"
-    factor, name = display_unit(unit(asked.measure))
-    return f"{words(asked.measure, bodies=False)} {SIGNS[asked.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
+def _question_words(response: Measure | Constraint, limit: float | None, goal: str) -> str:
+    if isinstance(response, Measure):
+        return f"{goal} {words(response, bodies=False)}"
+    factor, name = display_unit(unit(response.measure))
+    return (
+        f"{words(response.measure, bodies=False)} {SIGNS[response.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
+    )
 
 
 def first_limits(problem: Problem) -> list[float]:

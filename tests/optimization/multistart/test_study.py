@@ -11,7 +11,7 @@ import pytest
 
 from tests.optimization.analytic import Analytic
 from torchmbd.errors import InputError
-from torchmbd.optimization import Evaluation, given, latin_hypercube, optimize, sobol
+from torchmbd.optimization import Evaluation, latin_hypercube, optimize, sobol, starts_at
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.minima import distinct_minima
 
@@ -36,7 +36,7 @@ def test_every_start_ends_as_it_would_alone(method):
     study = multistart(problem, method, sobol(6, seed=3))
     assert [r.start for r in study.results] == list(range(6))
     for start, together in zip(study.starts, study.results, strict=True):
-        alone = multistart(waves(), method, given([start])).results[0]
+        alone = multistart(waves(), method, starts_at([start])).results[0]
         assert np.array_equal(alone.x, together.x)
         assert alone.analyses == together.analyses
         assert [i.objective for i in alone.history] == [i.objective for i in together.history]
@@ -331,7 +331,7 @@ def test_given_starts_are_checked():
     with pytest.raises(InputError, match="start of x1 = 9"):
         multistart(waves(), "mmfd", [[0.0, 0.0], [9.0, 0.0]])
     with pytest.raises(InputError, match="points"):
-        given([])
+        starts_at([])
     with pytest.raises(InputError, match="max_lanes = 0"):
         multistart(waves(), "mmfd", sobol(4, seed=1), max_lanes=0)
 

@@ -36,7 +36,7 @@ from torchmbd.extensions.nastran.elements import (
     read_solid,
 )
 from torchmbd.extensions.nastran.inert import QUIET, is_inert
-from torchmbd.extensions.nastran.rigids import RIGIDS, Constraint, Rigid, read_constraint, read_rigid
+from torchmbd.extensions.nastran.rigids import RIGIDS, MultipointConstraint, Rigid, read_constraint, read_rigid
 from torchmbd.extensions.nastran.systems import KINDS, Systems
 
 SHELLS = {"CTRIA3": 3, "CQUAD4": 4, "CTRIAR": 3, "CQUADR": 4}  # all have drilling freedoms here
@@ -131,7 +131,7 @@ class BulkData:
     materials: dict[int, Card] = field(default_factory=dict)
     masses: list[Mass] = field(default_factory=list)
     rigids: list[Rigid] = field(default_factory=list)
-    constraints: list[Constraint] = field(default_factory=list)
+    constraints: list[MultipointConstraint] = field(default_factory=list)
     supports: list[Support] = field(default_factory=list)
     nonstructural: list[Card] = field(default_factory=list)
     unions: list[Card] = field(default_factory=list)

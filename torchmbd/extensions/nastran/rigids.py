@@ -53,8 +53,8 @@ class Term(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Constraint:
-    """An MPC; the first term follows."""
+class MultipointConstraint:
+    """A card MPC; the first term follows."""
 
     card: Card
     terms: tuple[Term, ...]
@@ -79,7 +79,7 @@ def read_rigid(card: Card, grids: Collection[int]) -> Rigid:
     return made
 
 
-def read_constraint(card: Card) -> Constraint:
+def read_constraint(card: Card) -> MultipointConstraint:
     """Read an MPC: two terms to a line of eight fields, the first field of the other lines is blank."""
     terms: list[Term] = []
     for line in range(0, max(len(card.fields), 1), 8):
@@ -100,7 +100,7 @@ def read_constraint(card: Card) -> Constraint:
         raise InputError(
             f"{card}: component {first.component} of GRID {first.grid} stands twice; allowed: it follows once"
         )
-    return Constraint(card, tuple(terms))
+    return MultipointConstraint(card, tuple(terms))
 
 
 def _rbe2(card: Card, grids: Collection[int]) -> Rigid:
@@ -148,7 +148,7 @@ def _components(card: Card, position: int, name: str) -> str:
 
 
 def followers(
-    rigids: list[Rigid], constraints: list[Constraint], index: dict[int, int], axes: Axes, length: float
+    rigids: list[Rigid], constraints: list[MultipointConstraint], index: dict[int, int], axes: Axes, length: float
 ) -> list[Follower]:
     """Links of a body; `length`: meters per unit of the file. InputError names the cards that contradict each other."""
     links: list[tuple[Card, Follower]] = []
@@ -166,7 +166,7 @@ def followers(
     return [link for _, link in links]
 
 
-def _combination(constraint: Constraint, index: dict[int, int], axes: Axes, length: float) -> Combination:
+def _combination(constraint: MultipointConstraint, index: dict[int, int], axes: Axes, length: float) -> Combination:
     """u1 = -(A2 u2 + ...) / A1 in meters, along the basic axes."""
     first = constraint.terms[0]
     (led,) = _basic_freedoms(constraint.card, first.grid, str(first.component), axes)

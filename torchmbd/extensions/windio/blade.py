@@ -68,7 +68,9 @@ class WindIOBlade:
 
     def __init__(self, path: Path) -> None:
         self._file = path.name
-        if not path.is_file() or path.stat().st_size > LARGEST:
+        if not path.is_file():
+            raise InputError(f"path is {str(path)!r}; allowed: a windIO file that exists")
+        if path.stat().st_size > LARGEST:
             raise InputError(f"path is {str(path)!r}; allowed: a windIO file of at most {LARGEST} bytes")
         try:
             data = _loaded(path.read_text(encoding="utf-8"))

@@ -142,7 +142,7 @@ class _PhaseLoop:
         g = self.g if self.event is None else self._event_values(i, history)[:, 0]
         passed = self._passed(i, new, g)
         short = self._short_events(i, x, x, new & ~passed, g)
-        passed = passed if short is None else passed | short.found
+        passed = passed if short is None else passed | short.mask
         counted = (new & ~(passed & self._beyond(i)))[None]
         self._record(i, history, counted, counted)
         if bool(passed.any()):
@@ -171,7 +171,7 @@ class _PhaseLoop:
             short = None
             if bool((inside & ~passed).any()) and self.event is not None:
                 short = self._short_events(p, steps.state(p - 1), steps.state(p), inside & ~passed, g[:, k])
-            passed = passed if short is None else passed | short.found
+            passed = passed if short is None else passed | short.mask
             leaving = lane_numbers(passed)
             if not leaving:
                 continue
@@ -353,7 +353,7 @@ class _PhaseLoop:
         low, size = torch.zeros_like(high), high * g_low / (g_low - g[lanes])
         if short is not None:
             pairs = ((short.low, low), (short.high, high), (short.size, size), (short.g_low, g_low))
-            low, high, size, g_low = (torch.where(short.found[lanes], x[lanes], y) for x, y in pairs)
+            low, high, size, g_low = (torch.where(short.mask[lanes], x[lanes], y) for x, y in pairs)
         # Steps that are too short for the integrator begin one point earlier.
         skipped = (inner > 0) & (size < self.integrator.shortest_step * self.h) & (self.event is not None)
         points = torch.where(skipped < inner, i - 1 - skipped.long(), -1)

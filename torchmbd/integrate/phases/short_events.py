@@ -29,12 +29,12 @@ FAR = 4.0
 class ShortEvents:
     """Where lanes pass zero in a step, as sizes from its begin [lanes].
 
-    found     which lanes do
+    mask      which lanes do
     low, high enclose the event;  g_low: the function at low;  size: an estimate
     unclear   lanes in which the steps are too long to know
     """
 
-    found: Tensor
+    mask: Tensor
     low: Tensor
     high: Tensor
     g_low: Tensor
@@ -85,13 +85,13 @@ def short_events(
         right = way * rm > 0.0  # g still goes on
         a, ga, ra = (torch.where(right, x, y) for x, y in ((size, a), (gm, ga), (rm, ra)))
         b, gb, rb = (torch.where(right, y, x) for x, y in ((size, b), (gm, gb), (rm, rb)))
-    result.unclear = result.unclear & ~result.found
+    result.unclear = result.unclear & ~result.mask
     return result
 
 
 def _put(result: ShortEvents, lanes: Tensor, low: Tensor, high: Tensor, g_low: Tensor, g_high: Tensor) -> None:
     """Note what encloses the event of some lanes (a mask)."""
-    result.found = result.found | lanes
+    result.mask = result.mask | lanes
     result.low, result.high = torch.where(lanes, low, result.low), torch.where(lanes, high, result.high)
     result.g_low = torch.where(lanes, g_low, result.g_low)
     result.size = torch.where(lanes, low + (high - low) * g_low / (g_low - g_high), result.size)

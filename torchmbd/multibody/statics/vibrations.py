@@ -19,7 +19,7 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction import Matrix, VibrationModes, eigenvalues, with_whole_clusters
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true
@@ -52,6 +52,7 @@ class Vibrations(NamedTuple):
     status: str
 
 
+@checked_signature
 def frequencies(body: FlexibleBody, supports: Supports | None = None, number: int = 1) -> Vibrations:
     """Find the lowest natural frequencies of a body on supports; differentiable by its parameters.
 
@@ -84,14 +85,19 @@ class VibrationCase:
         if not supported.assembly.diagonal:
             self._mass_pattern, self._mass_positions = supported.assembly.mass_pattern.restrict(supported.kept)
 
+    @property
+    def most(self) -> int:
+        """Number of frequencies."""
+        return self.supported.pattern.size - self.rigid
+
     def __call__(self, number: int = 1) -> Vibrations:
         """The lowest frequencies, and shapes, of the present design.
 
         Raises InputError where the supports leave the body movable, or number is not possible.
         """
-        supported, size = self.supported, self.supported.pattern.size
-        if not is_whole(number) or not 1 <= number <= size - self.rigid:
-            allowed = f"1 to {size - self.rigid}, the free freedoms of {supported.name!r}"
+        supported = self.supported
+        if not is_whole(number) or not 1 <= number <= self.most:
+            allowed = f"1 to {self.most}, the free freedoms of {supported.name!r}"
             raise InputError(f"number is {number!r}; allowed: {allowed}")
         K, M = self._matrices()
         first, end = self.rigid, self.rigid + int(number)

@@ -51,16 +51,16 @@ class Expansion:
         c, components = self.condensation, 6 if order else 7
         retained = component_rows(c.whole, c.bodies, components).tolist()
         every = range(components * c.whole.bodies + c.whole.modes * c.whole.flexible)
-        asked = [every[row] for row in (every if index is None else index)]
+        selected = [every[row] for row in (every if index is None else index)]
         position = {row: i for i, row in enumerate(retained)}
-        positions = [position[row] for row in asked if row in position]
+        positions = [position[row] for row in selected if row in position]
         y = _map_and_select(c.topology.spread if order else None, x, positions)
-        if len(positions) == len(asked):
+        if len(positions) == len(selected):
             return y
-        result = y.new_zeros(len(x), len(asked), *x.shape[2:])
-        result[:, [i for i, row in enumerate(asked) if row in position]] = y
+        result = y.new_zeros(len(x), len(selected), *x.shape[2:])
+        result[:, [i for i, row in enumerate(selected) if row in position]] = y
         for number, motion in self.prescribed if values else ():
-            for i, row in enumerate(asked):
+            for i, row in enumerate(selected):
                 component, body = divmod(row, c.whole.bodies)
                 if body == number and component < components:
                     result[:, i, 0] = motion[order][:, component, None]

@@ -97,13 +97,13 @@ class SharedStart:
 class InitialConditions:
     """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies.
 
-    given   which velocities users gave [n_v];  built: attached vectors [3, vectors, 1] of the model as it was built
+    rate_mask   which velocities users gave [n_v];  built: attached vectors [3, vectors, 1] of the model as it was built
     """
 
     topology: Topology
     q: Tensor
     v: Tensor
-    given: Tensor
+    rate_mask: Tensor
     built: Tensor
     _last: list[SharedStart] = field(default_factory=list, init=False, repr=False)
 
@@ -229,7 +229,7 @@ class InitialConditions:
         if not self.topology.rows:
             return v
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
-        joints = _Joints.of(dynamics, q, t, self.given.to(t.device))
+        joints = _Joints.of(dynamics, q, t, self.rate_mask.to(t.device))
         s = -joints.correction(value(joints.rates(v)).detach())
         outside_transforms(self._warn_changed, value(v), s)
         return v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s))
@@ -242,7 +242,7 @@ class InitialConditions:
             for i, name in enumerate(self.topology.names):
                 rows = [3 * n * k + n * j + i for j in range(3)]
                 change, lane = s[rows].norm(dim=0).max(0)
-                if self.given[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
+                if self.rate_mask[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
                     before, new = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
                     changed.append((-float(change), f"{kind} of {name!r} given ({before}), starts with ({new}) {unit}"))
         if changed:
@@ -268,7 +268,7 @@ class _Joints:
 
     G, F          [lanes, rows, 6 bodies], zero in the columns of the other; without derivatives, as all that follow
     C, F_inverse  C and F+ [lanes, 6 bodies, rows]
-    given         columns of G [6 bodies, 1, 1]
+    rate_mask     columns of G [6 bodies, 1, 1]
     """
 
     dynamics: Any
@@ -278,7 +278,7 @@ class _Joints:
     F: Tensor
     C: Tensor
     F_inverse: Tensor
-    given: Tensor
+    rate_mask: Tensor
 
     @classmethod
     def of(cls, dynamics: Any, q, t: Tensor, mask: Tensor | None = None) -> _Joints:
@@ -336,14 +336,14 @@ class _Joints:
 
     def _u_terms(self, f: Tensor) -> Tensor:
         """(1 - F+ G) (u - C G u) of f = dJ' y."""
-        f_given = f * self.given
-        u = f_given - _times(self.G.mT, _times(self.F_inverse.mT, f - f_given))
+        f_G = f * self.rate_mask
+        u = f_G - _times(self.G.mT, _times(self.F_inverse.mT, f - f_G))
         u = u - _times(self.C, _times(self.G, u))
         return self._all_rates(u - _times(self.F_inverse, _times(self.G, u)))
 
     def _w_terms(self, f: Tensor) -> Tensor:
         """w - F+ F w of f = dJ' z."""
-        w = f * ~self.given
+        w = f * ~self.rate_mask
         return self._all_rates(w - _times(self.F_inverse, _times(self.F, w)))
 
     def _all_rates(self, rigid: Tensor) -> Tensor:

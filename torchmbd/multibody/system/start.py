@@ -60,14 +60,14 @@ class Start:
     """The start of the motions of a system, checked.
 
     in_equilibrium   whether it is the static equilibrium
-    given            "body.quantity" -> numbers [...] or [lanes, ...]
+    numbers          "body.quantity" -> numbers [...] or [lanes, ...]
     state            q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
     stiffness        Kr [modes, modes, bodies, 1, lanes] of the designs of this state, in whose modes its coordinates are
     is_guess         whether a search begins there, whose result does not depend on it
     """
 
     in_equilibrium: bool = False
-    given: Mapping[str, Tensor] = field(default_factory=dict)
+    numbers: Mapping[str, Tensor] = field(default_factory=dict)
     state: tuple[Tensor, Tensor] | None = None
     stiffness: Tensor | None = None
     is_guess: bool = False
@@ -82,7 +82,7 @@ class Start:
                 f"start is {start!r}; allowed: {', '.join(map(repr, STARTS))}, a motion, whose last state it is, or "
                 "'body.quantity' -> numbers, such as {'rod.modal': [0.01, 0.0]}"
             )
-        return cls(given={name: _checked(system, name, x) for name, x in start.items()})
+        return cls(numbers={name: _checked(system, name, x) for name, x in start.items()})
 
     @classmethod
     def of_motion(cls, system: Any, q: Tensor, v: Tensor, stiffness: Tensor | None = None) -> Start:
@@ -99,7 +99,7 @@ class Start:
     @property
     def tensors(self) -> list[Tensor]:
         """The tensors of the mapping, or of the state."""
-        return [*self.given.values(), *(self.state or ())]
+        return [*self.numbers.values(), *(self.state or ())]
 
     @property
     def is_differentiated(self) -> bool:
@@ -110,7 +110,7 @@ class Start:
     def lanes(self) -> int:
         """Number of lanes of these tensors."""
         counts = [len(x) for x in self.state or ()]
-        counts += [len(x) for name, x in self.given.items() if x.dim() > _rank(name)]
+        counts += [len(x) for name, x in self.numbers.items() if x.dim() > _rank(name)]
         if not {1, max(counts, default=1)}.issuperset(counts):
             raise InputError(f"start has lanes {sorted(set(counts))}; allowed: the same number for all, or one")
         return max(counts, default=1)
@@ -118,23 +118,23 @@ class Start:
     def conditions(self, T: Topology, bodies: list[Any]) -> InitialConditions:
         """Initial conditions of a system with these bodies, in the order of its topology."""
         conditions = (EquilibriumConditions if self.in_equilibrium else InitialConditions).of(T, bodies)
-        mask = torch.zeros_like(conditions.given) if self.state is not None else conditions.given.clone()
+        mask = torch.zeros_like(conditions.rate_mask) if self.state is not None else conditions.rate_mask.clone()
         for i, body in enumerate(bodies):
             for k, name in enumerate(VELOCITIES):
-                if f"{body.name}.{name}" in self.given:
+                if f"{body.name}.{name}" in self.numbers:
                     mask[[3 * T.bodies * k + T.bodies * j + i for j in range(3)]] = True
-        return replace(conditions, given=mask)
+        return replace(conditions, rate_mask=mask)
 
     def data(self, T: Topology, bodies: list[Any], of_bodies: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Initial coordinates and rates as data of a design; of_bodies: those of initial.start_of_bodies."""
         if self.state is not None:
             return {name: x.T[:, None] for name, x in zip(START_DATA, self.state, strict=True)}
-        if not self.given:
+        if not self.numbers:
             return {}
         q, v = (of_bodies[name] for name in START_DATA)
         for i, body in enumerate(bodies):
             for name in (*POSE, *VELOCITIES, *MODAL):
-                x = self.given.get(f"{body.name}.{name}")
+                x = self.numbers.get(f"{body.name}.{name}")
                 if x is None:
                     continue
                 x = _parameters_of(x) if name == "axes" else x

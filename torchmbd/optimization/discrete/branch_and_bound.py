@@ -28,7 +28,7 @@ from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branc
 from torchmbd.optimization.discrete.grid import Allowed, Grid
 from torchmbd.optimization.multistart.run import MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts
-from torchmbd.optimization.optimizer import OptimizationResult, Problem, find_method, require_count
+from torchmbd.optimization.optimizer import NonlinearProgram, OptimizationResult, find_method, require_count
 from torchmbd.optimization.search import Search
 
 
@@ -61,7 +61,7 @@ class DiscreteResult:
 
 @checked_signature
 def optimize_discrete(
-    problem: Problem,
+    problem: NonlinearProgram,
     allowed: Allowed | Sequence[Allowed],
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,

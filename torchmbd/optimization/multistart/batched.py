@@ -29,7 +29,7 @@ import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.optimization.batch import Batch, begin_batch
-from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult, Problem
+from torchmbd.optimization.optimizer import Evaluation, Iterate, NonlinearProgram, OptimizationResult
 from torchmbd.optimization.search import EvaluateBatch, Interrupted, Report, Search
 
 Runner = Callable[[EvaluateBatch, Report], OptimizationResult]
@@ -79,7 +79,7 @@ class BatchedSearches:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: NonlinearProgram,
         runners: list[Runner],
         max_lanes: int,
         callback: Callable[[Iterate], None] | None = None,

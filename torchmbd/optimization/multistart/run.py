@@ -17,8 +17,8 @@ from torchmbd.optimization.multistart.minima import Minimum, covered_share, dist
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.optimizer import (
     Iterate,
+    NonlinearProgram,
     OptimizationResult,
-    Problem,
     convergence_figure,
     find_method,
     require_count,
@@ -104,7 +104,7 @@ class MultistartResult(Summary):
 
 @checked_signature
 def multistart(
-    problem: Problem,
+    problem: NonlinearProgram,
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,
     callback: Callable[[Iterate], None] | None = None,

@@ -67,7 +67,7 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     return Starts("latin_hypercube", count, partial(_spread, partial(_latin, seed), count, include_initial))
 
 
-def given(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
+def starts_at(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     """Return the listed starts, in their order."""
     designs = [as_numbers("points", point) for point in points]
     X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
@@ -85,12 +85,12 @@ def _listed(X: np.ndarray, problem: Box) -> np.ndarray:
 def recipe(starts: Starts | Sequence[Any] | np.ndarray | None, initial: np.ndarray) -> Starts:
     """Return the starts that an argument of this name stands for; None: the initial design alone."""
     if starts is None or isinstance(starts, Starts):
-        return given([initial]) if starts is None else starts
+        return starts_at([initial]) if starts is None else starts
     if isinstance(starts, str) or not isinstance(starts, Iterable):
         raise InputError(
             f"starts is {starts!r}; allowed: mbd.sobol(...) or another sampler, a list of designs, or None"
         )
-    return given(list(starts))
+    return starts_at(list(starts))
 
 
 def _sobol(seed: int, size: int, number: int) -> np.ndarray:

@@ -33,7 +33,7 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError, MbdError, checked_signature
-from torchmbd.optimization.optimizer import Evaluation, Problem, require_problem
+from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, require_problem
 from torchmbd.process import ONE_THREAD, brief_warnings, use_one_thread
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
@@ -62,7 +62,7 @@ class Workers:
 
     def __init__(
         self,
-        make: Callable[..., Problem],
+        make: Callable[..., NonlinearProgram],
         arguments: tuple[Any, ...],
         rows: int = 0,
         workers: int = 0,
@@ -201,7 +201,7 @@ class Processes(Workers):
     True
     """
 
-    def __init__(self, problem: Problem, count: int | None = None) -> None:
+    def __init__(self, problem: NonlinearProgram, count: int | None = None) -> None:
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         require_problem(problem)
@@ -218,19 +218,21 @@ class Processes(Workers):
         self._client.run(_warm_up, *self.factory)
 
 
-def evaluate_piece(make: Callable[..., Problem], arguments: tuple, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+def evaluate_piece(
+    make: Callable[..., NonlinearProgram], arguments: tuple, X: np.ndarray, gradients: bool
+) -> list[Evaluation]:
     """Evaluate designs [lanes, n] of the problem that `make` makes of its arguments, on a worker."""
     return _problem_of_worker(make, arguments).evaluate(X, gradients)
 
 
 @cache
-def _problem_of_worker(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> Problem:
+def _problem_of_worker(make: Callable[..., NonlinearProgram], arguments: tuple[Any, ...]) -> NonlinearProgram:
     use_one_thread()
     brief_warnings()
     return make(*arguments)
 
 
-def pickle_problem(problem: Problem) -> tuple[bytes, torch.dtype]:
+def pickle_problem(problem: NonlinearProgram) -> tuple[bytes, torch.dtype]:
     """Return the arguments of `unpickle_problem` in another process; InputError for a problem that cannot be pickled."""
     try:
         return cloudpickle.dumps(problem), torch.get_default_dtype()
@@ -241,11 +243,11 @@ def pickle_problem(problem: Problem) -> tuple[bytes, torch.dtype]:
         ) from error
 
 
-def unpickle_problem(pickled: bytes, dtype: torch.dtype) -> Problem:
+def unpickle_problem(pickled: bytes, dtype: torch.dtype) -> NonlinearProgram:
     torch.set_default_dtype(dtype)
     return cloudpickle.loads(pickled)
 
 
-def _warm_up(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> None:
+def _warm_up(make: Callable[..., NonlinearProgram], arguments: tuple[Any, ...]) -> None:
     problem = _problem_of_worker(make, arguments)
     problem.evaluate(np.asarray(problem.start)[None], True)

@@ -1,0 +1,277 @@
+"""Measured frequencies, damping ratios and mode shapes of small vibrations about an equilibrium.
+
+    r = (f_model - f) / (share f),    (zeta_model - zeta) / (share zeta)
+    MAC = |phi' psi|^2 / (phi' phi . psi' psi)         phi measured, psi of the model, at the sensors
+
+Shapes pair modes: measured ones with those of the model, each with another, so that the sum of their MAC is largest. A measured
+mode whose MAC is too small at the start has no partner and is left out, by name. Shapes themselves are no residuals: those of
+the model have no derivatives. Without shapes modes are paired by their order.
+Frequencies are natural ones, those without damping. Sources: Allemang, Sound and Vibration 37 (2003) 14-23 (MAC); the pairs are
+those of scipy.optimize.linear_sum_assignment.
+Checked in tests/identification/test_modal_data.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmbd.design.differentiate import differentiate
+from torchmbd.design.histories import Displacement, Position, Velocity
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.identification.measurement import Block, Limits, Measurement, Prediction
+from torchmbd.identification.run import Run
+from torchmbd.integrate import Equilibrium, equilibrium
+from torchmbd.integrate.eigenvalues import NATURAL, POLES
+from torchmbd.math.checked_numbers import positive
+from torchmbd.multibody.system import System
+from torchmbd.results.motion_data import OK
+from torchmbd.results.time_rows import TensorSignals
+
+LEAST_MAC = 0.5  # below, two shapes are not taken for the same mode
+_ZERO = 1e-6  # of the largest frequency: rigid motions
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Which modes of a model are which measured ones, for one design.
+
+    modes   numbers of the model's modes among its vibrations, from 0, one for each measured mode
+    mac     of each pair; nan without shapes
+    """
+
+    modes: list[int]
+    mac: list[float]
+
+
+@checked_signature
+class ModalData(Measurement):
+    """Frequencies of small vibrations about an equilibrium; damping ratios and shapes at sensors where they were measured.
+
+    frequencies  [modes] [Hz], ascending
+    damping      damping ratios [modes] [-], nan where there is none; None: not measured
+    shapes       [sensors, modes], of any scale; None: modes are paired by their order
+    sensors      of the rows of the shapes: positions such as mbd.Position("arm", "z", node="right"), of points and directions
+    modes        without shapes: numbers of the modes of the model, 1 for the lowest that is no rigid motion; default: 1, 2, ...
+    frequency_share, damping_share   standard deviations, as shares of what was measured
+    least_mac    of a pair of modes
+    options      of `equilibrium`: spin, center, observer for vibrations in a steady rotation, times
+
+    >>> modes = mbd.ModalData([0.35, 1.2], damping=[0.01, np.nan])
+    >>> [(block.channel, len(block.measured)) for block in modes.blocks]
+    [('frequency', 2), ('damping ratio', 1)]
+    """
+
+    def __init__(
+        self,
+        frequencies: Sequence[float],
+        damping: Sequence[float] | None = None,
+        shapes: Any = None,
+        sensors: Sequence[Position] = (),
+        modes: Sequence[int] | None = None,
+        frequency_share: float = 0.01,
+        damping_share: float = 0.1,
+        least_mac: float = LEAST_MAC,
+        **options: Any,
+    ):
+        self.frequencies = _positive("frequencies", frequencies, " [Hz]")
+        if (np.diff(self.frequencies) < 0.0).any():
+            raise InputError(f"frequencies is {frequencies!r}; allowed: in ascending order [Hz]")
+        count = len(self.frequencies)
+        self.damping = np.full(count, np.nan) if damping is None else np.asarray(damping, dtype=float)
+        if self.damping.shape != (count,) or (self.damping <= 0.0).any():
+            raise InputError(f"damping is {damping!r}; allowed: {count} positive numbers, nan where there is none")
+        self.shares = positive("frequency_share", frequency_share, "-"), positive("damping_share", damping_share, "-")
+        self.least_mac, self.options = positive("least_mac", least_mac, "-"), options
+        self.sensors = [_velocity(sensor) for sensor in sensors]
+        self.shapes = None if shapes is None else np.asarray(shapes, dtype=float)
+        if self.shapes is not None and self.shapes.shape != (len(self.sensors), count):
+            raise InputError(
+                f"shapes have shape {self.shapes.shape}; allowed: [{len(self.sensors)} sensors, {count} modes]"
+            )
+        if self.shapes is not None and not (
+            np.isfinite(self.shapes).all() and (np.abs(self.shapes).max(0) > 0.0).all()
+        ):
+            raise InputError(
+                "shapes have a mode that is zero or no number; allowed: finite numbers, one that is not zero"
+            )
+        self.numbers = list(range(1, count + 1)) if modes is None else [int(k) for k in modes]
+        if len(self.numbers) != count or min(self.numbers, default=1) < 1 or len(set(self.numbers)) < count:
+            raise InputError(f"modes is {modes!r}; allowed: {count} different numbers, 1 for the lowest mode")
+        self.labels, self.without_partner = list(range(1, count + 1)), ""
+
+    def check(self, system: System) -> None:
+        for sensor in self.sensors:
+            sensor.check(system)
+
+    @property
+    def blocks(self) -> list[Block]:
+        labels, known = np.array(self.labels, dtype=float), np.isfinite(self.damping)
+        result = [
+            Block("frequency", labels, self.frequencies, self.shares[0] * self.frequencies, "frequency [Hz]", "mode",
+                  self.without_partner)
+        ]  # fmt: skip
+        if known.any():
+            zeta = self.damping[known]
+            result.append(
+                Block("damping ratio", labels[known], zeta, self.shares[1] * zeta, "damping ratio [-]", "mode")
+            )
+        return result
+
+    def within(self, limits: Limits, run: Run) -> Self:
+        """Without measured modes that have no partner in the model as it is."""
+        rest = self._rest(replace(run, gradients=False))
+        if self.shapes is None:
+            self._pairing(rest, 0)  # InputError for more modes than the model has
+            return self
+        mac = self._mac(rest, 0)
+        pairs = _assigned(mac)
+        kept = [m for m in range(len(mac)) if m in pairs and mac[m, pairs[m]] >= self.least_mac]
+        if len(kept) == len(mac):
+            return self
+        if not kept:
+            raise InputError(f"no measured mode has a partner in the model: the largest MAC is {mac.max():.2g}")
+        result = object.__new__(type(self))
+        vars(result).update(vars(self))
+        names = [
+            f"{self.labels[m]} ({self.frequencies[m]:g} Hz, MAC {mac[m].max():.2f})"
+            for m in range(len(mac))
+            if m not in kept
+        ]
+        assert self.shapes is not None
+        result.frequencies, result.damping, result.shapes = (
+            self.frequencies[kept],
+            self.damping[kept],
+            self.shapes[:, kept],
+        )
+        result.labels = [self.labels[m] for m in kept]
+        result.without_partner = f"measured modes without a partner in the model are left out: {', '.join(names)}"
+        return result
+
+    def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:
+        rest = self._rest(run)
+        pairings = [self._pairing(rest, lane) for lane in range(rest.lanes)]
+        modes = torch.tensor([x.modes for x in pairings]).T  # [measured, lanes]
+        known = torch.from_numpy(np.flatnonzero(np.isfinite(self.damping)))
+
+        def rows(rest: Any) -> Tensor:
+            f = rest.eigenvalues(NATURAL).gather(0, modes) / (2.0 * math.pi)
+            if not len(known):
+                return f.T
+            s = rest.eigenvalues(POLES)
+            s = s.gather(0, _poles_of(s.detach(), rest.eigenvalues(NATURAL).detach(), modes[known]))
+            return torch.cat([f, -s.real / s.abs()]).T
+
+        y = differentiate(rows, rest)
+        value, gradient = y.value.expand(run.lanes, -1), y.gradient
+        if run.gradients and gradient is None:
+            gradient = value.new_zeros(*value.shape, 0)
+        notes = self._notes(pairings[0], value[0]) if run.lanes == 1 else ()
+        return Prediction(value, gradient, {}, [OK] * run.lanes, notes)
+
+    def _rest(self, run: Run) -> Equilibrium:
+        """The equilibrium of all lanes."""
+        differentiable = run.gradients and bool(run.variables)
+        designs = {
+            name: x.detach().clone().requires_grad_(differentiable and name in run.variables)
+            for name, x in run.parameters.items()
+        }
+        start = run.simulation.get("start", "assembled")
+        start = "assembled" if start == "equilibrium" else start
+        with torch.set_grad_enabled(differentiable):
+            variables = run.variables if differentiable else None
+            return equilibrium(run.system, designs=designs, variables=variables, start=start, **self.options)
+
+    def _pairing(self, rest: Equilibrium, lane: int) -> Pairing:
+        if self.shapes is not None:
+            mac = self._mac(rest, lane)
+            pairs = _assigned(mac)
+            modes = self._elastic(rest, lane)
+            return Pairing(
+                [modes[pairs[m]] for m in range(len(mac))], [float(mac[m, pairs[m]]) for m in range(len(mac))]
+            )
+        modes = self._elastic(rest, lane)
+        if max(self.numbers) > len(modes):
+            raise InputError(f"mode {max(self.numbers)} is measured, and the model has {len(modes)} vibrations")
+        return Pairing([modes[k - 1] for k in self.numbers], [math.nan] * len(self.numbers))
+
+    def _elastic(self, rest: Equilibrium, lane: int) -> list[int]:
+        """Numbers of the vibrations of the model that are no rigid motions, from 0."""
+        f = rest.vibrations[lane].frequencies
+        largest = float(torch.nan_to_num(f).max()) if len(f) else 0.0
+        return [k for k, x in enumerate(f.tolist()) if x > _ZERO * largest]
+
+    def _mac(self, rest: Equilibrium, lane: int) -> np.ndarray:
+        """MAC [measured, vibrations that are no rigid motions]."""
+        modes = self._elastic(rest, lane)
+        if len(modes) < len(self.frequencies):
+            raise InputError(f"{len(self.frequencies)} modes are measured, and the model has {len(modes)} vibrations")
+        shapes = rest.vibrations[lane].shapes[:, modes].T  # at each "time" the rates of one mode
+        q = rest.q[lane, -1].detach().expand(len(modes), -1)
+        lam = rest.lam[lane, -1].detach().expand(len(modes), -1)
+        states = {"q": q[None], "v": shapes[None], "a": torch.zeros_like(shapes)[None], "lam": lam[None]}
+        t = torch.arange(len(modes), dtype=torch.float64)
+        with torch.no_grad():
+            alone = rest.dynamics.values().select_lanes([lane])
+            still = replace(
+                rest, t=t, signals=TensorSignals(states), dynamics=alone, known=None, variables={}, rotation=None
+            )
+            psi = torch.stack([sensor.values(still)[0] for sensor in self.sensors]).numpy()
+        assert self.shapes is not None
+        sizes = (self.shapes**2).sum(0)[:, None] * np.maximum((psi**2).sum(0), np.finfo(float).tiny)
+        return (self.shapes.T @ psi) ** 2 / sizes
+
+    def _notes(self, pairing: Pairing, values: Tensor) -> tuple[str, ...]:
+        if self.shapes is None:
+            return ()
+        rows = zip(self.labels, self.frequencies, pairing.modes, pairing.mac, values.tolist(), strict=False)
+        return tuple(
+            f"measured mode {label} ({f:.4g} Hz) is mode {mode + 1} of the model ({model:.4g} Hz), MAC {mac:.2f}"
+            for label, f, mode, mac, model in rows
+        )
+
+
+def _poles_of(s: Tensor, natural: Tensor, modes: Tensor) -> Tensor:
+    """Numbers of the poles [k, lanes] of vibrations: of those with a positive imaginary part the one as high in their order."""
+    result = torch.zeros_like(modes)
+    for lane in range(modes.shape[1]):
+        upper = torch.nonzero(s[:, lane].imag > 0.0)[:, 0]
+        upper = upper[torch.argsort(s[upper, lane].imag)]
+        w = natural[:, lane]
+        rank = [int((w[:mode] > _ZERO * w.nan_to_num().max()).sum()) for mode in modes[:, lane].tolist()]
+        if max(rank, default=0) >= len(upper):
+            raise InputError(f"mode {max(rank) + 1} of the model does not vibrate: its poles are real")
+        result[:, lane] = upper[torch.tensor(rank)]
+    return result
+
+
+def _assigned(mac: np.ndarray) -> dict[int, int]:
+    """Measured mode -> mode of the model, by the largest sum of MAC."""
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(-mac)
+    return dict(zip(rows.tolist(), columns.tolist(), strict=True))
+
+
+def _velocity(sensor: Any) -> Velocity:
+    """The velocity of a point whose position or displacement a sensor shows: of a mode its component there."""
+    if not isinstance(sensor, Position):
+        raise InputError(f"sensors has {sensor!r}; allowed: positions, such as mbd.Position('arm', 'z', node='right')")
+    seen_from = sensor.observer if isinstance(sensor, Displacement) else sensor.seen_from
+    return Velocity(sensor.body, sensor.axis, sensor.node, sensor.point, seen_from, sensor.axes)
+
+
+def _positive(what: str, numbers: Any, unit: str) -> np.ndarray:
+    try:
+        values = np.asarray(numbers, dtype=float)
+    except (TypeError, ValueError):
+        values = np.full(1, np.nan)
+    if values.ndim != 1 or not len(values) or not (values > 0.0).all() or not np.isfinite(values).all():
+        raise InputError(f"{what} is {numbers!r}; allowed: positive numbers{unit}, one at least")
+    return values
