@@ -323,7 +323,6 @@ class StudyFile(Section):
 
     model: Annotated[str, Field(pattern=FUNCTION)]
     options: dict[str, Any] = Field(default={})
-    parameters: Settings = Field(default={})
     design: Annotated[dict[str, Variable], Len(min_length=1), AfterValidator(units_fit)]
     links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(default={})
     simulate: Simulation
@@ -337,6 +336,7 @@ class StudyFile(Section):
     optimizer: Optimizer | None = None
     starts: Starts | None = None
     sweep: Annotated[dict[str, Range], Len(1, 1)] | None = None
+    parameters: Settings = Field(default={})
     tracking: Tracking = Tracking()
 
     @model_validator(mode="after")
