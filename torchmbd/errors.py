@@ -57,6 +57,16 @@ class SimulationFailure(MbdError):
     """
 
 
+class DesignFailure(InputError, SimulationFailure):
+    """A design lacks what is asked of it: an equilibrium, a critical speed, a derivative where frequencies coincide.
+
+    It is an InputError for one design, and a SimulationFailure, whose status an optimizer gets, where designs are searched.
+
+    >>> issubclass(mbd.DesignFailure, mbd.InputError)
+    True
+    """
+
+
 def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
     options = [str(option) for option in allowed]

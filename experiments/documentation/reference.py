@@ -35,14 +35,15 @@ GROUPS: dict[str, str] = {
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
-    "BucklingFactor WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
+    "BucklingFactor SystemFrequency DampingRatio StabilityMargin CriticalSpeed CampbellClearance StabilityLimit "
+    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
     "Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
     "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
-    "errors": "MbdError InputError ArgumentError SimulationFailure",
+    "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
 }
 
 

@@ -37,6 +37,12 @@ UNITS = {
     "frequencies": "Hz",
     "mass": "kg",
     "buckling_factor": "",
+    "system_frequency": "Hz",
+    "damping_ratio": "",
+    "stability_margin": "1/s",
+    "critical_speed": "rad/s",
+    "campbell_clearance": "",
+    "stability_limit": "",  # that of the parameter, which is not known here
     "buckling_index": "",
 }
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
