@@ -8,10 +8,12 @@ import sys
 import pytest
 
 import torchmbd as mbd
+from torchmbd.registry import public_names
 
 
 def test_every_public_name_is_there():
     assert set(mbd.__all__) <= set(dir(mbd))
+    assert {"animate", *(x.removeprefix("viz.") for x in public_names() if x.startswith("viz."))} <= set(dir(mbd.viz))
     everything: dict[str, object] = {}
     exec("from torchmbd import *", everything)
     assert set(mbd.__all__) <= set(everything)

@@ -20,7 +20,10 @@ from torchmbd.design import (
     AtTimes,
     BucklingFactor,
     BucklingIndex,
+    CampbellClearance,
     Constraint,
+    CriticalSpeed,
+    DampingRatio,
     DesignSpace,
     Displacement,
     Final,
@@ -38,7 +41,10 @@ from torchmbd.design import (
     Reaction,
     RelativeDisplacement,
     SmoothMax,
+    StabilityLimit,
+    StabilityMargin,
     StrainEnergy,
+    SystemFrequency,
     Tradeoff,
     Velocity,
     WeightedSum,
@@ -52,7 +58,7 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, checked_signature
+from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, checked_signature
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
@@ -181,13 +187,17 @@ __all__ = [
     "BucklingFactor",
     "BucklingIndex",
     "Bushing",
+    "CampbellClearance",
     "Chain",
     "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
     "Controller",
+    "CriticalSpeed",
     "Cylindrical",
+    "DampingRatio",
+    "DesignFailure",
     "DesignSpace",
     "Differences",
     "Displacement",
@@ -252,11 +262,14 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
+    "StabilityLimit",
+    "StabilityMargin",
     "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
+    "SystemFrequency",
     "TimeSeries",
     "Torque",
     "Tradeoff",

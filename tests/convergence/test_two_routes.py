@@ -15,6 +15,8 @@ import torchmbd as mbd
 from tests.mechanisms import soft_slider_crank
 from torchmbd.integrate import Trajectory
 
+pytestmark = pytest.mark.thorough
+
 DURATION = 0.01
 
 
@@ -33,7 +35,6 @@ def stepped(system) -> list[Trajectory]:
     return [mbd.simulate(system, DURATION, steps=n, gradients="forward").require_ok() for n in (100, 200)]
 
 
-@pytest.mark.thorough("q-1e-06")
 @pytest.mark.parametrize(("name", "level"), [("q", 1e-6), ("v", 2e-3), ("dq_db", 1e-5), ("dv_db", 2e-2)])
 def test_generalized_alpha_converges_to_torchdiffeq_at_second_order(name, level, system, tight, stepped):
     """At the end time: coordinates, rates, and their sensitivities by both angles."""

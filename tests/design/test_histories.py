@@ -29,6 +29,7 @@ def motion() -> mbd.Trajectory:
     return mbd.simulate(pendulum(), DURATION, steps=STEPS, iterations=(6, 6), refresh=1).require_ok()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("observer", ["ground", "arm", "rod"])
 def test_rates_are_slopes_of_what_the_observer_sees(observer, motion):
     def seen(kind):
@@ -51,6 +52,7 @@ def precise() -> mbd.Trajectory:
     return mbd.simulate(pendulum(), 0.004, steps=80, method="dopri8", rtol=1e-11, atol=1e-13).require_ok()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "history",
     [
@@ -73,6 +75,7 @@ def test_known_rates_are_slopes_of_the_history(history, precise):
         assert_close(rate[:, cut], y, rtol=0, atol=1e-4 * float(rate.abs().max()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "history",
     [
@@ -87,6 +90,7 @@ def test_rates_that_are_not_known_are_not_claimed(history, motion):
     assert history.rates(motion) is None
 
 
+@pytest.mark.thorough
 def test_axes_turn_a_vector_and_keep_its_length(motion):
     def length(**given):
         return sum(Velocity("rod", axis, node="right", **given).values(motion) ** 2 for axis in "xyz")
@@ -98,6 +102,7 @@ def test_axes_turn_a_vector_and_keep_its_length(motion):
     assert_close(along, 0.6 * x + 0.8 * z)
 
 
+@pytest.mark.thorough
 def test_displacements(motion):
     """Seen from the body itself: elastic. Seen from elsewhere: what changed since the start."""
     rod = motion.body("rod")
@@ -115,6 +120,7 @@ def force(motion, joint: str, **given) -> torch.Tensor:
     return torch.stack([Reaction(joint, axis, **given).values(motion) for axis in "xyz"], -1)
 
 
+@pytest.mark.thorough
 def test_a_reaction_is_what_moves_the_body(motion):
     """Newton: the joint carries the mass times acceleration of all nodes of the rod, less their weight."""
     rod, body = motion.body("rod"), motion.system.body("rod")
@@ -126,6 +132,7 @@ def test_a_reaction_is_what_moves_the_body(motion):
     assert float(found.abs().max()) > 0.1
 
 
+@pytest.mark.thorough
 def test_action_is_reaction_and_a_hinge_turns_freely(motion):
     assert_close(force(motion, JOINT, on="arm"), -force(motion, JOINT), rtol=0, atol=1e-12)
     torque = force(motion, HINGE, kind="torque")

@@ -45,6 +45,7 @@ def shared() -> mbd.Problem:
     return problem()
 
 
+@pytest.mark.thorough
 def test_values_are_those_of_the_responses(shared):
     """Constraints as (g - c)/|c|: zero at the start for "initial", of order one for a number."""
     X = np.radians([[20.0, -50.0], [70.0, 15.0]])
@@ -59,6 +60,7 @@ def test_values_are_those_of_the_responses(shared):
     assert shared.limits == pytest.approx([peak[0], 1e-5])
 
 
+@pytest.mark.thorough
 def test_gradients_belong_to_the_values(shared):
     x, h = np.radians([20.0, -50.0]), 1e-5
     (found,) = shared.evaluate(x[None], gradients=True)
@@ -72,6 +74,7 @@ def test_gradients_belong_to_the_values(shared):
         assert row == pytest.approx(slope, abs=1e-5 * size)
 
 
+@pytest.mark.thorough
 def test_the_system_keeps_its_own_design(shared):
     before = [x.detach().clone() for x in shared.system.parameters()]
     shared.evaluate(np.radians([[1.0, 2.0]]), gradients=True)
@@ -90,6 +93,7 @@ def test_a_design_that_fails_is_a_failed_evaluation_and_leaves_the_others():
     assert bad.constraints.shape == (1,)
 
 
+@pytest.mark.thorough
 def test_a_design_that_is_no_laminate_is_a_failed_evaluation_and_leaves_the_others(shared):
     found = shared.evaluate(np.array([[0.3, -0.5], [np.nan, 0.2]]), gradients=False)
     assert found[0].ok
@@ -185,6 +189,7 @@ def test_a_problem_may_have_phases():
         problem(phases=[mbd.Phase(lock=["hook"])])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["forward", "reverse"])
 def test_numpy_in_a_response_is_named(gradients):
     @mbd.measure

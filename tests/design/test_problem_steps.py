@@ -81,6 +81,7 @@ def test_given_steps_stay():
     assert (choice.steps or 0) > 50  # what they would be
 
 
+@pytest.mark.thorough
 def test_without_a_tolerance_the_motion_chooses():
     plain = problem(tolerance=None)
     motion = mbd.simulate(mass_on_a_spring(), 1.0, gradients="none")
@@ -144,12 +145,14 @@ def test_a_search_takes_more_steps_where_its_design_needs_them():
     assert torch.tensor(result.value).isfinite()
 
 
+@pytest.mark.thorough
 def test_without_a_tolerance_a_search_has_one_part():
     plain = problem(tolerance=None)
     assert plain.coarse is None
     assert mbd.optimize(plain, max_iterations=6).iterations <= 6
 
 
+@pytest.mark.thorough
 def test_where_half_of_the_steps_fail_the_steps_themselves_are_the_measure(monkeypatch):
     """As where Newton's iterations do not converge by longer steps."""
     simulate, steps = problem_steps.simulate, 600

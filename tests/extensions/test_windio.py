@@ -249,7 +249,7 @@ def test_files_that_are_no_blade(tmp_path, blade):
         path.write_text(text)
         with pytest.raises(InputError, match=r"x\.yaml is no windIO blade"):
             mbd.read_windio(path)
-    with pytest.raises(InputError, match="allowed: a windIO file"):
+    with pytest.raises(InputError, match=r"path is '.*none\.yaml'; allowed: a windIO file that exists"):
         mbd.read_windio(tmp_path / "none.yaml")
     with pytest.raises(InputError, match="position = 2"):
         blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)

@@ -151,6 +151,7 @@ def test_outputs_of_other_methods_and_phases():
     assert motion.status[0].startswith("failed: contact 'ceiling'")
 
 
+@pytest.mark.thorough
 def test_states_that_are_not_kept_show_contacts():
     motion = mbd.simulate(thrown(), 0.9, steps=80, gradients="none", checkpoint=10, halvings=0)
     assert motion.status[0].startswith("failed: contact 'ceiling'")

@@ -381,6 +381,24 @@ def test_vmap_over_phases(system, angles):
 
 
 @pytest.mark.thorough
+def test_vmap_over_an_event_of_a_flexible_body():
+    """Its drive has variables with gradients, and no part in vmap."""
+    system = mbd.examples.two_link_arm.build(cells=(4, 2), modes=1)
+    phases = [mbd.Phase(until=mbd.Event(mbd.StrainEnergy("upper") - 1e-4, "rising")), mbd.Phase()]
+    angles = system.get_parameter("upper.laminate.angles").detach()
+    many = torch.stack([angles, angles + 0.2])
+
+    def f(x: Tensor) -> Tensor:
+        motion = mbd.simulate(system, 0.1, steps=20, designs={"upper.laminate.angles": x}, phases=phases)
+        return motion.switches[0].t.sum() + motion.body("upper").strain_energy.sum()
+
+    assert_close(torch.vmap(f)(many), torch.stack([f(x) for x in many]), rtol=1e-9, atol=0)
+    slopes = torch.stack([torch.func.grad(f)(x) for x in many])
+    assert bool(slopes.abs().sum() > 0.0)
+    assert_close(torch.vmap(torch.func.grad(f))(many), slopes, rtol=0, atol=1e-8 * float(slopes.abs().max()))
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_batches_of_cotangents(system, angles, way):
     """By torch.vmap; torch.autograd's own way, which knows no rules of operations, is refused by name."""

@@ -53,6 +53,7 @@ def test_what_is_lost_is_what_the_damping_takes():
     assert float(taken) == pytest.approx(float(lost), rel=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_drive_feeds_the_mechanism_through_its_multiplier(slider_crank_motion):
     """The slider-crank's energy changes by the drive's power -lam omega: sign and scale of the reaction torque."""
     motion = slider_crank_motion

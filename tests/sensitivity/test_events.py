@@ -11,6 +11,8 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, pendulum, tensor
 from torchmbd.integrate import Trajectory
 
+pytestmark = pytest.mark.thorough
+
 HEIGHT, RESTITUTION, DURATION = 1.0, 0.8, 1.5
 STEP, DIRECTION = 1e-4, tensor(1.0, 0.4)  # [rad] of differences; with half of it rounding shows
 NAME = "rod.laminate.angles"
@@ -51,7 +53,6 @@ def rebound(motion: Trajectory) -> Tensor:
     return motion.v * flip
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("method", "impact"), [("generalized_alpha", RESTITUTION), ("generalized_alpha", rebound), ("rk4", RESTITUTION)]
 )
@@ -153,7 +154,6 @@ def agree(found: Tensor, expected: Tensor, tolerance: float) -> None:
 
 
 # Differences of accelerations have the rounding errors of the constraints over the square of the step.
-@pytest.mark.thorough("free")
 @pytest.mark.parametrize(("kind", "tolerance"), [("q", 2e-7), ("v", 2e-7), ("a", 1e-5)])
 def test_motion_through_phases_against_differences(kind, tolerance, motion):
     agree(getattr(motion, f"d{kind}_db")[0], differences(getattr(motion, kind)), tolerance)
@@ -183,7 +183,6 @@ def test_integral_of_a_history_that_jumps_against_differences(motion):
             agree(found.gradient[0], differences(found.value, 2), 1e-6)
 
 
-@pytest.mark.thorough
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):
     """generalized_alpha is of second order in motion and sensitivities, through all switches."""
     asked = {"gradients": "forward", "phases": [PHASES[0], mbd.Phase(lock=["universal_arm_rod"])]}

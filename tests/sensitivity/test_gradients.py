@@ -15,6 +15,8 @@ from tests.mechanisms import soft_slider_crank, sprung
 from torchmbd.examples.slider_crank import build
 from torchmbd.integrate import Trajectory
 
+pytestmark = pytest.mark.thorough
+
 ENERGY = mbd.StrainEnergy("rod")
 MEASURES = {"integral": mbd.Integral(ENERGY), "max": mbd.Max(ENERGY)}
 GENERAL = {"L1": (33.0,), "L2": (33.0, -21.0), "L3": (33.0, -21.0, 57.0)}
@@ -50,7 +52,6 @@ def both(request) -> tuple[Trajectory, Trajectory]:
     )
 
 
-@pytest.mark.thorough("L1-integral", "L2-integral", "L1-max")
 @pytest.mark.parametrize("name", MEASURES)
 def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     motion, neighbors = both
@@ -61,7 +62,6 @@ def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     agree(found.gradient[0], differences(MEASURES[name], neighbors, 1e-5), 1e-5)
 
 
-@pytest.mark.thorough
 def test_default_iterations_leave_little(both):
     """Three corrections with an inverse kept for two steps: cheaper, and still exact enough to optimize with."""
     motion, _ = both
@@ -72,7 +72,6 @@ def test_default_iterations_leave_little(both):
     assert float(loose.stats["tangent_error"].max()) < 1e-2
 
 
-@pytest.mark.thorough("integral")
 @pytest.mark.parametrize("name", MEASURES)
 def test_torchdiffeq_against_differences_of_a_tight_run(name, soft):
     motion, neighbors = soft
@@ -101,7 +100,6 @@ def test_torchdiffeq_against_differences_of_a_tight_run_on_the_full_rod(layup):
         agree(measure.value_and_gradient(motion).gradient[0], differences(measure, neighbors, 1e-4), 1e-5)
 
 
-@pytest.mark.thorough
 def test_coarse_steps_and_variables_of_any_size():
     """Ten steps of a sprung mechanism: a degree of an angle does 1e-7 of what a meter of thickness does, and as exactly."""
     system = sprung(kind="triangle")  # ten steps resolve it: default iteration 4e-4 off with quadrilaterals

@@ -19,6 +19,8 @@ from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.thorough
+
 NAMED = ("constraint/max of strain energy of rod", "design/angle_1_deg", "design/angle_2_deg")
 STUDY = yaml.safe_load(Path(__file__).with_name("study.yaml").read_text())
 
@@ -165,7 +167,6 @@ def test_a_sweep_is_one_batch_with_a_run_for_each_point(sweep):
     assert {"sweep.csv", "figures/sweep.png", "figures/sweep.pdf"} <= files(sweep)
 
 
-@pytest.mark.thorough
 def test_the_best_point_of_a_sweep_satisfies_the_constraints(run):
     """The integral of energy is least where it may not be below that of the start, [45, -45]: at the start, point 1."""
     along = {"rod.laminate.angles[1]": {"from": -90, "to": 90, "count": 5}}
@@ -190,7 +191,6 @@ def test_the_peak_of_a_sweep_is_normalized_as_well(sweep):
     assert [float(line.split(",")[2]) for line in text[1:]] == pytest.approx([1 + c for c in constraint])
 
 
-@pytest.mark.thorough
 def test_a_study_whose_simulations_fail_says_so(run):
     """Three steps for 60 ms do not converge: failed evaluations, no exception, exit code 1."""
     failed = run("failed", simulate={"duration": 0.06, "steps": 3}, subject_to=[])
@@ -203,7 +203,6 @@ def test_a_study_whose_simulations_fail_says_so(run):
     assert "failed evaluations" in failed.output
 
 
-@pytest.mark.thorough
 def test_an_exception_leaves_failed_runs(run):
     """The limit "initial" needs the start design, which cannot be simulated: that ends the study."""
     broken = run("broken", raises=SimulationFailure, simulate={"duration": 0.06, "steps": 3})
@@ -212,7 +211,6 @@ def test_an_exception_leaves_failed_runs(run):
     assert math.isfinite(broken.parent.info.end_time)
 
 
-@pytest.mark.thorough
 def test_a_study_without_a_feasible_design_says_which_constraint_is_in_the_way(write, folder, empty_store):
     limits = [{"mass": "rod", "at_most": 1e-6}, {"max": {"strain_energy": "rod"}, "at_most": "initial"}]
     file = write(subject_to=limits, optimizer={"name": "slsqp", "max_iterations": 1}, starts=None)

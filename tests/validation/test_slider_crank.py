@@ -68,6 +68,7 @@ def test_energies_of_the_paper(angles):
     assert figures(motion(angles)) == pytest.approx((peak, integral), rel=tolerance)
 
 
+@pytest.mark.thorough
 def test_turning_the_plies_to_zero_takes_nine_tenths_of_the_energy():
     """Independent codes: 91.8, 90.6, 91.0 % for one, two, three layers."""
     best = figures(motion((0.0,)))[1]

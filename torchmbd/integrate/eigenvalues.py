@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure, InputError
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.math.pair import Pair
@@ -31,6 +31,7 @@ from torchmbd.multibody.system.spectrum import Spectrum
 from torchmbd.multibody.system.steady_rotation import MovingObserver, Observer, SteadyRotation
 
 NATURAL, POLES = "natural", "poles"
+_NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
 _UNEQUAL = 1e-6  # of derivatives of eigenvalues that coincide: more than rounding
 _HELD = "allowed: functions of other eigenvalues, or drives, joints and springs that hold the mechanism"
 
@@ -83,8 +84,9 @@ class _Eigenproblem:
             dynamics, observer = replace(self.model, data=data), self._observer(state, data)
             rest = Linearization.of(dynamics, state[0][:, 0, 0], self.t, None, observer)
             self.balance.append(rest)
-            self.spectra.append(Spectrum.natural(rest) if self.kind == NATURAL else Spectrum.poles(rest))
-        sizes = {len(x.values) for x in self.spectra}
+            few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+            self.spectra.append(Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest))
+        sizes = {rest.N.shape[1] * (1 + (self.kind == POLES)) for rest in self.balance}
         if len(sizes) > 1:
             raise InputError(
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
@@ -128,11 +130,15 @@ class _Eigenproblem:
         for lane, spectrum in enumerate(self.spectra):
             for i, mode in enumerate(modes):
                 if spectrum.fault[mode] and bool(bars[:, i, :, lane].any()):
-                    raise InputError(f"eigenvalue {mode + 1} has no derivative: it is {spectrum.fault[mode]}; {_HELD}")
+                    raise DesignFailure(
+                        f"eigenvalue {mode + 1} has no derivative: it is {spectrum.fault[mode]}; {_HELD}"
+                    )
             if not self.symmetric:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
-        leaves, slopes = self._slopes(modes, [(i, i) for i in range(len(modes))])
+        needed = bars.flatten(2).abs().amax((0, 2)).nonzero()[:, 0].tolist()  # one of many eigenvalues has one column
+        leaves, slopes = self._slopes([modes[i] for i in needed], [(i, i) for i in range(len(needed))])
+        bars = bars[:, needed]
         by_leaf: list[list[Tensor]] = [[] for _ in leaves]
         for row in range(rows):
             for parts, g, x in zip(by_leaf, _gradients(slopes, list(bars[:, :, row]), leaves), leaves, strict=True):
@@ -222,10 +228,10 @@ class _Eigenproblem:
         return lam - torch.einsum("rvl,vl->rl", torch.stack(back, -1), forces)[:, None]
 
 
-def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> InputError:
+def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
     numbers = ", ".join(str(k + 1) for k in modes)
     value = spectrum.values[modes[0]].item()
-    return InputError(
+    return DesignFailure(
         f"eigenvalues {numbers} coincide at {value:.6g}: a single one has no derivative; allowed: functions symmetric in them, "
         "such as SystemFrequency(cluster=...)"
     )

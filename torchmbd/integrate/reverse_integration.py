@@ -89,6 +89,8 @@ class ReverseIntegration(IntegratedMotion):
         self.dynamics = with_backend(replace(self.model, data=data), self.backend, kind, also)
         if self.differentiated and self.segments is None:
             self._of_leaves = differentiable(self.dynamics, self.differentiated)
+        lanes = self.dynamics.lanes  # of torch.vmap; what has no part in it has one
+        designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
         self._problem = self._problem_of(self.dynamics, designs)
         problem = self._problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration)
         if self.steps is None:

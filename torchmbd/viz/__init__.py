@@ -7,7 +7,7 @@
 
 from typing import Any
 
-from torchmbd.registry import public
+from torchmbd.registry import public, public_names
 from torchmbd.viz.animation import animate
 from torchmbd.viz.criteria import criteria_over_iterations, criteria_over_time, weighted_parts
 from torchmbd.viz.design_map import design_map
@@ -46,3 +46,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Pictures of extensions."""
     return public(f"viz.{name}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *(x.removeprefix("viz.") for x in public_names() if x.startswith("viz."))]

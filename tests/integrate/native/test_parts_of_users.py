@@ -140,6 +140,7 @@ def test_native_code_of_the_right_hand_side_agrees():
     assert_close(value, other, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_the_points_stay_on_their_ellipses():
     motion, *_ = run("eager")
     for name, (p, q) in (("first", FIRST), ("second", SECOND)):
@@ -237,6 +238,7 @@ class Switched(Cubic):
         return Cubic.__call__(self, s, rate, t) * (1.0 if float(t.flatten()[0]) > 0.05 else 0.0)
 
 
+@pytest.mark.thorough
 def test_a_law_with_data_fields_that_jumps_in_time_is_told():
     ground, bob = mbd.Ground(), box("bob", position=(1.0, 0.0, 0.0))
     spring = mbd.SpringDamper(ground.at(), bob.at(), law=Switched(3.0, 0.5), name="spring")
