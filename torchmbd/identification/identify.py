@@ -57,6 +57,7 @@ def identify(
     max_lanes: int = 64,
     callback: Callable[[FitStep], None] | None = None,
     progress: bool | None = None,
+    evaluator: Callable[[FitProblem], FitProblem] | None = None,
 ) -> Identification:
     """Fit unknown parameters of a model to measurements.
 
@@ -76,6 +77,7 @@ def identify(
     max_lanes        designs that are simulated at the same time
     callback         called with every design that lowers the cost of its start
     progress         a bar on standard error; None: in a terminal or a notebook
+    evaluator        what is searched in the place of a problem, such as one that keeps its evaluations (torchmbd.study)
 
     A start that cannot be simulated has the status "failed" and its reason; later designs that cannot are rejected by the
     search and counted. Raises InputError for unknown names, with the nearest; for more unknowns than numbers.
@@ -92,6 +94,8 @@ def identify(
     problem = FitProblem(_by_name("experiments", experiments), unknowns, bounds, start, links, priors)
     held_out = _by_name("validation", validation, optional=True)
     other = problem.held_out(held_out) if held_out else None
+    if evaluator is not None:
+        problem, other = evaluator(problem), None if other is None else evaluator(other)
     function = LOSSES[one_of("loss", loss, LOSSES)]
     require_range("tolerance", tolerance, 1e-15, 0.1)
     require_count("max_evaluations", max_evaluations, 1, 1_000_000)
