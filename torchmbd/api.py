@@ -20,7 +20,10 @@ from torchmbd.design import (
     AtTimes,
     BucklingFactor,
     BucklingIndex,
+    CampbellClearance,
     Constraint,
+    CriticalSpeed,
+    DampingRatio,
     DesignSpace,
     Displacement,
     Final,
@@ -38,7 +41,10 @@ from torchmbd.design import (
     Reaction,
     RelativeDisplacement,
     SmoothMax,
+    StabilityLimit,
+    StabilityMargin,
     StrainEnergy,
+    SystemFrequency,
     Tradeoff,
     Velocity,
     WeightedSum,
@@ -52,7 +58,7 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpen import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, checked_signature
+from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, checked_signature
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
@@ -60,7 +66,7 @@ from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
-from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
+from torchmbd.integrate import Equilibrium, Event, LinearSystem, Phase, Trajectory, equilibrium, linearize, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -181,13 +187,17 @@ __all__ = [
     "BucklingFactor",
     "BucklingIndex",
     "Bushing",
+    "CampbellClearance",
     "Chain",
     "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
     "Controller",
+    "CriticalSpeed",
     "Cylindrical",
+    "DampingRatio",
+    "DesignFailure",
     "DesignSpace",
     "Differences",
     "Displacement",
@@ -214,6 +224,7 @@ __all__ = [
     "Integral",
     "Interface",
     "Laminate",
+    "LinearSystem",
     "Mass",
     "Max",
     "MbdError",
@@ -252,11 +263,14 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
+    "StabilityLimit",
+    "StabilityMargin",
     "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
+    "SystemFrequency",
     "TimeSeries",
     "Torque",
     "Tradeoff",
@@ -277,6 +291,7 @@ __all__ = [
     "history",
     "identify",
     "latin_hypercube",
+    "linearize",
     "load",
     "measure",
     "mesh",

@@ -57,10 +57,21 @@ class SimulationFailure(MbdError):
     """
 
 
+class DesignFailure(InputError, SimulationFailure):
+    """A design lacks what is asked of it: an equilibrium, a critical speed, a derivative where frequencies coincide.
+
+    It is an InputError for one design, and a SimulationFailure, whose status an optimizer gets, where designs are searched.
+
+    >>> issubclass(mbd.DesignFailure, mbd.InputError)
+    True
+    """
+
+
 def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
     options = [str(option) for option in allowed]
-    close = difflib.get_close_matches(str(name), options, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(name), options, n=3, cutoff=0.5)
+    close.sort(key=lambda option: not str(name).startswith(option))  # degrees: deg rather than deg/s
     if not close:  # a name in capitals is near to the same in small letters
         small = {option.lower(): option for option in reversed(options)}
         close = [small[x] for x in difflib.get_close_matches(str(name).lower(), small, n=1, cutoff=0.5)]

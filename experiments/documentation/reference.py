@@ -30,19 +30,21 @@ GROUPS: dict[str, str] = {
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate equilibrium Equilibrium buckling Buckling frequencies Vibrations Trajectory Phase Event",
+    "simulation": "simulate equilibrium Equilibrium linearize LinearSystem "
+    "buckling Buckling frequencies Vibrations Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
-    "BucklingFactor WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
+    "BucklingFactor SystemFrequency DampingRatio StabilityMargin CriticalSpeed CampbellClearance StabilityLimit "
+    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
     "Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
     "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
-    "errors": "MbdError InputError ArgumentError SimulationFailure",
+    "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
 }
 
 
@@ -93,18 +95,26 @@ def first_file() -> str:
         return f"```yaml\n{file.read_text(encoding='utf-8')}```\n"
 
 
-_TOP = ("(top of the file)", "(top of a file of pictures)")
+_TOP = {
+    "(top of the file)": "StudyFile",
+    "(top of a file of pictures)": "Figures",
+    "(top of a file of measurements)": "IdentificationFile",
+}
 _SECTIONS = ("Variable", "Simulation", "Constraint", "Scenario", "Setting", "Combine", "Optimizer", "Starts", "Range")
+_SECTIONS += ("Identify", "Unknown", "Prior", "ExperimentData", "TimeSeriesData", "ChannelData")
 
 
 def file_keys() -> str:
     """A table of keys for each section of an experiment file, from its schema."""
     schema = json_schema()
-    sections = dict(zip(_TOP, (schema["else"], schema["then"]), strict=True))
+    sections = {title: schema["$defs"][name] for title, name in _TOP.items()}
     sections |= {name: schema["$defs"][name] for name in _SECTIONS}
     sections["Tracking"] = schema["$defs"]["Tracking"]
     responses = schema["$defs"]["Measure"]["properties"]  # which a constraint has as well, and which have a table below
-    tables = [_keys(name, section, () if name != "Constraint" else responses) for name, section in sections.items()]
+    tables = [
+        _keys(name, section, responses if name in ("Constraint", "ChannelData") else ())
+        for name, section in sections.items()
+    ]
     words = {"Measure": "of a whole motion or of the design", "History": "of every time"}
     for name, what in words.items():
         properties = schema["$defs"][name]["properties"]

@@ -72,4 +72,4 @@ RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(mbd, name)) 
 def test_responses_tell_their_shape_and_unit(name):
     doc = getattr(mbd, name).__doc__
     assert re.search(r"\[lanes(, \w+)?\]", doc)
-    assert re.search(r"\[(m|1/m|s|m/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)
+    assert re.search(r"\[(m|1/m|s|m/s|rad/s|1/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)

@@ -337,11 +337,11 @@ class Problem(Summary):
             evaluations = dict(zip(rest, self.evaluate(X[rest], gradients), strict=True)) if rest else {}
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
-            if len(X) == 1:
-                return [Evaluation.failure(self._refusal(X, gradients, error), self.rows)]
-            # The structure stage refuses some design of the batch: each design alone shows which.
-            return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._rows(motions, X)
+            return self._refused(X, gradients, self._refusal(X, gradients, error) if len(X) == 1 else "")
+        try:
+            values, slopes = self._rows(motions, X)
+        except SimulationFailure as error:
+            return self._refused(X, gradients, f"failed: {error}")
         each = slopes if slopes is not None else [None] * len(X)
         statuses = self._statuses(motions, len(X))
         return [evaluation_of(status, v, s, self.rows) for status, v, s in zip(statuses, values, each, strict=True)]
@@ -349,6 +349,12 @@ class Problem(Summary):
     def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
         """Motions of designs [lanes, n], one for each system."""
         return [self.simulate(X, gradients)]
+
+    def _refused(self, X: np.ndarray, gradients: bool, status: str) -> list[Evaluation]:
+        """Evaluations where the structure stage or a measure refuses some design: each design alone shows which."""
+        if len(X) == 1:
+            return [Evaluation.failure(status, self.rows)]
+        return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
 
     def _refusal(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
         """The status of a design [1, n] that the structure stage refuses with `error`."""

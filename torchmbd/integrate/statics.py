@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.eigenvalues import NATURAL, POLES, eigenvalues
 from torchmbd.integrate.motion import Motion, Tensors
@@ -91,7 +91,7 @@ class Equilibrium(Trajectory):
     def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [k, lanes] at the last time, as of `eigenvalues` of integrate/eigenvalues.py."""
         h = self.signals.history  # pyright: ignore[reportAttributeAccessIssue]
-        return eigenvalues(self.dynamics, [h.q[-1]], self.t[-1], self.rotation, kind, modes, symmetric)
+        return eigenvalues(self.dynamics, h.q[-1], self.t[-1], self.rotation, kind, modes, symmetric)
 
     @property
     def stable(self) -> bool:
@@ -114,6 +114,7 @@ class StaticIntegration:
 
     follow     the search of each lane starts at the equilibrium of the lane before
     unstable   as of `equilibrium`
+    sweep      as of `find_equilibria`
     """
 
     model: Dynamics
@@ -122,6 +123,7 @@ class StaticIntegration:
     follow: bool
     rotation: SteadyRotation | None = None
     unstable: bool = False
+    sweep: int = 1
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
@@ -141,7 +143,8 @@ class StaticIntegration:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
-            self._balances.append(find_equilibria(self.dynamics, q, t, self.follow, self.rotation, self.unstable))
+            options = self.follow, self.rotation, self.unstable, self.sweep
+            self._balances.append(find_equilibria(self.dynamics, q, t, *options))
             self._require_balance(t, self._balances[-1])
             q = equilibrium_coordinates(self.dynamics, self._balances[-1], t, self.rotation)
         self.status = [OK] * self.dynamics.lanes
@@ -211,7 +214,7 @@ class StaticIntegration:
         for lane, balance in enumerate(balances):
             if balance.failure:
                 where = f" of lane {lane}" * (len(balances) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
-                raise InputError(balance.failure + (f" ({where.strip()})" if where else ""))
+                raise DesignFailure(balance.failure + (f" ({where.strip()})" if where else ""))
 
 
 @checked_signature

@@ -21,7 +21,8 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, latin_hypercube, sobol
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
-from torchmbd.study.schema import UNITS, Combine, Optimizer, Range, StudyFile, Variable
+from torchmbd.study.parameter_values import set_parameters
+from torchmbd.study.schema import UNITS, Bounded, Combine, Optimizer, Range, StudyFile
 from torchmbd.study.settings import Origin, StudySettings
 
 S = TypeVar("S", bound=StudySettings)
@@ -78,7 +79,8 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
         kind, objective = Tradeoff, {name: read(spec) for name, spec in data.tradeoff.items()}
     if data.scenarios is not None:
         kind, combine = Scenarios, data.combine or Combine()
-        systems = scenario_systems(data.model, data.options, data.scenarios, folder)
+        change = partial(set_parameters, values=data.parameters)
+        systems = scenario_systems(data.model, data.options, data.scenarios, folder, change)
         named: dict[str, Any] = {s.name or f"scenario {k + 1}": dict(s.settings) for k, s in enumerate(data.scenarios)}
         for settings, variant in zip(named.values(), systems, strict=True):
             settings |= {} if variant is None else {SYSTEM: variant}
@@ -104,21 +106,19 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
     )
 
 
-def in_si(design: Mapping[str, Variable], key: str) -> dict[str, np.ndarray]:
+def in_si(design: Mapping[str, Bounded], key: str) -> dict[str, np.ndarray]:
     """Return parameter -> "start", "lower", "upper", "tolerance" or "step" [SI], of those that have it."""
     numbers = {name: getattr(variable, key) for name, variable in design.items()}
     return {name: np.multiply(UNITS[design[name].unit], x) for name, x in numbers.items() if x is not None}
 
 
-def factor_of(design: Mapping[str, Variable], entry: str) -> float:
+def factor_of(design: Mapping[str, Bounded], entry: str) -> float:
     """Return the factor from the unit of the file to SI of an entry, `rod.laminate.angles[0]`; 1 of what is none."""
     name = entry.rpartition("[")[0] or entry
     return UNITS[design[name].unit] if name in design else 1.0
 
 
-def links_in_si(
-    design: Mapping[str, Variable], links: Mapping[str, Mapping[str, float]]
-) -> dict[str, dict[str, float]]:
+def links_in_si(design: Mapping[str, Bounded], links: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
     """Return the links in SI; in the file, factors relate numbers in their units, constants are in the follower's unit."""
     return {
         follower: {leader: x * factor_of(design, follower) / factor_of(design, leader) for leader, x in leaders.items()}
@@ -126,7 +126,7 @@ def links_in_si(
     }
 
 
-def point_in_si(design: Mapping[str, Variable], names: Sequence[str], point: Sequence[float]) -> list[float]:
+def point_in_si(design: Mapping[str, Bounded], names: Sequence[str], point: Sequence[float]) -> list[float]:
     """Return a start point [SI], in its length, which may be wrong."""
     factors = [factor_of(design, name) for name in names] + [1.0] * len(point)
     return [factor * x for factor, x in zip(factors, point, strict=False)]
@@ -143,7 +143,7 @@ def _starts(data: StudyFile, problem: Problem | Tradeoff, names: Sequence[str]) 
     return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)
 
 
-def sweep_in_si(design: Mapping[str, Variable], sweep: Mapping[str, Range]) -> dict[str, tuple[float, float, int]]:
+def sweep_in_si(design: Mapping[str, Bounded], sweep: Mapping[str, Range]) -> dict[str, tuple[float, float, int]]:
     """Return entry -> (first value, last value [SI], count)."""
     factors = {name: factor_of(design, name) for name in sweep}
     return {name: (span.first * factors[name], span.last * factors[name], span.count) for name, span in sweep.items()}

@@ -35,6 +35,7 @@ from torchmbd.study.model import (
     option_faults,
     require_returns,
 )
+from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import Scenario
 from torchmbd.study.schema import OBJECTIVE_KEYS, Simulation, Variable
 from torchmbd.study.settings import sweep_values
@@ -76,9 +77,16 @@ def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, l
     if "options" not in sections or (faults := option_faults(builder, sections["options"])):
         return None, faults if "options" in sections else []
     try:
-        return build_model(builder, sections["options"]), []
+        system = build_model(builder, sections["options"])
     except InputError as error:
         return None, [Fault(("options",), f"= {shown(sections['options'])}: {error}")]
+    faults = []
+    for name, x in sections.get("parameters", {}).items():
+        try:
+            set_parameters(system, {name: x})
+        except InputError as error:
+            faults.append(Fault(("parameters", name), f": {error}"))
+    return system, faults
 
 
 def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
@@ -243,7 +251,7 @@ def _add_scenarios(faults: Faults, sections: Sections, system: System, folder: F
         faults += [Fault((*path, *fault.path), fault.text) for fault in option_faults(builder, options)]
         if scenario.options and len(faults) == before:
             try:
-                variant = build_model(builder, options)
+                variant = set_parameters(build_model(builder, options), sections.get("parameters", {}))
             except InputError as error:
                 faults.append(Fault((*path, "options"), f"= {shown(scenario.options)}: {error}"))
         for name, x in scenario.settings.items():

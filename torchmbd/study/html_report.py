@@ -8,6 +8,7 @@ Checked in tests/study/test_html_report.py.
 from __future__ import annotations
 
 import base64
+import csv
 import tempfile
 from html import escape
 from pathlib import Path
@@ -55,6 +56,7 @@ _OUTCOME = {
     EVALUATIONS: "evaluations",
     FAILED: "of them failed",
 }
+_TABLES = {"Unknowns": "unknowns.csv", "Model and data": "channels.csv"}  # of an identification
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
 
 
@@ -92,10 +94,15 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
     parts.append(
         _rows({label: number_text(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
     )
-    parts += [_children(store, entry), *_pictures(store, entry, scratch)]
-    if motion := fetch(store, entry, "motion_best.html", scratch):
-        page = escape(motion.read_text(encoding="utf-8"), quote=True)
-        parts += ["<h2>Motion of the best design</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
+    parts += [_children(store, entry), *_tables(store, entry, scratch), *_pictures(store, entry, scratch)]
+    shapes = sorted(name for name in files(store, entry, "") if name.startswith("mode_best_"))
+    headings = {"motion_best.html": "Motion of the best design"} | dict.fromkeys(
+        shapes, "A vibration of the best design"
+    )
+    for name, heading in headings.items():
+        if motion := fetch(store, entry, name, scratch):
+            page = escape(motion.read_text(encoding="utf-8"), quote=True)
+            parts += [f"<h2>{heading}</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
     if config:
         parts += [
             "<h2>Experiment</h2>",
@@ -147,6 +154,27 @@ def _children(store: StoreURI, entry: Entry) -> str:
         best = ' class="best"' * (child.tags.get("best") == "true")
         rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
     return f"<h2>{len(runs)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
+
+
+def _tables(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:
+    """Return the unknowns and the channels of an identification as tables."""
+    parts = []
+    for title, name in _TABLES.items():
+        if file := fetch(store, entry, name, scratch):
+            with file.open(newline="", encoding="utf-8") as lines:
+                head, *rows = csv.reader(lines)
+            cells = "".join(f"<tr>{''.join(f'<td>{escape(_short(x))}</td>' for x in row)}</tr>" for row in rows)
+            heads = "".join(f"<th>{escape(x.replace('_', ' '))}</th>" for x in head)
+            parts += [f"<h2>{title}</h2>", f"<table><tr>{heads}</tr>{cells}</table>"]
+    return parts
+
+
+def _short(cell: str) -> str:
+    """A number of a file to five digits; other text as it is."""
+    try:
+        return f"{float(cell):.5g}"
+    except ValueError:
+        return cell
 
 
 def _pictures(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:

@@ -18,10 +18,21 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.identification import Channel, Experiment, TimeSeries, identify
+from torchmbd.identification.losses import LOSSES
 from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS, optimize, sobol
 from torchmbd.study import schema
+from torchmbd.study.identify_schema import (
+    ChannelData,
+    ExperimentData,
+    IdentificationFile,
+    Identify,
+    Prior,
+    TimeSeriesData,
+    Unknown,
+)
 from torchmbd.study.scenario_keys import Combine, Scenario, Setting
 from torchmbd.study.schema import (
     LIMIT_KINDS,
@@ -52,6 +63,14 @@ CONSTRUCTORS: dict[type, Sequence[Any]] = {
     schema.Starts: (sobol,),
     Range: (),
     Tracking: (Study,),
+    IdentificationFile: (),
+    Identify: (identify,),
+    Unknown: (),
+    Prior: (),
+    ChannelData: (Channel,),
+    TimeSeriesData: (TimeSeries,),
+    ExperimentData: (Experiment,),
+    schema.Motion: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), simulate),
 }
 
 
@@ -74,11 +93,17 @@ def meanings(documented: object) -> dict[str, str]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the schema (draft 2020-12) of a file: a study or figures."""
-    study, figures = StudyFile.model_json_schema(), Figures.model_json_schema()
-    parts = figures.pop("$defs") | study.pop("$defs")
+    """Return the schema (draft 2020-12) of a file: a study, figures or an identification."""
+    kinds = {x.__name__: x.model_json_schema() for x in (StudyFile, Figures, IdentificationFile)}
+    study = kinds["StudyFile"]
+    parts: dict[str, Any] = {}
+    for file in kinds.values():
+        parts |= file.pop("$defs")
     for part, field, names in (
         ("Variable", "unit", UNITS),
+        ("Unknown", "unit", UNITS),
+        ("Motion", "method", INTEGRATORS),
+        ("Identify", "loss", LOSSES),
         ("Starts", "sampler", SAMPLERS),
         ("Optimizer", "name", OPTIMIZERS),
         ("Simulation", "method", INTEGRATORS),
@@ -86,7 +111,8 @@ def json_schema() -> dict[str, Any]:
         parts[part]["properties"][field]["enum"] = list(names)
     for integrator in INTEGRATORS.values():
         for name, kind in integrator.option_types().items():
-            parts["Simulation"]["properties"].setdefault(name, TypeAdapter(kind).json_schema())
+            for motion in ("Simulation", "Motion"):
+                parts[motion]["properties"].setdefault(name, TypeAdapter(kind).json_schema())
     parts["History"] = _history()
     parts["Measure"] = _measure()
     limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
@@ -99,12 +125,14 @@ def json_schema() -> dict[str, Any]:
         "properties": _measure()["properties"] | types,
         "oneOf": [{"required": [kind]} for kind in LIMIT_KINDS],
     }
+    of_channel = {key: x for key, x in parts["ChannelData"]["properties"].items() if key != "response"}
+    parts["ChannelData"] = {"type": "object", "properties": of_channel | _history()["properties"]}
     measure = {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": measure, "maximize": measure}
     study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": measure}
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
     for section, constructors in CONSTRUCTORS.items():
-        part: Any = {"StudyFile": study, "Figures": figures, **parts}[section.__name__]
+        part: Any = (kinds | parts)[section.__name__]
         part["description"] = _first(section)
         sources = [meanings(source) for source in (section, *constructors)]
         for key, entry in part["properties"].items():
@@ -115,9 +143,13 @@ def json_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",
         "if": {"required": ["figures"]},
-        "then": figures,
-        "else": study,
-        "$defs": parts,
+        "then": {"$ref": "#/$defs/Figures"},
+        "else": {
+            "if": {"required": ["identify"]},
+            "then": {"$ref": "#/$defs/IdentificationFile"},
+            "else": {"$ref": "#/$defs/StudyFile"},
+        },
+        "$defs": kinds | parts,
     }
 
 

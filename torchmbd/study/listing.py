@@ -83,7 +83,7 @@ def print_links(store: StoreURI, base: str, console: Console) -> None:
 
 def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
     """Return the links of a study, front, sweep or figures by their labels; only a finished study has a motion."""
-    links = {} if kind == "figures" else {"table": view_link(base, experiment_id, run_id)}
+    links = {} if kind in ("figures", "identification") else {"table": view_link(base, experiment_id, run_id)}
     if kind == "study":
         links["charts"] = view_link(base, experiment_id, run_id, charts=True)
     if kind == "study" and status == "FINISHED":

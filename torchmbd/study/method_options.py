@@ -19,13 +19,13 @@ from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.file_errors import Fault, shown
-from torchmbd.study.schema import Optimizer, Simulation
+from torchmbd.study.schema import Motion, Optimizer
 
 
 def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     """Return the faults of the options of methods: unknown names, and values of a wrong type."""
     faults: list[Fault] = []
-    simulation: Simulation | None = sections.get("simulate")
+    simulation: Motion | None = sections.get("simulate")
     if simulation is not None:
         types = INTEGRATORS[simulation.method].option_types()
         faults += _faults("simulate", simulation.method, simulation, types)
@@ -52,7 +52,7 @@ def _option_types(function: Callable[..., Any]) -> dict[str, Any]:
     return {name: hints.get(name, Any) for name in options}
 
 
-def _faults(section: str, method: str, keys: Simulation | Optimizer, types: Mapping[str, Any]) -> list[Fault]:
+def _faults(section: str, method: str, keys: Motion | Optimizer, types: Mapping[str, Any]) -> list[Fault]:
     faults = []
     for key, value in keys.options.items():
         if key not in types:

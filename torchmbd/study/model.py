@@ -143,14 +143,17 @@ def _user_code() -> Iterator[None]:
 
 
 def scenario_systems(
-    model: str, options: Mapping[str, Any], scenarios: Sequence[Any], folder: Path
+    model: str, options: Mapping[str, Any], scenarios: Sequence[Any], folder: Path, change: Callable[[System], System]
 ) -> list[System | None]:
-    """Return the system of each scenario that has options, None for others; equal options share a system."""
+    """Return the system of each scenario that has options, None for others; equal options share a system.
+
+    change   what is done to each system that was built
+    """
     builder, built = find_model(model, folder), {}
     for scenario in scenarios:
         key = repr(sorted(scenario.options.items()))
         if scenario.options and key not in built:
-            built[key] = build_model(builder, {**options, **scenario.options})
+            built[key] = change(build_model(builder, {**options, **scenario.options}))
     return [built.get(repr(sorted(s.options.items()))) if s.options else None for s in scenarios]
 
 

@@ -22,7 +22,7 @@ from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, StudyError, dotted
 from torchmbd.study.yaml_file import Document, parse_yaml
 
-_NAMED_BY_PATH = ("design", "sweep")  # sections whose keys are dotted names of parameters
+_NAMED_BY_PATH = ("design", "sweep", "unknowns", "parameters")  # sections whose keys are dotted names of parameters
 
 
 def combinations(assignments: Sequence[str]) -> list[tuple[str, ...]]:

@@ -21,8 +21,10 @@ import torch
 
 from torchmbd.design import Problem
 from torchmbd.math.digest import digest, source_digest
+from torchmbd.study.identify_plan import IdentificationPlan
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.settings import StudySettings
+from torchmbd.study.stored_fit import fit_key
 from torchmbd.tracking.uri import StoreURI
 
 _PACKAGE = Path(__file__).parents[1]
@@ -63,6 +65,11 @@ def problem_key(problem: Any) -> str:
         built = digest(*problem.settings(), ignored=varied)
     else:
         built = digest(problem)
+    return numbers_key(built)
+
+
+def numbers_key(built: str) -> str:
+    """Return the hash of a digest with the source of torchmbd and the version of torch."""
     return _hash([built, _code(_PACKAGE), torch.__version__])
 
 
@@ -86,6 +93,12 @@ def relative_store(uri: StoreURI | str) -> str:
 def figures_key(plan: FiguresPlan, uri: StoreURI | str) -> str:
     """Return the hash of an experiment file of figures, with its store."""
     return _hash([plan.study.resolved(), plan.name, relative_store(uri)])
+
+
+def identification_key(plan: IdentificationPlan, uri: StoreURI | str) -> str:
+    """Return the hash of an identification: of its file with the numbers of its measurements and models, and its store."""
+    problems = [plan.problem, *([plan.problem.held_out(plan.validation)] if plan.validation else [])]
+    return _hash([plan.data.resolved(), [numbers_key(fit_key(x)) for x in problems], plan.name, relative_store(uri)])
 
 
 @cache

@@ -76,7 +76,8 @@ class RunRecord:
         verified = entry.tags.get(VERIFICATION, "")
         if verified:
             self.console.print(verified, soft_wrap=True, highlight=False, markup=False)
-        designs = f"its designs: torchmbd best {entry.run_id[:8]}; to run it anew: {again}"
+        designs = f"torchmbd best {entry.run_id[:8]}" if entry.kind != "identification" else "fitted.yaml in its files"
+        designs = f"its designs: {designs}; to run it anew: {again}"
         self.console.print(designs, soft_wrap=True, highlight=False)
         return UNVERIFIED if verified.startswith(NOT_VERIFIED) else EXIT["FINISHED"]
 

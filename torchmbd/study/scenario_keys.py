@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from torchmbd.design.scenarios import CONSTRAINTS, OBJECTIVES
 from torchmbd.math import units
@@ -33,6 +33,26 @@ class Setting(Section):
         return [factor * x for x in self.value] if isinstance(self.value, list) else factor * self.value
 
 
+def _in_their_units(settings: dict[str, Numbers | Setting]) -> dict[str, Numbers | Setting]:
+    for name, x in settings.items():
+        if isinstance(x, Setting):
+            if text := units.misfit(name, x.unit):
+                raise fault(f"= {x.value} with unit: {x.unit}: {text}", name)
+        elif units.QUANTITIES.get(name.rpartition(".")[2]) == "rad":
+            allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
+            raise fault(f"= {x}: is an angle without a unit; allowed: {allowed}", name)
+    return settings
+
+
+#: Values of parameters by name.
+Settings = Annotated[dict[str, Numbers | Setting], AfterValidator(_in_their_units)]
+
+
+def si_of(settings: Settings) -> dict[str, Numbers]:
+    """The values of parameters [SI]."""
+    return {name: x.si if isinstance(x, Setting) else x for name, x in settings.items()}
+
+
 class Scenario(Section):
     """A scenario: values of parameters of the model that are no design variables, and its weight in means.
 
@@ -43,27 +63,20 @@ class Scenario(Section):
     """
 
     name: str | None = None
-    set: dict[str, Numbers | Setting] = Field(default={})
+    set: Settings = Field(default={})
     options: dict[str, Any] = Field(default={})
     weight: float = Field(default=1.0, ge=0)
 
     @model_validator(mode="after")
-    def _sets_something_in_its_unit(self) -> Self:
+    def _sets_something(self) -> Self:
         if not self.set and not self.options:
             raise fault(": sets nothing; must have set, options or both")
-        for name, x in self.set.items():
-            if isinstance(x, Setting):
-                if text := units.misfit(name, x.unit):
-                    raise fault(f"= {x.value} with unit: {x.unit}: {text}", "set", name)
-            elif units.QUANTITIES.get(name.rpartition(".")[2]) == "rad":
-                allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
-                raise fault(f"= {x}: is an angle without a unit; allowed: {allowed}", "set", name)
         return self
 
     @property
     def settings(self) -> dict[str, Numbers]:
         """The values of parameters [SI]."""
-        return {name: x.si if isinstance(x, Setting) else x for name, x in self.set.items()}
+        return si_of(self.set)
 
 
 class Combine(Section):

@@ -39,7 +39,7 @@ from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
 from torchmbd.study.file_errors import shown
-from torchmbd.study.scenario_keys import Combine, Scenario
+from torchmbd.study.scenario_keys import Combine, Scenario, Settings
 from torchmbd.study.section import UNITS, Numbers, Section, Unit, fault, one_of
 from torchmbd.tracking.store import uri_fault
 from torchmbd.tracking.uri import StoreURI
@@ -65,30 +65,19 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
 Measure = Annotated[dict[str, Any], AfterValidator(_readable)]
 
 
-class Variable(Section):
-    """A design variable; a single number applies to every entry of the parameter. Entries that follow others have no numbers.
+class Bounded(Section):
+    """Numbers of the entries of a parameter; a single number applies to every entry.
 
-    start      first value, one or a list; default: as the model is built
-    lower      lower bound, one or a list
-    upper      upper bound, one or a list
-    unit       unit of all numbers of this variable; `none`: the SI unit
-    tolerance  largest deviation when it is made; the question is then asked over all deviations (optimization/robust.py)
-    step       the study ends with multiples of it (optimization/discrete/branch_and_bound.py); 0: any value
+    start  first value, one or a list; default: as the model is built
+    lower  lower bound, one or a list
+    upper  upper bound, one or a list
+    unit   unit of all numbers of this variable; `none`: the SI unit
     """
 
     start: Numbers | None = None
-    lower: Numbers | None = None  # required, unless every entry follows others
+    lower: Numbers | None = None
     upper: Numbers | None = None
     unit: Unit  # without a default: an angle of 45 in radians would be wrong
-    tolerance: Numbers | None = None
-    step: Numbers | None = None
-
-    @field_validator("tolerance", "step")
-    @classmethod
-    def _not_negative(cls, numbers: Numbers | None) -> Numbers | None:
-        if numbers is not None and min(numbers if isinstance(numbers, list) else [numbers]) < 0.0:
-            raise fault(f"= {shown(numbers)}: must not be negative")
-        return numbers
 
     @model_validator(mode="after")
     def _bounds_in_degrees(self) -> Self:
@@ -99,14 +88,38 @@ class Variable(Section):
         return self
 
 
-def _units_fit(design: dict[str, Variable]) -> dict[str, Variable]:
+class Variable(Bounded):
+    """A design variable; a single number applies to every entry of the parameter. Entries that follow others have no numbers.
+
+    start      first value, one or a list; default: as the model is built
+    lower      lower bound, one or a list
+    upper      upper bound, one or a list
+    unit       unit of all numbers of this variable; `none`: the SI unit
+    tolerance  largest deviation when it is made; the question is then asked over all deviations (optimization/robust.py)
+    step       the study ends with multiples of it (optimization/discrete/branch_and_bound.py); 0: any value
+    """
+
+    # lower and upper are required, unless every entry follows others.
+    tolerance: Numbers | None = None
+    step: Numbers | None = None
+
+    @field_validator("tolerance", "step")
+    @classmethod
+    def _not_negative(cls, numbers: Numbers | None) -> Numbers | None:
+        if numbers is not None and min(numbers if isinstance(numbers, list) else [numbers]) < 0.0:
+            raise fault(f"= {shown(numbers)}: must not be negative")
+        return numbers
+
+
+def units_fit(design: dict[str, Any]) -> dict[str, Any]:
+    """Refuse a unit that a parameter of this name cannot have."""
     for name, variable in design.items():
         if text := units.misfit(name, variable.unit):
             raise fault(f"= {variable.unit!r}: {text}", name, "unit")
     return design
 
 
-class Simulation(Section):
+class Motion(Section):
     """Arguments of torchmbd.simulate; more keys are options of the method.
 
     phases  function that returns the phases: path/to/file.py:function or package.module:function
@@ -114,18 +127,27 @@ class Simulation(Section):
     """
 
     model_config = ConfigDict(extra="allow")
-    duration: float = Field(gt=0)
     method: Annotated[str, one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
-    tolerance: float = Field(default=TOLERANCE, gt=0, lt=1)
     phases: str | None = None
     backend: Annotated[str, one_of(BACKENDS)] = "auto"
     start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]
-    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"
 
     @property
     def options(self) -> dict[str, Any]:
         return dict(self.model_extra or {})
+
+
+class Simulation(Motion):
+    """Arguments of torchmbd.simulate; more keys are options of the method.
+
+    phases  function that returns the phases: path/to/file.py:function or package.module:function
+    start   `assembled`: undeformed; `equilibrium`: at rest under its loads; or values by name
+    """
+
+    duration: float = Field(gt=0)
+    tolerance: float = Field(default=TOLERANCE, gt=0, lt=1)
+    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"
 
 
 class Constraint(Section):
@@ -284,6 +306,7 @@ class StudyFile(Section):
 
     model       the function that returns the System: path/to/file.py:function or package.module:function
     options     arguments of the model's function
+    parameters  parameters of the model with other values, or the file that has them, as an identification writes it
     design      design variables: parameters of the model with bounds and a unit
     links       entries of `design` that follow others: entry -> {entry: factor, constant: offset}
     simulate    the motion: duration, steps, start, method
@@ -300,7 +323,7 @@ class StudyFile(Section):
 
     model: Annotated[str, Field(pattern=FUNCTION)]
     options: dict[str, Any] = Field(default={})
-    design: Annotated[dict[str, Variable], Len(min_length=1), AfterValidator(_units_fit)]
+    design: Annotated[dict[str, Variable], Len(min_length=1), AfterValidator(units_fit)]
     links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(default={})
     simulate: Simulation
     minimize: Measure | None = None
@@ -313,6 +336,7 @@ class StudyFile(Section):
     optimizer: Optimizer | None = None
     starts: Starts | None = None
     sweep: Annotated[dict[str, Range], Len(1, 1)] | None = None
+    parameters: Settings = Field(default={})
     tracking: Tracking = Tracking()
 
     @model_validator(mode="after")
@@ -353,5 +377,7 @@ class StudyFile(Section):
         if self.sweep is None:
             data["optimizer"] = (self.optimizer or Optimizer()).model_dump(mode="json")
             data["starts"] = (self.starts or Starts()).model_dump(mode="json", exclude_none=True)
+        if not self.parameters:
+            del data["parameters"]
         data["subject_to"] = [constraint.resolved() for constraint in self.subject_to]
         return data

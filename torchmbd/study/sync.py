@@ -15,8 +15,9 @@ from rich.markup import escape
 
 from torchmbd.errors import MbdError
 from torchmbd.study.figures import run_figures
+from torchmbd.study.identify_run import IdentificationPlan, run_identification
 from torchmbd.study.load import FiguresPlan, load
-from torchmbd.study.paths import figures_key, study_key
+from torchmbd.study.paths import figures_key, identification_key, study_key
 from torchmbd.study.run import run_study
 from torchmbd.study.unfinished import StudyState, unsent
 from torchmbd.tracking.store import open_store, store_uri
@@ -54,8 +55,15 @@ def _send(study: StudyState) -> str:
     if study.path is None:
         raise MbdError("it was made in Python; allowed: run its script again, which sends it")
     plan = load(study.path, study.overrides)
-    uri = _store(study, plan.study.tracking.uri if isinstance(plan, FiguresPlan) else plan.uri)
-    key = figures_key(plan, uri) if isinstance(plan, FiguresPlan) else study_key(plan, uri)
+    if isinstance(plan, FiguresPlan):
+        uri = _store(study, plan.study.tracking.uri)
+        key = figures_key(plan, uri)
+    elif isinstance(plan, IdentificationPlan):
+        uri = _store(study, plan.data.tracking.uri)
+        key = identification_key(plan, uri)
+    else:
+        uri = _store(study, plan.uri)
+        key = study_key(plan, uri)
     if key != study.folder.name:
         raise MbdError(
             f"the file, its model or torchmbd has changed since; allowed: torchmbd run, which begins it anew, "
@@ -65,6 +73,8 @@ def _send(study: StudyState) -> str:
     silent = Console(quiet=True)
     if isinstance(plan, FiguresPlan):
         run_figures(plan, silent, uri=uri)
+    elif isinstance(plan, IdentificationPlan):
+        run_identification(plan, silent, uri=uri, offline=True)
     else:
         run_study(plan, silent, uri=uri, evaluator=_InterruptingEvaluator())
     if any(other.folder == study.folder for other in unsent()):

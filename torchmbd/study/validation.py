@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
+from torchmbd.study.identify_schema import IdentificationFile
 from torchmbd.study.schema import LIMIT_KINDS, UNITS, Figures, Section, StudyFile
 from torchmbd.tracking.uri import StoreURI
 
@@ -36,8 +37,10 @@ _OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
 MISSING_BOUND = f"is missing; allowed: {_ALLOWED['lower']}"
 
 
-def kind_of(data: Any) -> type[StudyFile] | type[Figures]:
+def kind_of(data: Any) -> type[StudyFile] | type[Figures] | type[IdentificationFile]:
     """Return which kind of experiment a file describes."""
+    if isinstance(data, dict) and "identify" in data:
+        return IdentificationFile
     return Figures if isinstance(data, dict) and "figures" in data else StudyFile
 
 

@@ -13,7 +13,7 @@ from torchmbd.tracking.run_process import end_killed
 from torchmbd.tracking.store import all_runs, open_store, own_files, store_uri
 from torchmbd.tracking.uri import StoreURI
 
-KINDS = ("study", "front", "sweep", "figures")
+KINDS = ("study", "front", "sweep", "figures", "identification")
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is maximized
 VERIFICATION = "verification"  # tag of a study: "verified: ..." or "not verified: ..." with what to do
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design

@@ -21,6 +21,7 @@ from scipy.interpolate import PchipInterpolator
 
 from torchmbd.errors import InputError, checked_signature, unknown, warn
 from torchmbd.extensions.windio.profile import Layer, Profile, Web, profile_section
+from torchmbd.fem.materials.ply import IsotropicPly
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
 from torchmbd.fem.sections.section_checks import check_order
@@ -197,7 +198,7 @@ class WindIOBlade:
         beside = self._layer_end(name, other, position, length, len(self._layers) + 1)
         return beside + width if side == "end" else beside - width
 
-    def _solid(self, name: str) -> Orthotropic:
+    def _solid(self, name: str) -> Orthotropic | IsotropicPly:
         try:
             material = self._materials[name]
             if not material.get("orth"):

@@ -6,25 +6,26 @@
 M is a block of the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest with fixed
 multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
 Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
-Coriolis; about a state that moves the equations are those of an instant.
+Coriolis.
 Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.steady_rotation import MovingObserver, Observer, SteadyRotation
+from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 from torchmbd.multibody.system.topology import Topology
 
 # A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
@@ -41,7 +42,7 @@ class Linearization:
     """One design at rest at q [n_q]: residual forces, constraints, and their derivatives by an increment of q.
 
     forces [n_v], phi [rows]   residual without constraint forces; violations of constraints
-    K, C, M [n_v, n_v]         stiffness and damping, both with the forces of the multipliers, and mass
+    K, C, M [n_v, n_v]         stiffness and damping, both with the forces of the multipliers, and mass; C and M on demand
     Phi_q [rows, n_v], lam [rows]
     active                     rows of v but those that pad the modes of bodies with fewer modes than others
     N [active, freedoms]       null space of the active columns of Phi_q
@@ -51,13 +52,20 @@ class Linearization:
     forces: Tensor
     phi: Tensor
     K: Tensor
-    C: Tensor
-    M: Tensor
     Phi_q: Tensor
     lam: Tensor
     active: Tensor
     N: Tensor
+    along: Callable[[str], Tensor]
     rotates: bool = False
+
+    @cached_property
+    def C(self) -> Tensor:
+        return self.along("rates")
+
+    @cached_property
+    def M(self) -> Tensor:
+        return self.along("accelerations")
 
     @classmethod
     def of(
@@ -80,10 +88,10 @@ class Linearization:
         excitation = T.prescribed(t, data).values()
         wide, none = q[:, None, None], q.new_zeros(T.rows, 1, 1)
         still = q.new_zeros(T.n_v, 1, 1)
-        observer = observer or MovingObserver()
-        unit, zero = (
-            Pair.of(still, x[..., None]) for x in (torch.eye(T.n_v, dtype=q.dtype), still.new_zeros(T.n_v, T.n_v))
-        )
+        observer = observer or ObserverAtRest()
+        coupling = T.coupling
+        unit = Pair.of(still, coupling.directions[..., None])
+        zero = Pair.of(still, torch.zeros_like(unit.tangent))
         near, *rates_moved = observer.perturbed(T, wide, unit, zero, zero)
         rates = tuple(value(x) for x in rates_moved)
         at, moved = (equations.placement(T, data, x, excitation) for x in (wide, near))
@@ -98,7 +106,7 @@ class Linearization:
         phi, Phi_q = q.new_zeros(0), q.new_zeros(0, T.n_v)
         if T.rows:
             violation = equations.constraints(T, moved)
-            phi, Phi_q = violation.value[:, 0, 0], violation.tangent[..., 0]
+            phi, Phi_q = violation.value[:, 0, 0], coupling.matrix(violation.tangent[..., 0], True)
             phi = phi if offset is None else phi - offset[1]
         active = unpadded_rates(T)
         balanced = forces
@@ -107,12 +115,17 @@ class Linearization:
             balanced = residual(at, rates, none)[:, 0, 0]
             balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0, 0]
         lam = -torch.linalg.pinv(Phi_q[:, active].T, rtol=RELATIVE) @ balanced[active]
-        K = residual(moved, rates_moved, lam[:, None, None]).tangent[..., 0]
-        K = K if subtracted is None else K - subtracted.tangent[..., 0]
-        C = _tangent(residual(at, observer.perturbed(T, wide, zero, unit, zero)[1:], lam[:, None, None]), T)
-        M = _tangent(residual(at, observer.perturbed(T, wide, zero, zero, unit)[1:], none), T)
+        force = residual(moved, rates_moved, lam[:, None, None])
+        K = coupling.matrix(_tangent(force if subtracted is None else force - subtracted))
+
+        def along(directions: str) -> Tensor:
+            xd, xdd = (unit, zero) if directions == "rates" else (zero, unit)
+            return coupling.matrix(
+                _tangent(residual(at, observer.perturbed(T, wide, zero, xd, xdd)[1:], lam[:, None, None]))
+            )
+
         rotates = isinstance(observer, SteadyRotation) and bool(observer.spin.any())
-        return cls(forces, phi, K, C, M, Phi_q, lam, active, null_space(Phi_q[:, active]), rotates)
+        return cls(forces, phi, K, Phi_q, lam, active, null_space(Phi_q[:, active]), along, rotates)
 
     @property
     def unbalanced(self) -> Tensor:
@@ -136,6 +149,19 @@ class Linearization:
         return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
 
     @property
+    def stiffness(self) -> Tensor:
+        """N' K N; symmetric but for forces without a potential, and dampers at rest, which push what turns sideways."""
+        K = self.reduced(self.K)
+        return K if self.rotates or self.nonconservative else 0.5 * (K + K.T)
+
+    @property
+    def gyroscopic(self) -> bool:
+        """Whether stiffness is symmetric and damping antisymmetric, to rounding: the system is conservative."""
+        K, C = self.reduced(self.K), self.reduced(self.C)
+        unsymmetric, dissipative = (K - K.T).abs().max(), (C + C.T).abs().max()
+        return bool(unsymmetric <= _ROUNDING * K.abs().max()) and bool(dissipative <= _ROUNDING * C.abs().max())
+
+    @property
     def nonconservative(self) -> bool:
         """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
 
@@ -153,8 +179,8 @@ class Vibrations:
     """Small vibrations of one design.
 
     frequencies   [freedoms] [Hz], ascending, without damping; zero for a freedom without stiffness, nan for an unstable one
-    poles         [2 freedoms] [1/s], with damping
     shapes        [n_v, freedoms], increments of the coordinates of unit modal mass
+    poles         [2 freedoms] [1/s], with damping; on demand
 
     In a steady rotation the frequencies include Coriolis's forces, the shapes do not, and the lowest frequency is nan where
     vibrations grow. Where forces turn with a body two freedoms may drive each other (flutter): both frequencies are then nan,
@@ -162,21 +188,25 @@ class Vibrations:
     """
 
     frequencies: Tensor
-    poles: Tensor
     shapes: Tensor
+    rest: Linearization
+
+    @cached_property
+    def poles(self) -> Tensor:
+        return _poles(self.rest.inertia, self.rest.reduced(self.rest.C), self.rest.stiffness)
 
     @classmethod
     def of(cls, rest: Linearization) -> Vibrations:
         """Solve the eigenvalue problem in the null space. InputError where the inertia is not positive definite."""
         if rest.negative_mass:
-            raise InputError(
+            raise DesignFailure(
                 f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
             )
-        M, C, K_full = rest.inertia, rest.reduced(rest.C), rest.reduced(rest.K)
+        M, K_full = rest.inertia, rest.reduced(rest.K)
         K = 0.5 * (K_full + K_full.T)
         L, singular = torch.linalg.cholesky_ex(M)
         if int(singular):
-            raise InputError(
+            raise DesignFailure(
                 "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
                 "allowed: masses and inertias > 0 of all that is free to move"
             )
@@ -187,14 +217,16 @@ class Vibrations:
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
         shapes[rest.active] = rest.N @ (inverse.T @ Y)
         squares = torch.where(squares.abs() <= _rounding(rest, shapes, squares), 0.0, squares)
-        # In rotating axes a damper at rest pushes a displaced body sideways: its stiffness there is not symmetric.
-        poles = _poles(M, C, K_full if rest.rotates or flutters else K)
-        w = squares.sqrt()
-        if rest.rotates and n:
-            w = _poles(M, 0.5 * (C - C.T), K).imag.abs().sort().values[::2]
-            w = torch.where(w > _AT_REST * w[-1], w, 0.0)
-            w = torch.cat([w.new_full((1,), torch.nan), w[1:]]) if _grow(poles, w[-1]) else w
-        return cls(w / (2.0 * math.pi), poles, shapes)
+        if not rest.rotates or not n:
+            return cls(squares.sqrt() / (2.0 * math.pi), shapes, rest)
+        C = rest.reduced(rest.C)
+        whirl = _poles(M, 0.5 * (C - C.T), K)
+        w = whirl.imag.abs().sort().values[::2]
+        w = torch.where(w > _AT_REST * w[-1], w, 0.0)
+        made = cls(w / (2.0 * math.pi), shapes, rest)
+        if _grow(whirl if rest.gyroscopic else made.poles, w[-1]):
+            made.frequencies[0] = torch.nan
+        return made
 
 
 def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
@@ -266,5 +298,5 @@ def null_space(J: Tensor) -> Tensor:
     return torch.cat([free, basis], 1)
 
 
-def _tangent(x: Any, T: Topology) -> Tensor:
-    return x.tangent[..., 0] if isinstance(x, Pair) else torch.zeros(T.n_v, T.n_v, dtype=x.dtype)
+def _tangent(x: Any) -> Tensor:
+    return x.tangent[..., 0]

@@ -25,6 +25,11 @@ from torchmbd.fem.reduction.basis import CLUSTER
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
 from torchmbd.multibody.system.rank import RELATIVE
 
+_GUARD, _FEW = (
+    4,
+    6,
+)  # vibrations beyond those asked for, so that those that coincide are complete; a share: most by `_lowest_whirl`
+_FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
 _DEFECTIVE = 1e-6  # cosine between the left and the right vector, P' between them, below which rounding decides
 
 
@@ -53,8 +58,14 @@ class Spectrum:
         return self.values if self.values.is_complex() else 1j * self.values.nan_to_num()
 
     @classmethod
-    def natural(cls, rest: Linearization) -> Spectrum:
-        """Natural frequencies in the order of `Vibrations`."""
+    def natural(cls, rest: Linearization, count: int | None = None) -> Spectrum:
+        """Natural frequencies in the order of `Vibrations`; count: of the lowest alone, which may take less time."""
+        n = rest.N.shape[1]
+        if rest.rotates and count is not None and count + _GUARD < n // _FEW and rest.gyroscopic:
+            pairs = _lowest_whirl(rest, count + _GUARD)
+            if pairs is not None:
+                w, right = pairs[0][:count], pairs[1][:, :count]
+                return _normalized(rest, w, _full(rest, right), _full(rest, right), ("",) * count)
         vibrations = Vibrations.of(rest)
         w = 2.0 * math.pi * vibrations.frequencies
         right = left = vibrations.shapes.to(torch.complex128)
@@ -70,18 +81,36 @@ class Spectrum:
             order = squares.real.argsort()
             right = _full(rest, R[:, order])
             left = _full(rest, torch.linalg.solve(M.to(L.dtype), L[:, order]))
-        names = {"free": "zero, that of a free motion", "grows": "not a number: vibrations grow"}
-        fault = tuple(names["grows"] if math.isnan(x) else "" if x > 0.0 else names["free"] for x in w.tolist())
-        return _normalized(rest, w, right, left, fault)
+        keep = slice(0, count)
+        fault = tuple(_GROWS if math.isnan(x) else "" if x > 0.0 else _FREE for x in w[keep].tolist())
+        return _normalized(rest, w[keep], right[:, keep], left[:, keep], fault)
 
     @classmethod
     def poles(cls, rest: Linearization) -> Spectrum:
         """Poles in rising order of the size of their imaginary part, then of the real one; pairs -, +."""
-        K = rest.reduced(rest.K)
-        symmetric = not (rest.rotates or rest.nonconservative)
-        s, R, L = _state_vectors(rest.inertia, rest.reduced(rest.C), 0.5 * (K + K.T) if symmetric else K)
+        s, R, L = _state_vectors(rest.inertia, rest.reduced(rest.C), rest.stiffness)
         order = sorted(range(len(s)), key=lambda i: (abs(s[i].imag.item()), s[i].real.item(), s[i].imag.item()))
         return _normalized(rest, s[order], _full(rest, R[:, order]), _full(rest, L[:, order]), ("",) * len(s))
+
+
+def _lowest_whirl(rest: Linearization, count: int) -> tuple[Tensor, Tensor] | None:
+    """The lowest angular frequencies [count] of a gyroscopic system and vectors [freedoms, count]; None where the stiffness is
+    not positive definite.
+
+    With K = L L', M = m m' and z = (L' y, m' y') the state equations are z = R z', R antisymmetric: i R z = z / w.
+    """
+    n, (M, C, K) = rest.N.shape[1], (rest.reduced(x) for x in (rest.M, rest.C, rest.K))
+    (L, singular), m = torch.linalg.cholesky_ex(0.5 * (K + K.T)), torch.linalg.cholesky(0.5 * (M + M.T))
+    if int(singular):
+        return None
+    inverse = torch.linalg.solve_triangular(L, torch.eye(n, dtype=K.dtype), upper=False)
+    R = torch.zeros(2 * n, 2 * n, dtype=K.dtype)
+    R[:n, :n], R[:n, n:], R[n:, :n] = -inverse @ C @ inverse.T, -inverse @ m, (inverse @ m).T
+    skew = 0.5 * (R - R.T)
+    largest = [2 * n - count, 2 * n - 1]
+    values, Z = scipy.linalg.eigh((1j * skew).numpy(), subset_by_index=largest)  # pyright: ignore[reportAssignmentType]
+    Y = inverse.T.to(torch.complex128) @ torch.from_numpy(Z)[:n]
+    return 1.0 / torch.from_numpy(values).flip(0), Y.flip(1)
 
 
 def _state_vectors(M: Tensor, C: Tensor, K: Tensor) -> tuple[Tensor, Tensor, Tensor]:

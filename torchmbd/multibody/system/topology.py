@@ -29,6 +29,7 @@ from torchmbd.multibody.forces.feedback import Links
 from torchmbd.multibody.joints.joint import Attached
 from torchmbd.multibody.joints.primitive import Primitive
 from torchmbd.multibody.system.beams import Beams
+from torchmbd.multibody.system.coupling import Coupling
 from torchmbd.multibody.system.index_maps import SegmentSum, SparseMap
 from torchmbd.multibody.system.prescribed_body import PrescribedBody
 
@@ -112,6 +113,11 @@ class Topology:
     def links(self) -> Links:
         """The controllers, with the actions that they read and set."""
         return Links([law for action in self.actions for law in action.laws])
+
+    @cached_property
+    def coupling(self) -> Coupling:
+        """The directions from which matrices of tangents follow."""
+        return Coupling.of(self)
 
     @property
     def bodies(self) -> int:

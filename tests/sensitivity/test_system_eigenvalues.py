@@ -1,0 +1,133 @@
+"""Derivatives of frequencies and poles of whole systems: forward = reverse = differences; eigenvalues that coincide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.multibody.system.test_ground_observer import rotor
+from tests.sensitivity.number_cases import differences
+from tests.sensitivity.test_rest import NAMES, hanging
+
+V, GROUND = mbd.variable, mbd.Ground()
+Values = Callable[[mbd.System, dict[str, Tensor]], Tensor]
+
+
+def check(system: mbd.System, names: list[str], values: Values, rtol: float = 1e-6) -> None:
+    """Of a number [lanes] of designs: .backward(), torch.func in both modes, and differences of high order."""
+    start = {name: system.get_parameter(name).detach().clone() for name in names}
+    x = {name: y[None].clone().requires_grad_() for name, y in start.items()}
+    values(system, x).sum().backward()
+    single = lambda b: values(system, {name: y[None] for name, y in b.items()})[0]  # noqa: E731
+    forward, reverse = torch.func.jacfwd(single)(start), torch.func.jacrev(single)(start)
+    wanted = differences(lambda b: values(system, b), system, names)
+    for name, y in x.items():
+        assert y.grad is not None
+        size = float(y.grad.abs().max())
+        assert size > 0.0
+        for other, bound in ((forward, 1e-9), (reverse, 1e-9), (wanted, rtol)):
+            assert_close(other[name], y.grad[0], rtol=0.0, atol=bound * size, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def lowest(system: mbd.System, designs: dict[str, Tensor], **options: Any) -> Tensor:
+    return mbd.equilibrium(system, designs=designs, **options).frequencies[:, :3].log().sum(1)
+
+
+def some_poles(system: mbd.System, designs: dict[str, Tensor], **options: Any) -> Tensor:
+    poles = mbd.equilibrium(system, designs=designs, **options).poles
+    return (poles.real + 0.03 * poles.imag)[:, [1, 3, 5]].sum(1)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("values", [lowest, some_poles])
+@pytest.mark.parametrize("driven", [True, False])
+def test_at_rest(values, driven):
+    """Of a bent plate on an arm: by angles, a load and a spring, with the equilibrium that moves with them."""
+    names = ["rod.laminate.angles", "push.x", "motor.amplitude" if driven else "spring.stiffness"]
+    check(hanging(driven), names, lambda s, b: values(s, b, times=(0.1,)))
+    assert set(names) <= set(NAMES)
+
+
+def blade(offset: Any = 0.1, speed: float = 30.0) -> mbd.System:
+    """A laminated strip on a hub, off its axis and at a pitch, with a motor."""
+    ply = mbd.Ply(E1=140e9, E2=10e9, G12=5e9, G13=5e9, G23=4e9, nu12=0.3, density=1600.0)
+    section = mbd.sections.strip(0.04, ply, mbd.deg([20.0, -50.0, 35.0, 80.0]), 5e-4, cells=(4, 1))
+    beam = mbd.FlexibleBeam("blade", mbd.BeamLine.straight(0.6, 4), section, damping=1e-5)
+    hub = mbd.RigidBody("hub", 1.0, (1e-2, 1e-2, 1e-2))
+    tip = mbd.RigidBody("tip", V(0.05), (1e-5, 1e-5, 1e-5), position=(0.7, 0.02, 0.01))
+    joints = [
+        mbd.Revolute(GROUND.at(), hub.at(), axis="z", name="hinge"),
+        mbd.Drive(GROUND.at(), hub.at(), axis="z", speed=speed, name="motor"),
+        mbd.Fixed(hub.at(offset, 0, 0), beam.at("start"), name="root"),
+        mbd.Fixed(beam.at("end"), tip.at(0.0, -0.02, -0.01), name="weld"),
+    ]
+    return mbd.System([hub, beam, tip], joints)
+
+
+def angles_of(system: mbd.System) -> list[str]:
+    return [name for name, _ in system.named_parameters() if name.endswith("angles")]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("values", [lowest, some_poles])
+def test_in_steady_rotation(values):
+    """Of a bent blade: by ply angles and a tip mass."""
+    system = blade()
+    check(system, [*angles_of(system), "tip.mass"], lambda s, b: values(s, b, spin=(0.0, 0.0, 30.0)))
+
+
+def test_by_the_speed():
+    """Of a mass in the ground's bearings, seen turning: d(w + speed)/d(speed) = 1 and d(w - speed)/d(speed) = -1."""
+    body = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
+    hold = mbd.Bushing(GROUND.at(), body.at(), stiffness=(1e4, 8e3, 8e3), turning_stiffness=(0.0, 1e3, 1e3))
+    system = mbd.System([body], forces=[hold])
+    spin = torch.tensor([[9.0, 0.0, 0.0], [11.0, 0.0, 0.0]], dtype=torch.float64, requires_grad=True)
+    rest = mbd.equilibrium(system, spin=spin)
+    for shift in (-1.0, 1.0):
+        w = 2.0 * math.pi * rest.frequencies
+        k = (w - (math.sqrt(4e3) + shift * spin[:, :1])).detach().abs().argmin(1, keepdim=True)
+        (slope,) = torch.autograd.grad(w.gather(1, k).sum(), spin, retain_graph=True)
+        assert_close(slope[:, 0], torch.full((2,), shift, dtype=torch.float64), rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.thorough
+def test_eigenvalues_that_coincide():
+    """A rotor at rest whose stiffness passes through symmetry: the sum of two frequencies is smooth, one is refused."""
+    system = rotor(1.5, {0.5: 0.28}, (0.0, 1.5), (V(1e6), 1e6), 6)
+    names = [name for name, _ in system.named_parameters() if name.endswith("stiffness_y")]
+    k = {name: torch.full((1,), 1e6, dtype=torch.float64, requires_grad=True) for name in names}
+    w = mbd.equilibrium(system, designs=k).frequencies
+    assert float(w[0, 2]) == pytest.approx(float(w[0, 3]), rel=1e-9)
+    pair = w[0, 2:4].sum()
+    slope = torch.autograd.grad(pair, list(k.values()), retain_graph=True)
+    with pytest.raises(mbd.InputError, match=r"eigenvalues 3, 4 coincide.*single one has no derivative"):
+        torch.autograd.grad(w[0, 2], list(k.values()), retain_graph=True)
+    h = 1e2
+    for name, by in zip(names, slope, strict=True):
+        shifted = [
+            mbd.equilibrium(system, designs={n: x.detach() + sign * h * (n == name) for n, x in k.items()}).frequencies
+            for sign in (-1.0, 1.0)
+        ]
+        assert float(by) == pytest.approx(float((shifted[1] - shifted[0])[0, 2:4].sum()) / (2.0 * h), rel=1e-6)
+
+
+def test_what_has_no_derivative_is_named():
+    """A free motion, and the double pole of one: zeros would be lost gradients."""
+    body = mbd.RigidBody("disk", V(2.0), (0.02, 0.01, 0.01))
+    hinge = mbd.Revolute(GROUND.at(), body.at(), axis="z")
+    system = mbd.System([body], [hinge])
+    with pytest.raises(mbd.InputError, match="eigenvalue 1 has no derivative: it is zero, that of a free motion"):
+        mbd.equilibrium(system).frequencies.sum().backward()
+    with pytest.raises(mbd.InputError, match=r"no derivative: it is one of several that coincide.*defective"):
+        mbd.equilibrium(system).poles.real.sum().backward()
+    spring = mbd.RotationalSpringDamper(GROUND.at(), body.at(), axis="z", stiffness=V(3.0), name="s")
+    held, x = mbd.System([body], [hinge], [spring]), torch.tensor(2.0, dtype=torch.float64)
+    with pytest.raises(mbd.InputError, match="second derivative"):
+        torch.func.hessian(lambda k: mbd.equilibrium(held, designs={"s.stiffness": k[None]}).frequencies[0, 0])(x)

@@ -1,0 +1,63 @@
+"""Values of parameters of a model in a file: what an identification writes, and any study can load.
+
+    hinge.damping: {value: 0.021, unit: none}        fitted.yaml, an artifact of the run of an identification
+    bob.mass: 0.98                                   without a unit in SI
+
+    parameters: fitted.yaml                          in an experiment file, or parameters=fitted.yaml on the command line
+
+The entries of the file stand in the place of its name before anything is checked, so that the record of the study has the
+numbers. Checked in tests/study/test_identification.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+
+from torchmbd.design.scenario_settings import settings_of
+from torchmbd.errors import InputError
+from torchmbd.multibody.system import System
+from torchmbd.study.file_errors import Fault, StudyError
+from torchmbd.study.scenario_keys import Settings, si_of
+from torchmbd.study.yaml_file import Document, read_yaml
+
+KEY = "parameters"
+
+
+def with_values_of_file(document: Document, folder: Path) -> None:
+    """Put the entries of the file that `parameters` names in its place; StudyError for one that is no mapping."""
+    if not isinstance(document.data, dict) or not isinstance(document.data.get(KEY), str):
+        return
+    named = folder / document.data[KEY]
+    values = read_yaml(named)
+    if not isinstance(values.data, dict):
+        raise StudyError(str(named), [Fault((), "has no parameters; allowed: name: {value: ..., unit: ...}")])
+    document.data[KEY] = values.data
+    for path, line in values.lines.items():
+        document.lines[(KEY, *path)] = f"{named}, line {line}"
+
+
+def set_parameters(system: System, values: Settings) -> System:
+    """Give parameters of a system, by name, other values; InputError for one that does not exist, or that cannot be."""
+    if not values:
+        return system
+    try:
+        settings = settings_of(system, (), KEY, si_of(values))
+    except InputError as error:
+        raise InputError(
+            str(error).replace("parameter of a scenario", "parameter").replace("in scenario ", "of ")
+        ) from None
+    with torch.no_grad():
+        for name, value in settings.items():
+            system.get_parameter(name).copy_(value)
+    return system
+
+
+def write_values(file: Path, values: Mapping[str, Any], comments: list[str]) -> None:
+    """Write parameters, name -> {value, unit}, behind lines of comments."""
+    text = "".join(f"# {line}\n" for line in comments)
+    file.write_text(text + yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None), encoding="utf-8")
