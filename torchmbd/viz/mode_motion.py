@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
+from torchmbd.integrate.campbell_diagram import SWINGS
 from torchmbd.integrate.statics import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import Dynamics, equations
@@ -31,7 +32,6 @@ from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.viz.animation import require_lane, scene_of, write_scene
 
-SWINGS = 1e-2  # share of |s| that the imaginary part has at least: nearly equal real poles get 1e-4 by rounding
 _UNDAMPED = 1e-7  # damping [%] that is rounding
 _PERIODS = 3  # in a page: the player takes about six seconds for all
 _CLOSING = 4  # Newton steps
