@@ -26,7 +26,7 @@ from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.spectrum import Spectrum
-from torchmbd.multibody.system.steady_rotation import MovingObserver
+from torchmbd.multibody.system.steady_rotation import ObserverAtRest
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
@@ -115,7 +115,7 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
 def _moved(rest: Equilibrium, lane: int, pole: Tensor, shape: Tensor, phases: Tensor, factor: float) -> Trajectory:
     """The motion of one lane along a shape [n_v] times a factor, at phases [k] [rad]."""
     dynamics = rest.dynamics.values().select_lanes([lane])
-    observer = MovingObserver() if rest.rotation is None else rest.rotation.of_spin(dynamics.data[SPIN].detach())
+    observer = ObserverAtRest() if rest.rotation is None else rest.rotation.of_spin(dynamics.data[SPIN].detach())
     T, turns = dynamics.topology, torch.exp(1j * phases)
     x, v, a = (factor * (z * shape[:, None] * turns).real for z in (1.0, 1j * pole.imag, -(pole.imag**2)))
     wide = rest.q[lane, -1].detach()[:, None, None].expand(-1, 1, len(phases))
