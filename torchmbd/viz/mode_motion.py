@@ -25,7 +25,7 @@ from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.spectrum import Spectrum
+from torchmbd.multibody.system.spectrum import SWINGS, Spectrum
 from torchmbd.multibody.system.steady_rotation import ObserverAtRest
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
