@@ -31,10 +31,9 @@ from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.spectrum import Spectrum
+from torchmbd.multibody.system.spectrum import SWINGS, Spectrum
 from torchmbd.multibody.system.steady_rotation import TURNING
 
-SWINGS = 1e-2  # share of |s| that the imaginary part has at least: nearly equal real poles get 1e-4 by rounding
 TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
 LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5
 

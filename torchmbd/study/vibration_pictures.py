@@ -27,10 +27,11 @@ from torchmbd.design.system_vibrations import (
     StabilityMargin,
     SystemFrequency,
 )
-from torchmbd.integrate.campbell_diagram import SWINGS, Campbell, campbell
+from torchmbd.integrate.campbell_diagram import Campbell, campbell
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.statics import Equilibrium
 from torchmbd.integrate.steady_states import SteadyStates, steady_states
+from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory

@@ -18,7 +18,6 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.campbell_diagram import SWINGS
 from torchmbd.integrate.statics import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import Dynamics, equations
