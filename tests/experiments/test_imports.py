@@ -81,7 +81,8 @@ TEXTS = [
     for file in ROOT.rglob(pattern)
     if file.is_file() and not {"site", ".venv", "build"} & set(file.relative_to(ROOT).parts)
 ]
-NAME = re.compile(r"(?<![\w/#])experiments[./](?!__)(\w+)(?:[./](\w+))?")  # #/experiments/ are pages of MLflow
+# #/experiments/ are pages of MLflow; experiments of an identification are lists and mappings.
+NAME = re.compile(r"(?<![\w/#])experiments[./](?!__|(?:append|items|values)\b)(\w+)(?:[./](\w+))?")
 
 
 def test_every_name_of_a_module_or_file_here_leads_somewhere():
