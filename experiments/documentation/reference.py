@@ -70,11 +70,11 @@ def experiments() -> str:
     pictures = {name: name for name in ("slider_crank", "two_link_arm", "spatial_arm")} | {"sar_antenna": "antenna"}
     rows = []
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
-        picture, text = pictures.get(path.parent.name), path.read_text(encoding="utf-8")
-        if picture is not None:
+        if path.parent.name != "configs":
+            picture, text = pictures.get(path.parent.name), path.read_text(encoding="utf-8")
             question = text.partition("\n")[0].removeprefix("# ")
-            name = path.relative_to(ROOT)
-            rows.append(f"| `{name}` | {_cell(question)} | [{picture.replace('_', ' ')}](images/{picture}.svg) |")
+            motion = "" if picture is None else f"[{picture.replace('_', ' ')}](images/{picture}.svg)"
+            rows.append(f"| `{path.relative_to(ROOT)}` | {_cell(question)} | {motion} |")
     return "\n".join(["| file | question | motion |", "|---|---|---|", *rows, ""])
 
 
@@ -100,7 +100,8 @@ _TOP = {
     "(top of a file of measurements)": "IdentificationFile",
 }
 _SECTIONS = ("Variable", "Simulation", "Constraint", "Scenario", "Setting", "Combine", "Optimizer", "Starts", "Range")
-_SECTIONS += ("Identify", "Unknown", "Prior", "ExperimentData", "TimeSeriesData", "ChannelData")
+_SECTIONS += ("Identify", "Unknown", "Prior", "ExperimentData", "TimeSeriesData", "StaticCurveData", "ModalDataKeys")
+_SECTIONS += ("ChannelData",)
 
 
 def file_keys() -> str:
