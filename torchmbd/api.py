@@ -66,7 +66,7 @@ from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
-from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
+from torchmbd.integrate import Equilibrium, Event, LinearSystem, Phase, Trajectory, equilibrium, linearize, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -224,6 +224,7 @@ __all__ = [
     "Integral",
     "Interface",
     "Laminate",
+    "LinearSystem",
     "Mass",
     "Max",
     "MbdError",
@@ -290,6 +291,7 @@ __all__ = [
     "history",
     "identify",
     "latin_hypercube",
+    "linearize",
     "load",
     "measure",
     "mesh",

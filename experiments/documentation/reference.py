@@ -30,7 +30,8 @@ GROUPS: dict[str, str] = {
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate equilibrium Equilibrium buckling Buckling frequencies Vibrations Trajectory Phase Event",
+    "simulation": "simulate equilibrium Equilibrium linearize LinearSystem "
+    "buckling Buckling frequencies Vibrations Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",

@@ -3,6 +3,7 @@
 sar_antenna            half of the antenna of the paper, first phase; its parts in sar_antenna_bodies, its data in
                        sar_antenna_data, both phases in sar_antenna_whole, its gaps in sar_antenna_clearance
 spatial_arm            two laminated tubes under gravity, asked about in configs/spatial_arm
+arm_twin               an arm identified from its own motion, with noise: `python -m experiments.models.arm_twin 100`
 steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
 panel                  a laminated panel on three joints
 five_bar               a pick-and-place robot: `python -m experiments.benchmark chosen-steps`

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import torch
 
 import torchmbd as mbd
 from tests.identification import pendulum
@@ -187,9 +188,16 @@ def test_many_starts_are_batches(compiled):
 
 
 def test_failed_simulations_are_statuses(compiled):
-    """No motion has a negative mass."""
-    experiment = pendulum.experiment(pendulum.data(0.01), 1.0, **channels())
-    failed = mbd.identify(experiment, pendulum.UNKNOWNS, start={"bob.mass": -1.0})
+    """The angle is no number for a mass above 3 kg."""
+
+    @mbd.history
+    def angle(motion):
+        y = pendulum.ANGLE.values(motion)
+        return torch.where(motion.designs["bob.mass"][:, None] > 3.0, torch.nan, y)
+
+    channel = mbd.Channel(angle, deviation=1e-3)
+    experiment = pendulum.experiment(pendulum.data(0.01), 1.0, angle=channel, force=channels()["force"])
+    failed = mbd.identify(experiment, pendulum.UNKNOWNS, start={"bob.mass": 4.0})
     assert failed.status == "failed"
     assert failed.message.startswith("the start: failed: ")
     assert "failed" in repr(failed)
@@ -198,7 +206,7 @@ def test_failed_simulations_are_statuses(compiled):
     far = mbd.identify(
         experiment,
         pendulum.UNKNOWNS,
-        starts=[[1.3, 1.5, 0.2], [-1.0, 1.0, 0.1]],
+        starts=[[1.3, 1.5, 0.2], [4.0, 1.0, 0.1]],
     )
     assert (far.status, far.failures >= 1, far.starts[-1].status) == ("converged", True, "failed")
 

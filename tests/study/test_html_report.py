@@ -74,3 +74,14 @@ def test_text_of_the_store_is_no_markup(finished, tmp_path):
 def test_a_bad_name_is_refused(finished, tmp_path):
     with pytest.raises(InputError, match=r"ends in \.html"):
         write_report("short", tmp_path / "r.txt", finished.uri)
+
+
+def test_pages_of_vibrations_follow_the_motion(finished, tmp_path):
+    artifacts = finished.folder / "mlartifacts" / finished.runs[1] / "artifacts"
+    (artifacts / "mode_best_2.html").write_text("<p>a vibration</p>")
+    read = Tags(write_report(finished.runs[1], tmp_path / "r.html", finished.uri).read_text())
+    frames = [attrs["srcdoc"] for tag, attrs in read.tags if tag == "iframe"]
+    assert len(frames) == 2
+    assert "const S = JSON.parse" in frames[0]
+    assert frames[1] == "<p>a vibration</p>"
+    assert read.text.index("Motion of the best design") < read.text.index("A vibration of the best design")

@@ -11,6 +11,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.multibody.system.test_rotors import rotor
 from torchmbd.multibody.system import equations
 
 GROUND = mbd.Ground()
@@ -66,7 +67,7 @@ def test_a_page_has_the_shape_at_its_size(tmp_path):
 
 
 @pytest.mark.thorough
-def test_a_blade_in_steady_rotation():
+def test_a_blade_in_steady_rotation(tmp_path):
     """The first vibration of a blade whose hub turns: it flaps along the axis; the hub stands in the turning frame."""
     hub = mbd.RigidBody("hub", 2.0, (0.01, 0.01, 0.01))
     ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
@@ -83,7 +84,18 @@ def test_a_blade_in_steady_rotation():
     moved = motion.body("blade").nodes[0, 0] - rest.body("blade").nodes[0, 0].detach()
     assert float(moved[-1, 2].abs()) == pytest.approx(0.08 * 1.6, rel=0.05)
     assert float(motion.body("hub").A[0].std(0).abs().max()) < 1e-9
-    assert mbd.viz.film(motion, "blade.gif", seconds=0.2, frames_per_second=10).stat().st_size > 1000
+    assert mbd.viz.film(motion, tmp_path / "blade.gif", seconds=0.2, frames_per_second=10).stat().st_size > 1000
+
+
+@pytest.mark.thorough
+def test_whirl_is_a_circle_and_overdamped_poles_do_not_count():
+    """Seen from the ground: backward whirl before forward whirl, which has the larger frequency."""
+    rest = mbd.equilibrium(rotor(150.0, damping=1e-5), spin=(150.0, 0, 0), unstable=True, observer="ground")
+    for number, sense in ((1, -1.0), (2, 1.0)):
+        motion = mbd.viz.mode_motion(rest, number)
+        moved = motion.body("disk").r[0] - rest.body("disk").r[0, 0].detach()
+        start, quarter = moved[0, 1:], moved[12, 1:]
+        assert_close(quarter, sense * torch.stack([-start[1], start[0]]), rtol=0.0, atol=1e-4 * float(start.norm()))
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ class CriticalSpeed(OfVibrations):
         w = steady_states(system, speeds, self.shaft, designs).eigenvalues(NATURAL)[0]
         g = w - self.order * speeds[:, None]
         crossings = []
-        for i, k in ((g[:-1] * g[1:]) < 0.0).nonzero().tolist():
+        for i, k in ((g[:-1] < 0.0) != (g[1:] < 0.0)).nonzero().tolist():
             share = float(g[i, k] / (g[i, k] - g[i + 1, k]))
             crossings.append((float(speeds[i]) + share * float(speeds[i + 1] - speeds[i]), i, k))
         if len(crossings) < self.number:

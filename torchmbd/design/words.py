@@ -20,6 +20,7 @@ from torchmbd.design.histories import Reaction
 from torchmbd.design.measures import Frequency, Integral
 from torchmbd.design.response import Combined, CombinedMeasure, History, Measure, Total
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.system_vibrations import OfVibrations
 from torchmbd.design.weighted import WeightedSum
 
 UNITS = {
@@ -74,8 +75,11 @@ def words(response: Response, bodies: bool = True) -> str:
     inner = getattr(response, "history", None)
     if isinstance(inner, History):
         return f"{name} of {words(inner, bodies)}"
-    if isinstance(response, Frequency) and response.number > 1:
-        name = f"{name} {response.number}"
+    if isinstance(response, (Frequency, OfVibrations)) and getattr(response, "number", 1) > 1:
+        name = f"{name} {response.number}"  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(response, OfVibrations):
+        speed = getattr(response, "speed", 0.0)
+        return f"{name} at {speed:g} rad/s" if speed else name
     axis = getattr(response, "axis", None)
     if isinstance(axis, str):
         name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchmbd.design.space import DesignSpace
@@ -23,6 +24,7 @@ from torchmbd.errors import InputError, SimulationFailure, nearest
 from torchmbd.identification.experiment import Experiment
 from torchmbd.identification.measurement import Block, Measurement
 from torchmbd.identification.run import Run
+from torchmbd.integrate.arguments import of_allowed_sign
 from torchmbd.integrate.memory import lanes_at_once
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.checked_numbers import list_of
@@ -91,7 +93,7 @@ class FitProblem:
         if not parameters:
             raise InputError("unknowns is empty; allowed: names of parameters, or mbd.variable(...) in a channel")
         self.space = DesignSpace.of_parameters(parameters, bounds, start, links)
-        self.parameters = {name: x.detach() for name, x in parameters.items()}
+        self._keep_positive(experiments)
         self.experiments = {name: x.within(self.limits(self._own[name])) for name, x in experiments.items()}
         self.rows = _rows(self.experiments)
         self.data = self.rows[-1].rows.stop
@@ -105,6 +107,16 @@ class FitProblem:
                 f"{len(self.names)} unknowns ({', '.join(self.names)}) and {count} measured numbers and priors; "
                 "allowed: at most as many unknowns as numbers"
             )
+
+    def _keep_positive(self, experiments: Mapping[str, Experiment]) -> None:
+        """Lower bounds of zero for what must not be negative, such as masses and moduli, where lower ones are asked for."""
+        negative = torch.tensor([-1.0], dtype=torch.float64)
+        for k, name in enumerate(self.space.names):
+            parameter = name.rpartition("[")[0]
+            holders = [x.system for x in experiments.values() if parameter in dict(x.system.named_parameters())]
+            signs = [of_allowed_sign(system, parameter, negative)[0] for system in holders]
+            if self.space.start[k] >= 0.0 and any(not bool(allowed) for allowed in signs):
+                self.space.lower[k] = max(self.space.lower[k], 0.0)
 
     @property
     def names(self) -> list[str]:

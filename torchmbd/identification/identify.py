@@ -31,6 +31,7 @@ from torchmbd.optimization.optimizer import require_count, require_range
 from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import both, shown, without_bars
 
+_ROUGH = 1e-3  # tolerance of a fit that is repeated with estimated deviations
 REFITS = 3  # with estimated deviations, at most
 _SAME = 1e-9  # spread of the changes of deviations that moves no minimum
 _SETTLED = 0.05  # change of all estimated deviations at which the fit is not repeated
@@ -52,7 +53,7 @@ def identify(
     f_scale: float = 1.0,
     starts: Starts | Sequence[Any] | np.ndarray | None = None,
     *,
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-5,
     max_evaluations: int = 50,
     max_lanes: int = 64,
     callback: Callable[[FitStep], None] | None = None,
@@ -65,7 +66,8 @@ def identify(
     unknowns         names of parameters of their systems; all entries of each. Delays, gains and offsets of channels that are
                      mbd.variable(...) are unknowns too: "<channel>.delay"; of several experiments
                      "<experiment>.<channel>.delay"
-    bounds, start, links   as of DesignSpace, by names of parameters; a delay needs finite bounds
+    bounds, start, links   as of DesignSpace, by names of parameters; a delay needs finite bounds. What must be positive, such
+                     as a mass or a modulus, is at least 0
     priors           parameter name -> (mean, standard deviation): what is known of an unknown before
     scales           parameter name -> size of its changes; default: |start|, or the range where the start is tiny
     validation       experiments that are held out: the fitted model is compared with them
@@ -112,7 +114,10 @@ def identify(
     )
     with without_bars(), shown(progress, "identify", max_evaluations * len(points)) as show:
         report = both(lambda step: show(step.evaluations, step.cost), callback)
-        fits = best_first(_fits(problem, points, settings, report, max_lanes))
+        # Where a second fit with other deviations follows, the first is not the last word.
+        rough = problem.estimated and len(problem.rows) > 1
+        first = replace(settings, tolerance=max(tolerance, _ROUGH)) if rough else settings
+        fits = best_first(_fits(problem, points, first, report, max_lanes))
         best, evaluations, failures = fits[0], sum(x.evaluations for x in fits), sum(x.failures for x in fits)
         for _ in range(REFITS):
             if not problem.estimated or best.status != "converged":
@@ -120,10 +125,10 @@ def identify(
             before, problem = problem.deviations, problem.with_deviations(_estimated(problem, best, loss))
             ratio = before / problem.deviations
             same_minimum = not len(problem.prior_rows) and loss == "linear" and np.ptp(ratio) <= _SAME * ratio.max()
-            if same_minimum or np.abs(ratio - 1.0).max() < _SETTLED:
+            if not rough and (same_minimum or np.abs(ratio - 1.0).max() < _SETTLED):
                 best = _in_deviations(best, np.concatenate([ratio, np.ones(len(problem.prior_rows))]), settings)
                 break
-            best = fit_start(problem.evaluate, best.x, settings, best.start, report)
+            best, rough = fit_start(problem.evaluate, best.x, settings, best.start, report), False
             evaluations, failures = evaluations + best.evaluations, failures + best.failures
     residuals = None
     if other is not None and np.isfinite(best.cost):

@@ -1,5 +1,6 @@
 """Integrators: torchdiffeq and generalized-alpha by one contract, with sensitivities."""
 
+from torchmbd.integrate.linear_system import LinearSystem, linearize
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.registry import METHODS
@@ -8,4 +9,7 @@ from torchmbd.integrate.statics import Equilibrium, equilibrium
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.trajectory import Trajectory
 
-__all__ = ["METHODS", "Equilibrium", "Event", "Moment", "Phase", "Switch", "Trajectory", "equilibrium", "simulate"]
+__all__ = [
+    "METHODS", "Equilibrium", "Event", "LinearSystem", "Moment", "Phase", "Switch", "Trajectory", "equilibrium", "linearize",
+    "simulate",
+]  # fmt: skip

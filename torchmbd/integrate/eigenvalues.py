@@ -28,7 +28,7 @@ from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.spectrum import Spectrum
-from torchmbd.multibody.system.steady_rotation import MovingObserver, Observer, SteadyRotation
+from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 
 NATURAL, POLES = "natural", "poles"
 _NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
@@ -38,35 +38,32 @@ _HELD = "allowed: functions of other eigenvalues, or drives, joints and springs 
 
 def eigenvalues(
     dynamics: Dynamics,
-    state: Sequence[Tensor],
+    q: Tensor,
     t: Tensor,
     rotation: SteadyRotation | None,
     kind: str,
     modes: Sequence[int] | None = None,
     symmetric: bool = False,
 ) -> Tensor:
-    """Eigenvalues [k, lanes] of small vibrations, differentiable by the state and the data of the dynamics.
+    """Eigenvalues [k, lanes] of small vibrations about q [n_q, 1, lanes], at rest or in steady rotation; differentiable by q
+    and the data of the dynamics.
 
-    state       q [n_q, 1, lanes] at rest or in steady rotation; q, v and v' of a state that moves
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
     modes       their numbers from 0, in the order of spectrum.py; None: all
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
-    problem = _Eigenproblem(
-        replace(dynamics, data={}), tuple(dynamics.data), len(state), t, rotation, kind, modes, symmetric
-    )
-    parts: Any = Motion.apply(problem, *state, *dynamics.data.values())
+    problem = _Eigenproblem(replace(dynamics, data={}), tuple(dynamics.data), t, rotation, kind, modes, symmetric)
+    parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
 
 
 @dataclass(eq=False)
 class _Eigenproblem:
-    """`Integration`; inputs are the state and the data, outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+    """`Integration`; inputs are q and the data, outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
 
     model: Dynamics
     names: tuple[str, ...]
-    count: int
     t: Tensor
     rotation: SteadyRotation | None
     kind: str
@@ -80,9 +77,8 @@ class _Eigenproblem:
         lanes = max(x.shape[-1] for x in inputs)
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
         for lane in range(lanes):
-            state, data = self._split([x[..., lane : lane + 1] for x in self.inputs])
-            dynamics, observer = replace(self.model, data=data), self._observer(state, data)
-            rest = Linearization.of(dynamics, state[0][:, 0, 0], self.t, None, observer)
+            q, data = self._split([x[..., lane : lane + 1] for x in self.inputs])
+            rest = Linearization.of(replace(self.model, data=data), q[:, 0, 0], self.t, None, self._observer(data))
             self.balance.append(rest)
             few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
             self.spectra.append(Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest))
@@ -183,19 +179,17 @@ class _Eigenproblem:
             if bool(((block - unit * mean[:, None]).abs() > _UNEQUAL * block.abs().amax((0, 1))).any()):
                 raise _coincide(spectrum, [modes[i] for i in members])
 
-    def _split(self, inputs: Sequence[Tensor]) -> tuple[list[Tensor], dict[str, Tensor]]:
-        return list(inputs[: self.count]), dict(zip(self.names, inputs[self.count :], strict=True))
+    def _split(self, inputs: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        return inputs[0], dict(zip(self.names, inputs[1:], strict=True))
 
-    def _observer(self, state: Sequence[Tensor], data: dict[str, Tensor]) -> Observer:
-        if self.rotation is not None:
-            return self.rotation.of_spin(data[SPIN])
-        return MovingObserver(*state[1:])
+    def _observer(self, data: dict[str, Tensor]) -> Observer:
+        return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
     def _slopes(self, modes: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, and -l_i^H P r_j [pairs, lanes] as their functions: its real and, of poles, its imaginary part."""
         T, leaves = self.model.topology, [leaf(x) for x in self.inputs]
-        state, data = self._split(leaves)
-        observer, q = self._observer(state, data), state[0]
+        q, data = self._split(leaves)
+        observer = self._observer(data)
         columns = [modes[j] for _, j in pairs]
         s = torch.stack([x.roots[columns] for x in self.spectra], -1)
         right, force = (torch.stack([y[:, columns] for y in x], -1) for x in self._vectors("right", "force"))

@@ -91,7 +91,7 @@ class Equilibrium(Trajectory):
     def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [k, lanes] at the last time, as of `eigenvalues` of integrate/eigenvalues.py."""
         h = self.signals.history  # pyright: ignore[reportAttributeAccessIssue]
-        return eigenvalues(self.dynamics, [h.q[-1]], self.t[-1], self.rotation, kind, modes, symmetric)
+        return eigenvalues(self.dynamics, h.q[-1], self.t[-1], self.rotation, kind, modes, symmetric)
 
     @property
     def stable(self) -> bool:

@@ -83,7 +83,7 @@ class SteadyStates:
 
     def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [designs, speeds, k], as of integrate/eigenvalues.py."""
-        values = eigenvalues(self.dynamics, [self.q], self.t, self.rotation, kind, modes, symmetric)
+        values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric)
         return values.T.unflatten(0, (-1, self.speeds))
 
     def linearization(self, lane: int) -> Linearization:

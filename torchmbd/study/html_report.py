@@ -95,9 +95,14 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
         _rows({label: number_text(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
     )
     parts += [_children(store, entry), *_tables(store, entry, scratch), *_pictures(store, entry, scratch)]
-    if motion := fetch(store, entry, "motion_best.html", scratch):
-        page = escape(motion.read_text(encoding="utf-8"), quote=True)
-        parts += ["<h2>Motion of the best design</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
+    shapes = sorted(name for name in files(store, entry, "") if name.startswith("mode_best_"))
+    headings = {"motion_best.html": "Motion of the best design"} | dict.fromkeys(
+        shapes, "A vibration of the best design"
+    )
+    for name, heading in headings.items():
+        if motion := fetch(store, entry, name, scratch):
+            page = escape(motion.read_text(encoding="utf-8"), quote=True)
+            parts += [f"<h2>{heading}</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
     if config:
         parts += [
             "<h2>Experiment</h2>",

@@ -19,6 +19,7 @@ from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
 from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
+from torchmbd.study.vibration_pictures import draw_vibrations
 from torchmbd.viz import (
     animate,
     convergence,
@@ -209,3 +210,9 @@ def _motion_pictures(
         title = f"{study.name}: {label}"
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=title, problem=problem)
         journal.file(path)
+
+    def draw(figure: Callable[..., Any], files: Sequence[str], **options: Any) -> None:
+        save_figure(figure, files, journal, console, **options)
+
+    for page in draw_vibrations(motion, problem, labels, study.question or study.name, draw, journal.folder):
+        journal.file(page)

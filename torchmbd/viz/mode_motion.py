@@ -25,13 +25,13 @@ from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.spectrum import Spectrum
-from torchmbd.multibody.system.steady_rotation import MovingObserver
+from torchmbd.multibody.system.steady_rotation import ObserverAtRest
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.viz.animation import require_lane, scene_of, write_scene
 
-_SWINGS = 1e-4  # share of |s| that the imaginary part of a pole has at least: else rounding decides whether it is real
+SWINGS = 1e-2  # share of |s| that the imaginary part has at least: nearly equal real poles get 1e-4 by rounding
 _UNDAMPED = 1e-7  # damping [%] that is rounding
 _PERIODS = 3  # in a page: the player takes about six seconds for all
 _CLOSING = 4  # Newton steps
@@ -83,7 +83,7 @@ def animate_mode(
 ) -> Path:
     """Write a vibration about an equilibrium as an HTML file, the player of `animate`; arguments as of `mode_motion`.
 
-    title   None: frequency and damping
+    title   before frequency and damping
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> mbd.viz.animate_mode(rest, "swing.html").name
@@ -91,7 +91,7 @@ def animate_mode(
     """
     motion = mode_motion(rest, number, lane, size, _PERIODS)
     scene = scene_of(motion, 0, np.arange(len(motion.t)))
-    scene |= {"title": title or motion.stats["mode"], "strips": [], "scale": 1.0}
+    scene |= {"title": ": ".join(x for x in (title, motion.stats["mode"]) if x), "strips": [], "scale": 1.0}
     return write_scene(scene, path)
 
 
@@ -102,7 +102,7 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
     linear = Linearization.of(dynamics, rest.q[lane, -1].detach(), rest.t[-1].detach(), None, rotation)
     spectrum = Spectrum.poles(linear)
     s = spectrum.values
-    swinging = (s.imag > _SWINGS * s.abs()).nonzero()[:, 0]
+    swinging = (s.imag > SWINGS * s.abs()).nonzero()[:, 0]
     if not is_whole(number) or not 1 <= number <= len(swinging):
         raise InputError(f"number is {number!r}; allowed: 1 to {len(swinging)}, the vibrations of the system")
     k = int(swinging[number - 1])
@@ -115,7 +115,7 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
 def _moved(rest: Equilibrium, lane: int, pole: Tensor, shape: Tensor, phases: Tensor, factor: float) -> Trajectory:
     """The motion of one lane along a shape [n_v] times a factor, at phases [k] [rad]."""
     dynamics = rest.dynamics.values().select_lanes([lane])
-    observer = MovingObserver() if rest.rotation is None else rest.rotation.of_spin(dynamics.data[SPIN].detach())
+    observer = ObserverAtRest() if rest.rotation is None else rest.rotation.of_spin(dynamics.data[SPIN].detach())
     T, turns = dynamics.topology, torch.exp(1j * phases)
     x, v, a = (factor * (z * shape[:, None] * turns).real for z in (1.0, 1j * pole.imag, -(pole.imag**2)))
     wide = rest.q[lane, -1].detach()[:, None, None].expand(-1, 1, len(phases))
@@ -123,7 +123,7 @@ def _moved(rest: Equilibrium, lane: int, pole: Tensor, shape: Tensor, phases: Te
     q = _closed(dynamics, observer.perturbed(T, wide, x[:, None], none, none)[0], rest.t[-1].detach())[:, 0]
     unknown = q.new_full((T.rows, len(phases)), torch.nan)
     damping = -100.0 * float(pole.real / pole.abs())
-    words = "no damping" if abs(damping) < _UNDAMPED else f"damping {damping:.2g} %"
+    words = "no damping" if abs(damping) < _UNDAMPED else f"damping {damping:.3g} %"
     return Trajectory(
         t=phases / float(pole.imag),
         signals=TensorSignals({"q": q.T[None], "v": v.T[None], "a": a.T[None], "lam": unknown.T[None]}),

@@ -11,7 +11,7 @@ from tests.mechanisms import pendulum
 from tests.multibody.system.test_ground_observer import rotor
 from torchmbd.multibody.system.coupling import Coupling
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.steady_rotation import MovingObserver
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 
 def servo() -> mbd.System:
@@ -35,14 +35,14 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.parametrize("rotates", [False, True])
 @pytest.mark.parametrize("name", list(SYSTEMS))
-def test_few_directions_suffice(name, monkeypatch):
+def test_few_directions_suffice(name, rotates, monkeypatch):
     dynamics = SYSTEMS[name]().dynamics().values()
     T = dynamics.topology
-    q, v = (x[:, 0, 0] for x in dynamics.start)
-    generator = torch.Generator().manual_seed(1)
-    v, a = (torch.randn(T.n_v, 1, 1, generator=generator, dtype=torch.float64) for _ in range(2))
-    observer = MovingObserver(v, a)
+    q = dynamics.start[0][:, 0, 0]
+    spin = torch.tensor([0.3, -0.7, 1.1], dtype=torch.float64)[:, None, None]
+    observer = SteadyRotation(spin, torch.zeros(3, dtype=torch.float64)) if rotates else None
     few = Linearization.of(dynamics, q, q.new_zeros(()), None, observer)
     every = torch.arange(T.n_v).expand(T.n_v + T.rows, T.n_v)
     monkeypatch.setitem(vars(T), "coupling", Coupling(torch.eye(T.n_v, dtype=torch.float64), every))

@@ -190,7 +190,7 @@ class Links:
         """Strengths of the actions [n, ...], kind by kind: `law_strengths` plus those of the controllers."""
         if not self.each:
             return list(law_strengths)
-        x, total = self._signals(states, t), cat(law_strengths)
+        x, total = self.signals(states, t), cat(law_strengths)
         for link in self.each:
             u = link.control(x.index_select(0, link.read), t, data)
             total = total + constant_map(link.writes, u)
@@ -208,7 +208,7 @@ class Links:
         """
         if not self.each:
             return None
-        x = self._signals(states, t)
+        x = self.signals(states, t)
         stiffness, damping = (
             y.reshape(-1, 1, 1) if isinstance(y, Tensor) and y.dim() else y for y in (stiffness, damping)
         )
@@ -220,7 +220,7 @@ class Links:
         return sum(parts[1:], parts[0])
 
     @staticmethod
-    def _signals(states: Sequence[tuple], t: Any) -> Any:
+    def signals(states: Sequence[tuple], t: Any) -> Any:
         """s | s' | t of all actions [2 n + 1, pair, lanes]."""
         s, rate = cat([x[0] for x in states]), cat([x[1] for x in states])
         if isinstance(t, Pair):

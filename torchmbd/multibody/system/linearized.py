@@ -6,7 +6,7 @@
 M is a block of the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest with fixed
 multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
 Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
-Coriolis; about a state that moves the equations are those of an instant.
+Coriolis.
 Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
 """
 
@@ -25,7 +25,7 @@ from torchmbd.errors import DesignFailure
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.steady_rotation import MovingObserver, Observer, SteadyRotation
+from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 from torchmbd.multibody.system.topology import Topology
 
 # A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
@@ -88,7 +88,7 @@ class Linearization:
         excitation = T.prescribed(t, data).values()
         wide, none = q[:, None, None], q.new_zeros(T.rows, 1, 1)
         still = q.new_zeros(T.n_v, 1, 1)
-        observer = observer or MovingObserver()
+        observer = observer or ObserverAtRest()
         coupling = T.coupling
         unit = Pair.of(still, coupling.directions[..., None])
         zero = Pair.of(still, torch.zeros_like(unit.tangent))

@@ -48,24 +48,11 @@ class Observer(Protocol):
 TURNING = "turning"
 
 
-@dataclass(frozen=True, eq=False)
-class MovingObserver:
-    """In ground axes for positions, in body axes for rotations; the state has rates v and accelerations a [n_v, 1, lanes].
-
-    omega = omega0 + x' + omega0 x x,  omega' = omega0' + x'' + omega0 x x' + omega0' x x of the rotations; None: at rest.
-    """
-
-    v: Tensor | None = None
-    a: Tensor | None = None
+class ObserverAtRest:
+    """About a state at rest: increments of positions in ground axes, of rotations in body axes."""
 
     def perturbed(self, T: Topology, q: Tensor, x: Any, xd: Any, xdd: Any) -> tuple[Any, Any, Any]:
-        near = equations.advance(T, q, x)
-        if self.v is None or self.a is None:
-            return near, xd, xdd
-        omega, alpha = (equations.split_v(T, y)[1] for y in (self.v, self.a))
-        v = self.v + xd + _of_rotations(T, xd, lambda _: cross(omega, equations.split_v(T, x)[1]))
-        turned = cross(omega, equations.split_v(T, xd)[1]) + cross(alpha, equations.split_v(T, x)[1])
-        return near, v, self.a + xdd + _of_rotations(T, xdd, lambda _: turned)
+        return equations.advance(T, q, x), xd, xdd
 
     def rows(self, T: Topology, q: Tensor, forces: Any) -> Any:
         return forces

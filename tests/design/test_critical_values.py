@@ -1,0 +1,122 @@
+"""Critical speeds and limits of stability in closed form, with their implicit gradients; what is not there is named."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import torchmbd as mbd
+from tests.multibody.system.test_ground_observer import rotor
+
+V, GROUND = mbd.variable, mbd.Ground()
+DISK = {"axis": "x", "observer": "ground"}
+
+
+def disk(unequal: float = 8e3) -> mbd.System:
+    """A thin disk, 2 kg, polar inertia 0.02, across 0.01 kg m2, in bearings that it feels as springs."""
+    body = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
+    hold = mbd.Bushing(
+        GROUND.at(), body.at(), stiffness=(5e4, V(unequal), 5e3), turning_stiffness=(0.0, V(30.0), 30.0), name="bearing"
+    )
+    return mbd.System([body], forces=[hold])
+
+
+def measured(measure: mbd.Measure, system: mbd.System, designs: dict[str, Tensor], **options: Any) -> Any:
+    motion = mbd.simulate(system, 1e-4, steps=2, designs=designs, variables=list(designs), **options)
+    return measure.value_and_gradient(motion)
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_critical_speeds_of_a_disk(mode):
+    """sqrt(k / m) of both directions, and sqrt(k / (J + Jp)) of backward whirl; a thin disk has no forward one."""
+    system, k = disk(), torch.tensor([8e3, 9e3], dtype=torch.float64)
+    speeds = [math.sqrt(30.0 / 0.03), math.sqrt(5e3 / 2.0), math.sqrt(8e3 / 2.0)]
+    for number, wanted in enumerate(speeds, 1):
+        measure = mbd.CriticalSpeed(number, between=(10.0, 90.0), points=9, **DISK)
+        made = measured(measure, system, {"bearing.stiffness_y": k}, gradients=mode)
+        assert float(made.value[0]) == pytest.approx(wanted, rel=1e-9)
+        slope = 0.5 / math.sqrt(8e3 * 2.0) if number == 3 else 0.0
+        assert float(made.gradient[0, 0]) == pytest.approx(slope, rel=1e-8, abs=1e-12)
+    assert float(made.value[1]) == pytest.approx(math.sqrt(9e3 / 2.0), rel=1e-9)
+
+
+def test_an_order_is_a_multiple_of_the_speed():
+    measure = mbd.CriticalSpeed(1, order=2.0, between=(22.0, 29.0), points=4, **DISK)
+    made = measured(measure, disk(), {"bearing.stiffness_y": torch.tensor([8e3]).double()}, gradients="forward")
+    assert float(made.value) == pytest.approx(math.sqrt(5e3 / 2.0) / 2.0, rel=1e-9)
+
+
+@pytest.mark.thorough
+def test_rotor5_of_ross():
+    """petrobras/ross, tests/test_rotor_assembly.py: found by a search over speeds, extrapolated to elements of no length."""
+    wanted, found = [86.10505, 86.60493, 198.93259, 207.97166], []
+    for elements in (10, 20):
+        system = rotor(2.5, {1.0: 0.28, 1.5: 0.35}, (0.5, 2.0), (1e6, 1e6), elements)
+        motion = mbd.simulate(system, 1e-5, steps=2)
+        ranges = ((80.0, 90.0), (80.0, 90.0), (190.0, 215.0), (190.0, 215.0))
+        found.append(
+            [
+                float(mbd.CriticalSpeed(1 + k % 2, between=between, points=3, **DISK)(motion))
+                for k, between in enumerate(ranges)
+            ]
+        )
+    for wide, narrow, number in zip(*found, wanted, strict=True):
+        assert (4.0 * narrow - wide) / 3.0 == pytest.approx(number, rel=1e-3)
+
+
+def ziegler(k: float = 3.0, c: float = 0.2) -> mbd.System:
+    """Two links of 1 m with 2 kg at their joint and 1 kg at the tip, springs and dampers in hinges, a force that follows."""
+    first, second = (
+        mbd.RigidBody(name, m, (1e-7, 1e-7, 1e-7), position=(x, 0.0, 0.0))
+        for name, m, x in (("first", 2.0, 1.0), ("second", 1.0, 2.0))
+    )
+    ends = [(GROUND.at(), first.at(-1.0, 0, 0)), (first.at(), second.at(-1.0, 0, 0))]
+    hinges = [mbd.Revolute(a, b, axis="z", name=f"hinge{i}") for i, (a, b) in enumerate(ends)]
+    springs = [
+        mbd.RotationalSpringDamper(a, b, axis="z", stiffness=V(k), damping=V(c), name=f"spring{i}")
+        for i, (a, b) in enumerate(ends)
+    ]
+    back = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
+    push = mbd.Force(second.at(0.0, 0.0, 0.0, axes=back), (V(1.0), 0.0, 0.0), axes="frame", name="push")
+    return mbd.System([first, second], hinges, [*springs, push])
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_flutter_of_zieglers_column(mode):
+    """41/28 k + c^2 / 2 with masses 2, 1 and links of length 1: Herrmann and Jong, J. Appl. Mech. 32 (1965) 592-597."""
+    k, c = 3.0, 0.2
+    names = ["spring0.damping", "spring1.damping", "spring0.stiffness", "spring1.stiffness"]
+    designs = {name: torch.tensor([c if "damping" in name else k], dtype=torch.float64) for name in names}
+    made = measured(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6), ziegler(), designs, gradients=mode)
+    assert float(made.value) == pytest.approx(41.0 / 28.0 * k + 0.5 * c**2, rel=1e-6)
+    slopes = made.gradient[0]
+    assert float(slopes[2] + slopes[3]) == pytest.approx(41.0 / 28.0, rel=1e-6)
+    assert float(slopes[0] + slopes[1]) == pytest.approx(c, rel=1e-5)
+
+
+def test_what_is_not_there_is_named():
+    system = disk()
+    motion = mbd.simulate(system, 1e-4, steps=2)
+    with pytest.raises(
+        mbd.DesignFailure, match=r"critical speed 2 of order 1 is not between 20 and 35 rad/s, where 1 are"
+    ):
+        mbd.CriticalSpeed(2, between=(20.0, 35.0), points=4, **DISK)(motion)
+    column = mbd.simulate(ziegler(), 1e-4, steps=2)
+    with pytest.raises(mbd.DesignFailure, match="no vibration begins to grow"):
+        mbd.StabilityLimit("push.x", (0.1, 1.0), points=3)(column)
+    with pytest.raises(mbd.InputError, match=r"'push\.w' does not exist"):
+        mbd.Problem(ziegler(), 1e-4, mbd.StabilityLimit("push.w"), steps=2)
+    for make, words in (
+        (lambda: mbd.CriticalSpeed(0), "number is 0"),
+        (lambda: mbd.CriticalSpeed(1, between=(0.0, 2.0)), "between is"),
+        (lambda: mbd.CriticalSpeed(1, order=-1.0), "order is -1"),
+        (lambda: mbd.StabilityLimit("push.x", (2.0, 1.0)), "between is"),
+        (lambda: mbd.StabilityLimit("push.x", (1.0, 2.0), points=1), "points is 1"),
+        (lambda: mbd.StabilityLimit(3), "parameter is 3"),
+    ):
+        with pytest.raises(mbd.InputError, match=words):
+            make()

@@ -1,0 +1,211 @@
+"""The linearized system as matrices for control: x' = A x + B u, y = C x + D u.
+
+    x = (z, z')        q = q0 o N z: independent increments of the coordinates, N the null space of the constraints
+    A = [0, 1; -m^-1 N'K N, -m^-1 N'C N],  m = N'M N        B = [0; m^-1 N'F]        C = [dy/dq N, dy/dq' N],  D = 0
+
+F: generalized forces of unit inputs. Inputs are the actuators and outputs the signals of controllers (mbd.signals).
+Numbers, without derivatives: frequencies, poles and measures of them have these.
+Checked in tests/integrate/test_linear_system.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.signal
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor, nn
+
+from torchmbd.errors import DesignFailure, InputError, checked_signature
+from torchmbd.integrate.statics import Equilibrium, equilibrium
+from torchmbd.math.checked_numbers import is_whole, list_of, reals
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.forces.controller import Controller
+from torchmbd.multibody.forces.signals import Actuator, Signal, Time
+from torchmbd.multibody.system import System, equations
+from torchmbd.multibody.system.equilibrium import SPIN
+from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
+
+_PORTS = "ports of linearize"
+_UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy.
+
+    states, inputs, outputs   their names
+    shapes                    increments of the coordinates by the first half of the states [n_v, n]
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    states: list[str]
+    inputs: list[str]
+    outputs: list[str]
+    shapes: np.ndarray
+
+    def to_scipy(self) -> scipy.signal.StateSpace:
+        """For the functions of scipy.signal."""
+        return scipy.signal.StateSpace(self.A, self.B, self.C, self.D)
+
+    def to_control(self) -> Any:
+        """A StateSpace of the package python-control, with the names. InputError where it is not installed."""
+        try:
+            import control  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise InputError(
+                "to_control needs the package control; allowed: pip install control, or to_scipy()"
+            ) from error
+        names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        return control.ss(self.A, self.B, self.C, self.D, **names)
+
+    def response(self, frequencies: ArrayLike) -> np.ndarray:
+        """Frequency response [frequencies, outputs, inputs], complex, at frequencies [Hz]."""
+        s = 2j * np.pi * np.atleast_1d(reals("frequencies", frequencies).numpy())
+        unit = np.eye(len(self.A))
+        return np.stack([self.C @ np.linalg.solve(x * unit - self.A, self.B) + self.D for x in s])
+
+
+class _Ports(nn.Module):
+    """Inputs that do not depend on the outputs."""
+
+    def __init__(self, inputs: int):
+        super().__init__()
+        self.u = torch.zeros(inputs, dtype=torch.float64)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.u + 0.0 * x.sum(1, keepdim=True)
+
+
+@checked_signature
+def linearize(
+    system: System,
+    inputs: Sequence[Actuator],
+    outputs: Sequence[Signal],
+    state: Equilibrium | None = None,
+    lane: int = 0,
+) -> LinearSystem:
+    """Linearize a system about a state: matrices A, B, C, D with names.
+
+    inputs    actuators, such as mbd.signals.JointTorque(joint); outputs: signals, such as mbd.signals.JointAngle(joint)
+    state     an equilibrium, at its last time, or a steady rotation; None: the equilibrium near the initial position
+    lane      which design of the state
+
+    Controllers of the system stay closed. Raises InputError for a state that is none.
+
+    >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
+    >>> bob = hinge.b.body
+    >>> system = mbd.System([bob], [hinge], gravity=(0.0, -9.81, 0.0))
+    >>> linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointAngle(hinge)])
+    >>> linear.A.round(3).tolist(), linear.inputs, linear.outputs
+    ([[0.0, 1.0], [-4.905, 0.0]], ['JointTorque 1'], ['JointAngle 1'])
+    """
+    if not isinstance(system, System):
+        raise InputError(f"system is {system!r}; allowed: a System")
+    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
+    if any(isinstance(signal, Time) for signal in outputs):
+        raise InputError("outputs has the time; allowed: signals of the motion")
+    state = equilibrium(system) if state is None else state
+    if not isinstance(state, Equilibrium):
+        raise InputError(
+            f"state is {state!r}; allowed: an equilibrium or a steady rotation, as mbd.equilibrium makes it"
+        )
+    if not is_whole(lane) or not 0 <= lane < state.lanes:
+        raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
+    ports = _Ports(len(inputs))
+    with torch.no_grad():
+        dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)
+        q = state.q[lane, -1].detach()[:, None, None]
+        if q.shape[0] != dynamics.topology.n_q:
+            raise InputError(f"state has coordinates {list(q.shape[:1])} that are not those of the system")
+        observer: Observer = ObserverAtRest()
+        if state.rotation is not None:
+            observer = state.rotation.of_spin(state.dynamics.values().select_lanes([lane]).data[SPIN].detach())
+        return _matrices(dynamics, ports, links, q, state.t[-1].detach(), observer, _names(inputs), _names(outputs))
+
+
+def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, state: Equilibrium, lane: int) -> tuple:
+    """The equations of one design of the system with inputs and outputs, and their link."""
+    if not inputs:
+        raise InputError("inputs is empty; allowed: at least one actuator")
+    probe = Controller(ports, outputs, inputs, name=_PORTS)
+    names = [body.name for body in system.bodies]
+    with_ports = System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
+    dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
+    link = next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
+    return dynamics.values(), link
+
+
+def _matrices(
+    dynamics: Any,
+    ports: _Ports,
+    link: Any,
+    q: Tensor,
+    t: Tensor,
+    observer: Observer,
+    inputs: list[str],
+    outputs: list[str],
+) -> LinearSystem:
+    T, data = dynamics.topology, dynamics.data
+    rest = Linearization.of(dynamics, q[:, 0, 0], t, None, observer)
+    M, n = rest.inertia, rest.N.shape[1]
+    if rest.negative_mass or int(torch.linalg.cholesky_ex(M)[1]):
+        raise DesignFailure("no linear system: the mechanism can move without moving a mass; allowed: masses > 0")
+    zero = q.new_zeros(T.n_v, 1, 1)
+    N = torch.zeros(T.n_v, n, dtype=q.dtype)
+    N[rest.active] = rest.N
+    along, nothing = Pair.of(zero, N[..., None]), Pair.of(zero, torch.zeros_like(N)[..., None])
+    excitation = T.prescribed(t, data)
+
+    def signals(x: Pair, xd: Pair) -> Tensor:
+        near, v, _ = observer.perturbed(T, q, x, xd, nothing)
+        at = equations.placement(T, data, near, excitation)
+        y = T.links.signals(equations.action_states(T, data, at, v), t)
+        return y.index_select(0, link.read).tangent[..., 0]
+
+    def forces(u: Tensor) -> Tensor:
+        ports.u = u
+        near, v, a = observer.perturbed(T, q, zero, zero, zero)
+        at = equations.placement(T, data, near, excitation)
+        residual = equations.dynamic_residual(T, data, at, v, a, q.new_zeros(T.rows, 1, 1))
+        return -observer.rows(T, q, residual)[:, 0, 0]
+
+    none = torch.zeros_like(ports.u)
+    unit = torch.stack([forces(u) for u in torch.eye(len(none), dtype=q.dtype)], 1) - forces(none)[:, None]
+    ports.u = none
+    A, B = q.new_zeros(2 * n, 2 * n), q.new_zeros(2 * n, len(none))
+    A[:n, n:] = torch.eye(n, dtype=q.dtype)
+    A[n:, :n], A[n:, n:] = -torch.linalg.solve(M, rest.stiffness), -torch.linalg.solve(M, rest.reduced(rest.C))
+    B[n:] = torch.linalg.solve(M, N.T @ unit)
+    C = torch.cat([signals(along, nothing), signals(nothing, along)], 1)
+    D = np.zeros((len(C), len(none)))
+    names = _freedoms(T, N)
+    states = [*names, *(f"rate of {name}" for name in names)]
+    return LinearSystem(A.numpy(), B.numpy(), C.numpy(), D, states, inputs, outputs, N.numpy())
+
+
+def _freedoms(T: Any, N: Tensor) -> list[str]:
+    """Names of increments: of one coordinate, or of the one that moves most."""
+    names = []
+    for k, x in enumerate(N.T, 1):
+        row = int(x.abs().argmax())
+        names.append(T.rate_name(row) if float(x[row].abs()) > _UNIT else f"freedom {k}, most {T.rate_name(row)}")
+    return names
+
+
+def _names(ports: Sequence[Any]) -> list[str]:
+    """A name for each number: its kind, the place in the list, and the axis of vectors."""
+    names = []
+    for k, port in enumerate(ports, 1):
+        name, size = f"{type(port).__name__} {k}", getattr(port, "size", 1)
+        names += [name] if size == 1 else [f"{name} {axis}" for axis in "xyz"[:size]]
+    return names
