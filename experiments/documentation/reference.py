@@ -112,10 +112,9 @@ def file_keys() -> str:
     sections |= {name: schema["$defs"][name] for name in _SECTIONS}
     sections["Tracking"] = schema["$defs"]["Tracking"]
     responses = schema["$defs"]["Measure"]["properties"]  # which a constraint has as well, and which have a table below
-    tables = [
-        _keys(name, section, responses if name in ("Constraint", "ChannelData") else ())
-        for name, section in sections.items()
-    ]
+    histories = schema["$defs"]["History"]["properties"]
+    beside = {"Constraint": responses, "ChannelData": histories}
+    tables = [_keys(name, section, beside.get(name, ())) for name, section in sections.items()]
     words = {"Measure": "of a whole motion or of the design", "History": "of every time"}
     for name, what in words.items():
         properties = schema["$defs"][name]["properties"]
