@@ -29,6 +29,7 @@ Parts (default: all):
     compile         compiling, with an empty cache
     work-precision  all kinds of integrators
     errors          estimated over true errors of responses by steps
+    campbell        frequencies of a blade at 50 speeds, and their gradient by 100 variables
     chosen-steps    an optimization with steps by these errors over one with fixed steps
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
@@ -55,6 +56,7 @@ from experiments.benchmark.adjoint import adjoint
 from experiments.benchmark.angles import many_angles
 from experiments.benchmark.batches import batches
 from experiments.benchmark.beams import beams
+from experiments.benchmark.campbell import campbell
 from experiments.benchmark.chosen_steps import chosen_steps
 from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
@@ -96,6 +98,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "compile": costs.compile_time,
     "work-precision": work_precision,
     "errors": errors,
+    "campbell": campbell,
     "chosen-steps": chosen_steps,
 }
 FIGURES = (

@@ -156,8 +156,9 @@ def _kind(entry: Mapping[str, Any]) -> str:
         return f"mapping of names to {_kind(inner)}" if isinstance(inner, Mapping) else "mapping"
     limits = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<=", "exclusiveMaximum": "<"}
     bounds = [f"{sign} {entry[key]}" for key, sign in limits.items() if key in entry]
-    kind: str = entry.get("type", "any")
-    return " ".join(["text" if kind == "string" else kind, *bounds])
+    kinds = entry.get("type", "any")
+    words = ["text" if kind == "string" else kind for kind in ([kinds] if isinstance(kinds, str) else kinds)]
+    return " ".join([" or ".join(words), *bounds])
 
 
 def _cell(text: str) -> str:

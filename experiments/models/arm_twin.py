@@ -110,8 +110,8 @@ def experiment(clean: dict[str, np.ndarray], noise: float = 0.01) -> mbd.Experim
     """The arm with values that are 30 % off, and what was measured."""
     delay, channels = mbd.variable(0.0), {}
     for name, response in CHANNELS.items():
-        sensor = {"delay": delay} if name in ACCELEROMETERS else {}
-        channels[name] = mbd.Channel(response, deviation=noise * clean[name].std(), **sensor)
+        late = delay if name in ACCELEROMETERS else 0.0
+        channels[name] = mbd.Channel(response, deviation=noise * clean[name].std(), delay=late)
     start = build([x * off for x, off in zip(TRUTH.values(), OFF, strict=True)])
     return mbd.Experiment(start, mbd.TimeSeries(clean, channels), duration=END, steps=STEPS, start="equilibrium")
 
@@ -136,7 +136,7 @@ def draws(count: int) -> list[mbd.Identification]:
 def main(count: int = 100) -> np.ndarray:
     """How many of `count` draws have the truth within the interval, of each unknown."""
     results, truth = draws(count), np.array([*TRUTH.values(), DELAY])
-    inside = sum((x.interval[:, 0] <= truth) & (truth <= x.interval[:, 1]) for x in results)
+    inside = np.sum([(x.interval[:, 0] <= truth) & (truth <= x.interval[:, 1]) for x in results], axis=0)
     for name, number, value, size in zip(results[0].names, inside, truth, results[0].deviation, strict=True):
         print(f"{name:<28} {number} of {count} within 95 %, deviation {100.0 * size / value:.2g} %")
     evaluations = [x.evaluations for x in results]

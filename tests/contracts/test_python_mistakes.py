@@ -260,6 +260,7 @@ RESULTS = [
     "ForceElement",
     "Frame",
     "History",
+    "LinearSystem",
     "Measure",
     "NodeCloud",
     "OptimizationResult",

@@ -27,6 +27,7 @@ from torchmbd.integrate import Trajectory
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.steady_states import Shaft, SteadyStates, steady_states
 from torchmbd.math.checked_numbers import is_whole, nonnegative, positive, scalar
+from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.multibody.system.steady_rotation import TURNING
 
 
@@ -121,7 +122,7 @@ class SystemFrequency(OfVibrations):
 class DampingRatio(OfVibrations):
     """Damping ratio -Re s / |s| [lanes] [-] of a pole s of the whole system; negative where the vibration grows.
 
-    number   of the pole with a positive imaginary part; 1 has the smallest
+    number   of the pole with a positive imaginary part, of 1 % of |s| at least; 1 has the smallest
     speed    of rotation [rad/s]
     axis, center, observer   of the rotation, as of OfVibrations
 
@@ -145,7 +146,8 @@ class DampingRatio(OfVibrations):
         poles = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64)).eigenvalues(POLES)[:, 0]
         ratios = []
         for lane in poles:
-            oscillating = (lane.detach().imag > 0.0).nonzero()[:, 0]
+            known = lane.detach()
+            oscillating = (known.imag > SWINGS * known.abs()).nonzero()[:, 0]
             if len(oscillating) < self.number:
                 raise DesignFailure(
                     f"number is {self.number}; allowed: 1 to {len(oscillating)}, the vibrations of the system that oscillate"

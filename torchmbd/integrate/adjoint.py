@@ -188,7 +188,10 @@ class Adjoint:
         lanes, rows = self.dynamics.lanes, rows_of([*of_motion, *of_steps])
         shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
         result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
-        for solver in self._solvers_of(tuple(names)):
+        key = tuple(names)
+        if key not in self._solvers:
+            self._solvers[key] = [self.adjoint_solver(grid) for grid in self.grids(key)]
+        for solver in self._solvers[key]:
             part = solver.grid.lanes
             cotangents, error = solver([solver.grid.of_kept_states(*x) for x in zip(of_motion, of_steps, strict=True)])
             for name, x in solver.grid.cotangents(cotangents).items():
@@ -197,14 +200,8 @@ class Adjoint:
         warn_inaccurate(self.error)
         return result
 
-    def _solvers_of(self, names: tuple[str, ...]) -> list[AdjointSolver]:
-        """One for the lanes with the steps that were asked for, one for each lane with smaller steps."""
-        if names not in self._solvers:
-            self._solvers[names] = [self.adjoint_solver(grid) for grid in self.grids(names)]
-        return self._solvers[names]
-
     def grids(self, names: tuple[str, ...] = ()) -> list[Grid]:
-        """Of all lanes that have not failed."""
+        """Of all lanes that have not failed: of those with the steps asked for, and of each lane with smaller steps."""
         refined = self.history.refined
         lanes = [lane for lane in range(self.dynamics.lanes) if lane not in refined and lane not in self.failed]
         grids = [self._grid(names, lanes, self.history, lanes, 1)] if lanes else []

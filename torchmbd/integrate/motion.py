@@ -66,7 +66,11 @@ class Motion(torch.autograd.Function):
     @one_thread()
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         inputs, needs_grad = ctx.saved_tensors, ctx.needs_input_grad[1:]
-        _refuse_batched(cotangents)
+        if any(x is not None and _batched_by_grad(x) for x in cotangents):
+            raise InputError(
+                "torch.autograd.grad of a motion has is_grads_batched=True, which torch does without the rules of its "
+                "operations; allowed: torch.vmap over torch.autograd.grad, or torch.func.jacrev"
+            )
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(inputs))
         by_inputs = iter(_Backward.apply(ctx.integration, needs_grad, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
@@ -87,14 +91,6 @@ def _refuse() -> NoReturn:
     raise InputError(
         "a second derivative of a motion is asked for; allowed: first derivatives (second ones by differences of gradients)"
     )
-
-
-def _refuse_batched(cotangents: Tensors) -> None:
-    if any(x is not None and _batched_by_grad(x) for x in cotangents):
-        raise InputError(
-            "torch.autograd.grad of a motion has is_grads_batched=True, which torch does without the rules of its operations; "
-            "allowed: torch.vmap over torch.autograd.grad, or torch.func.jacrev"
-        )
 
 
 def _batched_by_grad(x: Tensor) -> bool:

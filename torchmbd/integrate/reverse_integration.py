@@ -131,7 +131,8 @@ class ReverseIntegration(IntegratedMotion):
             result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
         elif names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            pullback = SegmentsPullback(self._several, self.results, backward.adjoint_solver)
+            assert isinstance(self._problem, SeveralSegments)
+            pullback = SegmentsPullback(self._problem, self.results, backward.adjoint_solver)
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
@@ -154,11 +155,6 @@ class ReverseIntegration(IntegratedMotion):
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
         args = self.dynamics, self.history, self.duration, self.integrator, failed
         return Adjoint(*args, backward.adjoint_solver, self._of_leaves)
-
-    @property
-    def _several(self) -> SeveralSegments:
-        assert isinstance(self._problem, SeveralSegments)
-        return self._problem
 
     def _problem_of(
         self, dynamics: Dynamics, designs: dict[str, Tensor], along: dict[str, Tensor] | None = None

@@ -150,7 +150,8 @@ def simulate(
             _refuse_other_designs(names, design_values)
         batch = lanes_of_batch(system, design_values, names, initial.lanes)
         if gradients in ("forward", "reverse"):
-            batch = {k: _leaf(x) if k in names and not is_differentiated(x) else x for k, x in batch.items()}
+            leaves = {k for k, x in batch.items() if k in names and not is_differentiated(x)}
+            batch = {k: x.detach().clone().requires_grad_() if k in leaves else x for k, x in batch.items()}
         lanes = max((len(x) for x in batch.values()), default=initial.lanes)
         intervals = integrator.stored_intervals(steps) if steps else FEWEST
         tangents = sum(x[0].numel() for name, x in batch.items() if name in names)
@@ -162,7 +163,9 @@ def simulate(
             integration = ForwardIntegration(
                 system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
             )
-            motion = _forward(integration, batch)
+            outputs: Any = Motion.apply(integration, *_lanes_last(batch))
+            motion = trajectory_of(system, integration, outputs, integration.dynamics.data, batch, names)
+            motion.actions = integration.actions
         else:
             length = duration if by_duration else seconds
             motion = _reverse(system, batch, names, length, steps, integrator, backend, phases)
@@ -289,16 +292,6 @@ def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
     return [x.movedim(0, -1).unsqueeze(-2) for x in batch.values()]
 
 
-def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
-    """A motion whose tangents are integrated with it."""
-    outputs: Any = Motion.apply(integration, *_lanes_last(batch))
-    motion = trajectory_of(
-        integration.system, integration, outputs, integration.dynamics.data, batch, integration.variables
-    )
-    motion.actions = integration.actions
-    return motion
-
-
 def trajectory_of(
     system: System,
     integration: Any,
@@ -342,10 +335,6 @@ def entry_labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
     """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
     parameters = dict(system.named_parameters())
     return tuple(f"{name}[{i}]" for name in names for i in range(parameters[name].numel()))
-
-
-def _leaf(x: Tensor) -> Tensor:
-    return x.detach().clone().requires_grad_()
 
 
 def lanes_of_batch(

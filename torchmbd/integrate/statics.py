@@ -32,6 +32,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import SPIN, Balance, equilibrium_coordinates, find_equilibria, reactions
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
+from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.results.displacement import warn_of_displacements
@@ -78,9 +79,9 @@ class Equilibrium(Trajectory):
     @property
     def damping_ratios(self) -> Tensor:
         """Damping ratios -Re s / |s| [lanes, freedoms] [-] of poles with a positive imaginary part, in rising order of it; nan
-        in place of pairs of real poles."""
+        in place of pairs that hardly oscillate, with imaginary parts below 1 % of |s|."""
         s = self.poles
-        known = s.detach().imag > 0.0
+        known = s.detach().imag > SWINGS * s.detach().abs()
         first = known.to(torch.float64).argsort(dim=1, descending=True, stable=True)[:, : s.shape[1] // 2]
         s, known = s.gather(1, first), known.gather(1, first)
         return torch.where(known, -s.real / s.abs(), torch.nan)

@@ -24,14 +24,13 @@ from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.spectrum import Spectrum
+from torchmbd.multibody.system.spectrum import SWINGS, Spectrum
 from torchmbd.multibody.system.steady_rotation import ObserverAtRest
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.viz.animation import require_lane, scene_of, write_scene
 
-SWINGS = 1e-2  # share of |s| that the imaginary part has at least: nearly equal real poles get 1e-4 by rounding
 _UNDAMPED = 1e-7  # damping [%] that is rounding
 _PERIODS = 3  # in a page: the player takes about six seconds for all
 _CLOSING = 4  # Newton steps

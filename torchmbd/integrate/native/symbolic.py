@@ -225,7 +225,9 @@ class SymbolicTopology:
             self.spread = _SparseMap(program, "spread", E, self.n_rates)
             self.gather = _SparseMap(program, "gather", G, U)
         self.primitives = tuple(self._primitive(program, i, p) for i, (p, _) in enumerate(kind.primitives))
-        self.actions = tuple(self._action(i, action_form) for i, action_form in enumerate(kind.forms))
+        self.actions = tuple(
+            form.kind((), (_Numbered(f"~law {i}", (), form.law, form.center),)) for i, form in enumerate(kind.forms)
+        )
         self.rows = sum((p.rows * primitive_count(i) for i, p in enumerate(self.primitives)), 0)
         self.links = SymbolicLinks(kind, program)
 
@@ -237,10 +239,6 @@ class SymbolicTopology:
             # in place of the numbers of a mechanism, which this property computes
             vars(primitive)["numbers"] = stored_data(program, f"d_{buffer_name(constants_name(i))}", shape)
         return primitive
-
-    @staticmethod
-    def _action(i: int, action_form: Form) -> Any:
-        return action_form.kind((), (_Numbered(f"~law {i}", (), action_form.law, action_form.center),))
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         result, start = [], 0

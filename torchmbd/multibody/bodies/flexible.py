@@ -64,16 +64,6 @@ Node = str | int
 InterfaceArgument = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]
 
 
-def _check_parts(name: str, mesh: Any, parts: Any) -> None:
-    """InputError for a mesh or parts of a wrong type."""
-    if not isinstance(mesh, (Mesh, BeamLine)):
-        raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
-    if not isinstance(parts, Mapping) or not parts or not all(isinstance(x, Part) for x in parts.values()):
-        raise InputError(
-            f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
-        )
-
-
 @checked_signature
 class FlexibleBody(MatrixMethods, nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_matrices` or `.from_reduced`, or by readers of files.
@@ -124,7 +114,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
         super().__init__()
         self.name = identifier("flexible body", name)
         self.mesh = mesh
-        _check_parts(name, mesh, parts)
+        if not isinstance(mesh, (Mesh, BeamLine)):
+            raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
+        if not isinstance(parts, Mapping) or not parts or not all(isinstance(x, Part) for x in parts.values()):
+            raise InputError(
+                f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
+            )
         set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
         self.arguments = reduction, interface, links, rigid  # for finer_mesh.py

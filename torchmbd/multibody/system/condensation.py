@@ -81,12 +81,12 @@ class Condensation:
         Multipliers stay those of the retained rows; `reactions.multipliers_at` gives all.
         """
         known = [(self.whole.names.index(body.name), body.motion_at(t)) for body in self.topology.prescribed_bodies]
-        spread = self.topology.spread
+        spread = self.topology.spread  # rates of the retained bodies from independent ones
 
         def whole(y: Any, order: int) -> Any:
             components = 6 if order else 7
             rows = component_rows(self.whole, self.bodies, components)
-            z = linear(lambda u: _scattered(_spread(spread if order else None, u), rows, self._size(components)), y)
+            z = linear(lambda u: _scattered(spread(u) if spread and order else u, rows, self._size(components)), y)
             for number, motion in known:
                 of_body = torch.arange(components) * self.whole.bodies + number
                 z = z + linear(lambda u, rows=of_body: _scattered(u, rows, self._size(components)), motion[order])
@@ -126,11 +126,6 @@ class Condensation:
         q, v = self.retained(x.q, x.v)
         vd, a = (y.index_select(0, self.independent) for y in (x.vd, x.a))
         return type(x)(q, v, vd, a, x.lam if len(value(x.lam)) == len(self.rows) else x.lam.index_select(0, self.rows))
-
-
-def _spread(spread: Any, x: Tensor) -> Tensor:
-    """Rates of the retained bodies from independent ones [n, pair, lanes]; others as they are."""
-    return x if spread is None else spread(x)
 
 
 def _scattered(x: Tensor, rows: Tensor, size: int) -> Tensor:

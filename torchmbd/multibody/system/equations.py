@@ -161,7 +161,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         return force, axial(matmul(Z, data["P0"])) + cross(S, u) + data["mu"] * omd, linear(torch.zeros_like, w)
     spin_f, Z_f, u_f, om_f, omd_f = spin[:, :, :f], Z[:, :, :f], u[:, :f], om[:, :f], omd[:, :f]
     S, P, G, SR, V = moments(T, data, w)
-    rates = _stack2(wd, wdd)  # [modes, 2, flexible]
+    rates = cat([wd.unsqueeze(1), wdd.unsqueeze(1)], 1)  # [modes, 2, flexible]
     sr = contract(SR.unsqueeze(2), rates, 1)  # [6, 2, flexible]
     gg = contract(G.unsqueeze(3), rates, 2)  # [3, 3, 2, flexible]
     h = matvec(Z, S)
@@ -192,11 +192,6 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     if "D" in data:
         modal = modal + matvec(data["D"], wd)
     return data["mass"] * rdd + matvec(A, h), axial(Y) + torque, modal
-
-
-def _stack2(a, b):
-    """Stack two numbers [k, n] to [k, 2, n]."""
-    return cat([a.unsqueeze(1), b.unsqueeze(1)], 1)
 
 
 def constraints(T: Topology, at: Placement):

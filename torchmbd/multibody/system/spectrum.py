@@ -30,6 +30,8 @@ _GUARD, _FEW = (
     6,
 )  # vibrations beyond those asked for, so that those that coincide are complete; a share: most by `_lowest_whirl`
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
+# Share of |s| that the imaginary part of an oscillating pole has at least: nearly equal real poles get 1e-4 by rounding.
+SWINGS = 1e-2
 _DEFECTIVE = 1e-6  # cosine between the left and the right vector, P' between them, below which rounding decides
 
 

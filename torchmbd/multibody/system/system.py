@@ -232,7 +232,10 @@ class System(nn.Module):
             return equation
         if part not in ("data", "stages"):
             return self.body(part).structure()
-        structures = self._structures()
+        T = self.topology
+        structures = {
+            name: self.body(name).structure(frame_nodes(T, i)) for i, name in enumerate(T.names[: T.flexible])
+        }
         data = self._data(list(structures.values()))
         return data if part == "data" else (data, structures)
 
@@ -318,11 +321,6 @@ class System(nn.Module):
         refuse_lost_constants(self)
         self.join_again()
         refuse_lost_laws(self)
-
-    def _structures(self) -> dict[str, dict[str, Tensor]]:
-        """Structure stage of all flexible bodies, by name in the order of the topology."""
-        T = self.topology
-        return {name: self.body(name).structure(frame_nodes(T, i)) for i, name in enumerate(T.names[: T.flexible])}
 
     def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         """Data of the motion (`Dynamics.data`), out of the structures of the flexible bodies."""

@@ -185,18 +185,14 @@ class BatchedSearches:
         group.evaluations += evaluations
         if group.parts:
             self._begin(group)
-        else:
-            self._answer(group)
-            self._advance(group)
-
-    def _answer(self, group: Group) -> None:
-        """Answer the starts of a group one after the other; each computes until it asks again or ends."""
+            return
         requests, group.requests = group.requests, []
         answers, group.evaluations = iter(group.evaluations), []
-        for start, count in requests:
+        for start, count in requests:  # one after the other: each computes until it asks again or ends
             start.request, start.answer = None, [next(answers) for _ in range(count)]
             start.resume.release()
             self._returned.acquire()
+        self._advance(group)
 
     def _stop_all(self) -> None:
         for group in self._groups:
