@@ -63,8 +63,13 @@ def test_every_config_opens_with_its_question_and_is_valid(file):
     assert question != QUESTION_MISSING
     assert "?" in question
     plan = load(file)
-    data = {FiguresPlan: "study", IdentificationPlan: "data"}.get(type(plan))
-    data = plan.origin.data if data is None else getattr(plan, data)
+    if isinstance(plan, FiguresPlan):
+        data = plan.study
+    elif isinstance(plan, IdentificationPlan):
+        data = plan.data
+    else:
+        assert plan.origin is not None
+        data = plan.origin.data
     assert type(data).model_validate(data.resolved()).resolved() == data.resolved()
 
 
