@@ -66,7 +66,18 @@ from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
-from torchmbd.integrate import Equilibrium, Event, LinearSystem, Phase, Trajectory, equilibrium, linearize, simulate
+from torchmbd.integrate import (
+    Campbell,
+    Equilibrium,
+    Event,
+    LinearSystem,
+    Phase,
+    Trajectory,
+    campbell,
+    equilibrium,
+    linearize,
+    simulate,
+)
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -187,6 +198,7 @@ __all__ = [
     "BucklingFactor",
     "BucklingIndex",
     "Bushing",
+    "Campbell",
     "CampbellClearance",
     "Chain",
     "Channel",
@@ -280,6 +292,7 @@ __all__ = [
     "Vibrations",
     "WeightedSum",
     "buckling",
+    "campbell",
     "craig_bampton",
     "deg",
     "eigenpair_branches",

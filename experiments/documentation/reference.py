@@ -30,7 +30,7 @@ GROUPS: dict[str, str] = {
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate equilibrium Equilibrium linearize LinearSystem "
+    "simulation": "simulate equilibrium Equilibrium campbell Campbell linearize LinearSystem "
     "buckling Buckling frequencies Vibrations Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "

@@ -6,6 +6,8 @@ Exudyn (extra `bench`)
     closed_loops           twelve flexible links, built for both; `python -m experiments.benchmark --peer exudyn loops`
     modal_slider_crank     a rod divided into modal parts: `python -m experiments.peers.modal_slider_crank`
     soft_slider_crank      and of MuJoCo's soft rod: `python -m experiments.peers.soft_slider_crank`
+MuJoCo
+    mujoco_identification  a double pendulum, by its differences: `python -m experiments.peers.mujoco_identification`
 Files of others, read unedited; a variable of the environment names the folder of their repository
     robots, flexible_arm   URDF, against the recursion of newton_euler; FLEXIBLE_ARM_MODELS, EXAMPLE_ROBOT_DATA
     mujoco_models          MJCF, against MuJoCo; MUJOCO_MODELS

@@ -184,7 +184,7 @@ def _matrices(
     ports.u = none
     A, B = q.new_zeros(2 * n, 2 * n), q.new_zeros(2 * n, len(none))
     A[:n, n:] = torch.eye(n, dtype=q.dtype)
-    A[n:, :n], A[n:, n:] = -torch.linalg.solve(M, rest.stiffness), -torch.linalg.solve(M, rest.reduced(rest.C))
+    A[n:, :n], A[n:, n:] = (0.0 - torch.linalg.solve(M, x) for x in (rest.stiffness, rest.reduced(rest.C)))
     B[n:] = torch.linalg.solve(M, N.T @ unit)
     C = torch.cat([signals(along, nothing), signals(nothing, along)], 1)
     D = np.zeros((len(C), len(none)))

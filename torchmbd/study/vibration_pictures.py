@@ -15,8 +15,8 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
 
+from torchmbd import viz
 from torchmbd.design.critical_values import SPEED, CriticalSpeed, StabilityLimit
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Constraint, Measure
@@ -27,19 +27,20 @@ from torchmbd.design.system_vibrations import (
     StabilityMargin,
     SystemFrequency,
 )
+from torchmbd.integrate.campbell_diagram import Campbell, campbell
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.integrate.statics import Equilibrium
 from torchmbd.integrate.steady_states import SteadyStates, steady_states
+from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
-from torchmbd.viz import animate_mode, campbell, root_locus
-from torchmbd.viz.mode_motion import SWINGS
 
 _POINTS = 25  # speeds of a diagram
 _BEYOND = 1.1  # its largest speed over the largest that is asked for
 _MORE = 1  # vibrations beyond those asked for in a diagram
 _SHAPES = 3  # at most
+_UNDAMPED = 1e-9  # damping ratio that is rounding
 
 Draw = Callable[..., None]
 
@@ -63,8 +64,9 @@ def draw_vibrations(
             numbers = sorted({n for measure in measures for n in _numbers(measure)}) or [1]
             if top > 0.0:
                 speeds = torch.linspace(0.0, _BEYOND * top, _POINTS, dtype=torch.float64)
-                states = steady_states(motion.system, speeds, shaft, motion.designs)
-                _diagrams(states, speeds, measures, max(numbers) + _MORE, [labels, title, end], draw)
+                turning = shaft.axis, shaft.center, shaft.observer
+                diagram = campbell(motion.system, speeds, *turning, motion.designs, max(numbers) + _MORE)
+                _diagrams(diagram, measures, [labels, title, end], draw)
             states = steady_states(motion.system, [top], shaft, motion.designs)
             pages += _shapes(states, motion, numbers[:_SHAPES], top, folder, end)
     return pages
@@ -108,32 +110,18 @@ def _orders(measures: Sequence[OfVibrations]) -> list[float]:
     return sorted(named) or [1.0, 2.0, 3.0]
 
 
-def _diagrams(
-    states: SteadyStates, speeds: Tensor, measures: Sequence[OfVibrations], count: int, words: Sequence[Any], draw: Draw
-) -> None:
+def _diagrams(diagram: Campbell, measures: Sequence[OfVibrations], words: Sequence[Any], draw: Draw) -> None:
     labels, title, end = words
-    frequencies = states.eigenvalues(NATURAL)[..., :count] / (2.0 * torch.pi)
-    poles = states.eigenvalues(POLES)
-    oscillating, damping = _oscillating(poles, frequencies.shape[-1])
-    damped = bool((damping.abs() > 1e-9).any())
+    damped = bool((diagram.damping_ratios.abs() > _UNDAMPED).any())
     for lane, name in enumerate(("start", "best")):
-        arguments: dict[str, Any] = {"speeds": speeds, "frequencies": frequencies[lane], "orders": _orders(measures)}
-        arguments |= {"damping": damping[lane] if damped else None, "title": f"{labels[lane]}: {title}"}
+        arguments: dict[str, Any] = {"speeds": diagram.speeds, "frequencies": diagram.frequencies[lane]}
+        arguments |= {"damping": diagram.damping_ratios[lane] if damped else None, "orders": _orders(measures)}
         files = [f"campbell_{name}{end}.png", f"campbell_{name}{end}.pdf"]
-        draw(campbell, files, **arguments)
+        draw(viz.campbell, files, **arguments, title=f"{labels[lane]}: {title}")
     if any(isinstance(m, (DampingRatio, StabilityMargin, StabilityLimit)) for m in measures):
-        arguments = {"values": speeds, "poles": oscillating[1], "heading": "speed [rad/s]"}
+        arguments = {"values": diagram.speeds, "poles": diagram.poles[1], "heading": "speed [rad/s]"}
         files = [f"root_locus_best{end}.png", f"root_locus_best{end}.pdf"]
-        draw(root_locus, files, **arguments, title=f"{labels[1]}: {title}")
-
-
-def _oscillating(poles: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Poles above the real axis, the slowest first, and their damping ratios [designs, speeds, count]; nan beyond the last."""
-    upper = poles.imag > SWINGS * poles.abs()
-    order = torch.where(upper, poles.imag, torch.inf).argsort(-1)[..., :count]
-    s, known = poles.gather(-1, order), upper.gather(-1, order)
-    s = torch.where(known, s, torch.complex(*[torch.full_like(s.real, torch.nan)] * 2))
-    return s, -s.real / s.abs()
+        draw(viz.root_locus, files, **arguments, title=f"{labels[1]}: {title}")
 
 
 def _shapes(
@@ -142,17 +130,15 @@ def _shapes(
     """Pages of vibrations of the best design; those of frequency zero have none."""
     frequencies = states.eigenvalues(NATURAL)[1, 0]
     free = int((frequencies == 0.0).sum())
-    rest, most = (
-        _rest(states, motion),
-        int(_oscillating(states.eigenvalues(POLES), len(frequencies))[1][1].isfinite().sum()),
-    )
+    poles, rest = states.eigenvalues(POLES)[1, 0], _rest(states, motion)
+    most = int((poles.imag > SWINGS * poles.abs()).sum())
     pages = []
     for number in numbers:
         if not free < number <= free + most:
             continue
         at = f" at {speed:g} rad/s" if speed else ""
         page = folder / f"mode_best_{number}{end}.html"
-        pages.append(animate_mode(rest, page, number - free, title=f"best design, vibration {number}{at}"))
+        pages.append(viz.animate_mode(rest, page, number - free, title=f"best design, vibration {number}{at}"))
     return pages
 
 

@@ -1,0 +1,162 @@
+"""Vibrations of a machine over speeds of rotation, each followed by its shape: the numbers of a Campbell diagram.
+
+    MAC = |a^H M b|^2 / (a^H M a)(b^H M b)         likeness of two shapes, at most 1
+
+Vibrations are poles that oscillate at the first speed, the slowest first. From speed to speed those pairs go together whose MAC
+have the largest sum, among poles of either sign of the imaginary part: seen by a turning observer a whirl may pass through
+zero, and turns the other way behind it. So a vibration keeps its number where it crosses another. Where two veer the shapes
+exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A vibration whose
+likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or it has become a
+part of several.
+Source: Allemang and Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116 (MAC). Checked in
+tests/integrate/test_campbell_diagram.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import scipy.optimize
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.integrate.eigenvalues import POLES
+from torchmbd.integrate.steady_states import Shaft, SteadyStates, steady_states
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.system import System
+from torchmbd.multibody.system.equilibrium import SPIN
+from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.system.spectrum import SWINGS, Spectrum
+from torchmbd.multibody.system.steady_rotation import TURNING
+
+TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
+LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5
+
+
+class Campbell(NamedTuple):
+    """The result of `campbell`, for each design and speed; nan where a vibration is lost.
+
+    speeds          [k] [rad/s]
+    frequencies     |Im s| / (2 pi) [designs, k, n] [Hz]
+    damping_ratios  -Re s / |s| [designs, k, n] [-], negative where the vibration grows
+    poles           s [designs, k, n] [1/s]
+    status          of each design "ok", or which vibrations are lost
+
+    >>> drawn = mbd.campbell(mbd.examples.pendulum(), [0.0], modes=1)
+    >>> drawn.status, round(drawn.frequencies.item(), 3)
+    (['ok'], 0.498)
+    """
+
+    speeds: Float[Tensor, " k"]
+    frequencies: Float[Tensor, "designs k n"]
+    damping_ratios: Float[Tensor, "designs k n"]
+    poles: Complex[Tensor, "designs k n"]
+    status: list[str]
+
+
+@checked_signature
+def campbell(
+    system: System,
+    speeds: Sequence[float] | Tensor,
+    axis: str | Sequence[float] = "z",
+    center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    observer: str = TURNING,
+    designs: Mapping[str, Tensor] | None = None,
+    modes: int = 6,
+) -> Campbell:
+    """Vibrations of a machine that turns as a whole, over speeds; differentiable as equilibria are.
+
+    system           the model; drives that turn the whole turn at each of the speeds, whatever their laws
+    speeds           rising [k] [rad/s]
+    axis, center     of the rotation: "x", "y", "z" or a vector, and a point [m]
+    observer         "turning" with the machine, or in the "ground", as of `equilibrium`
+    designs          as of `simulate`
+    modes            number of vibrations, from the slowest at the first speed; fewer if there are no more
+
+    Raises InputError where a speed has no steady state.
+
+    >>> mass = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
+    >>> hold = mbd.Bushing(mbd.Ground().at(), mass.at(), (200.0,) * 3, (2.0,) * 3)
+    >>> drawn = mbd.campbell(mbd.System([mass], forces=[hold]), [0.0, 3.0, 6.0], observer="ground", modes=3)
+    >>> [round(f, 2) for f in drawn.frequencies[0, :, 0].tolist()]  # sqrt(k / m) / (2 pi), seen from the ground
+    [1.59, 1.59, 1.59]
+    """
+    if not isinstance(system, System):
+        raise InputError(f"campbell of {system!r}; allowed: a System")
+    if not is_whole(modes) or modes < 1:
+        raise InputError(f"modes is {modes!r}; allowed: 1, 2, ...")
+    shaft = Shaft(axis, tuple(float(x) for x in center), observer)
+    states = steady_states(system, speeds, shaft, designs)
+    names = list(states.dynamics.data)
+    numbers, status = outside_transforms(
+        lambda q, *data: _followed(_plain(states, q, dict(zip(names, data, strict=True))), shaft, modes),
+        states.q,
+        *states.dynamics.data.values(),
+    )
+    wanted = sorted(set(numbers[numbers >= 0].tolist()))
+    place = torch.searchsorted(torch.tensor(wanted, dtype=torch.long), numbers).clamp_max(max(len(wanted) - 1, 0))
+    s = states.eigenvalues(POLES, wanted).gather(-1, place) if wanted else place.to(torch.complex128)
+    none = torch.complex(*(torch.full(s.shape, torch.nan, dtype=torch.float64) for _ in range(2)))
+    s = torch.where(numbers >= 0, s, none)
+    return Campbell(_speeds(states, shaft), s.imag.abs() / (2.0 * math.pi), -s.real / s.abs(), s, status)
+
+
+def _plain(states: SteadyStates, q: Tensor, data: dict[str, Any]) -> SteadyStates:
+    """The same states of numbers."""
+    rotation = states.rotation.of_spin(data[SPIN])
+    return SteadyStates(states.dynamics.with_data(data), q, rotation, states.t.detach(), states.speeds)
+
+
+def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
+    """Speeds [k] [rad/s]."""
+    return (states.dynamics.data[SPIN][:, 0, : states.speeds] * shaft.direction[:, None]).sum(0)
+
+
+def _followed(states: SteadyStates, shaft: Shaft, modes: int) -> tuple[Tensor, list[str]]:
+    """Numbers of the poles [designs, speeds, n], -1 where a vibration is lost; and the status of each design."""
+    lanes, speeds = states.q.shape[-1] // states.speeds, _speeds(states, shaft).tolist()
+    rows, status = [], []
+    for design in range(lanes):
+        here = _Shapes.of(states.linearization(design * states.speeds))
+        chosen = (here.poles.imag > SWINGS * here.poles.abs()).nonzero()[:modes, 0]
+        poles, shapes = here.poles[chosen], here.shapes[:, chosen]
+        path, lost = [chosen], {}
+        for k in range(1, states.speeds):
+            here = _Shapes.of(states.linearization(design * states.speeds + k))
+            likeness = here.likeness(shapes)
+            far = (here.poles - poles[:, None]).abs() / (here.poles.abs() + poles[:, None].abs())
+            _, columns = scipy.optimize.linear_sum_assignment((likeness - TIE * far).numpy(), maximize=True)
+            chosen = torch.from_numpy(columns)
+            for i in (likeness.gather(1, chosen[:, None])[:, 0] < LOST).nonzero()[:, 0].tolist():
+                lost.setdefault(i, k)
+            poles, shapes = here.poles[chosen], here.shapes[:, chosen]
+            path.append(torch.tensor([-1 if i in lost else n for i, n in enumerate(chosen.tolist())], dtype=torch.long))
+        rows.append(torch.stack(path))
+        gone = ", ".join(f"vibration {i + 1} from {speeds[k]:.4g} rad/s on" for i, k in lost.items())
+        status.append(f"lost: {gone}: no shape is like it; allowed: smaller steps between speeds" if lost else "ok")
+    n = min(row.shape[1] for row in rows)
+    return torch.stack([row[:, :n] for row in rows]), status
+
+
+class _Shapes(NamedTuple):
+    """Poles [n], shapes [n_v, n] of unit size in the mass M [n_v, n_v]."""
+
+    poles: Tensor
+    shapes: Tensor
+    M: Tensor
+
+    @classmethod
+    def of(cls, rest: Linearization) -> _Shapes:
+        spectrum = Spectrum.poles(rest)
+        M = 0.5 * (rest.M + rest.M.T).to(torch.complex128)
+        size = (spectrum.right.conj() * (M @ spectrum.right)).sum(0).real.clamp_min(0.0).sqrt()
+        return cls(spectrum.values, spectrum.right / torch.where(size > 0.0, size, 1.0), M)
+
+    def likeness(self, known: Tensor) -> Tensor:
+        """MAC [known, n] with shapes [n_v, known] of unit size."""
+        return (known.mH @ (self.M @ self.shapes)).abs().square()
