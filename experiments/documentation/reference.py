@@ -71,11 +71,11 @@ def experiments() -> str:
     pictures = {name: name for name in ("slider_crank", "two_link_arm", "spatial_arm")} | {"sar_antenna": "antenna"}
     rows = []
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
-        picture, text = pictures.get(path.parent.name), path.read_text(encoding="utf-8")
-        if picture is not None:
+        if path.parent.name != "configs":
+            picture, text = pictures.get(path.parent.name), path.read_text(encoding="utf-8")
             question = text.partition("\n")[0].removeprefix("# ")
-            name = path.relative_to(ROOT)
-            rows.append(f"| `{name}` | {_cell(question)} | [{picture.replace('_', ' ')}](images/{picture}.svg) |")
+            motion = "" if picture is None else f"[{picture.replace('_', ' ')}](images/{picture}.svg)"
+            rows.append(f"| `{path.relative_to(ROOT)}` | {_cell(question)} | {motion} |")
     return "\n".join(["| file | question | motion |", "|---|---|---|", *rows, ""])
 
 
@@ -101,7 +101,8 @@ _TOP = {
     "(top of a file of measurements)": "IdentificationFile",
 }
 _SECTIONS = ("Variable", "Simulation", "Constraint", "Scenario", "Setting", "Combine", "Optimizer", "Starts", "Range")
-_SECTIONS += ("Identify", "Unknown", "Prior", "ExperimentData", "TimeSeriesData", "ChannelData")
+_SECTIONS += ("Identify", "Unknown", "Prior", "ExperimentData", "TimeSeriesData", "StaticCurveData", "ModalDataKeys")
+_SECTIONS += ("ChannelData",)
 
 
 def file_keys() -> str:
@@ -111,10 +112,9 @@ def file_keys() -> str:
     sections |= {name: schema["$defs"][name] for name in _SECTIONS}
     sections["Tracking"] = schema["$defs"]["Tracking"]
     responses = schema["$defs"]["Measure"]["properties"]  # which a constraint has as well, and which have a table below
-    tables = [
-        _keys(name, section, responses if name in ("Constraint", "ChannelData") else ())
-        for name, section in sections.items()
-    ]
+    histories = schema["$defs"]["History"]["properties"]
+    beside = {"Constraint": responses, "ChannelData": histories}
+    tables = [_keys(name, section, beside.get(name, ())) for name, section in sections.items()]
     words = {"Measure": "of a whole motion or of the design", "History": "of every time"}
     for name, what in words.items():
         properties = schema["$defs"][name]["properties"]

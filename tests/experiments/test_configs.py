@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 from torchmbd.study.config_index import QUESTION_MISSING, configs
+from torchmbd.study.identify_plan import IdentificationPlan
 from torchmbd.study.load import FiguresPlan, load, load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.study.yaml_file import read_yaml
@@ -20,11 +21,14 @@ pytestmark = pytest.mark.usefixtures("compiled")
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 DATA = {file: read_yaml(file).data for file in CONFIGS}
-# Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on.
+# Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on;
+# those that fit a model to measurements: tests/study/test_identification.py.
 STUDIES = [
     file
     for file, data in DATA.items()
-    if "figures" not in data and "phases" not in data["simulate"] and file.parent.name != "spatial_arm"
+    if not data.keys() & {"figures", "identify"}
+    and "phases" not in data["simulate"]
+    and file.parent.name != "spatial_arm"
 ]
 # Of the studies of one, two and three layers by four measures: every count of layers and every measure; the others are slow.
 COVERING = {"l1_energy_peak", "l2_energy_bound", "l3_energy_integral", "l1_energy_torsion", "l2_energy_tolerance"}
@@ -59,7 +63,13 @@ def test_every_config_opens_with_its_question_and_is_valid(file):
     assert question != QUESTION_MISSING
     assert "?" in question
     plan = load(file)
-    data = plan.study if isinstance(plan, FiguresPlan) else plan.origin.data
+    if isinstance(plan, FiguresPlan):
+        data = plan.study
+    elif isinstance(plan, IdentificationPlan):
+        data = plan.data
+    else:
+        assert plan.origin is not None
+        data = plan.origin.data
     assert type(data).model_validate(data.resolved()).resolved() == data.resolved()
 
 

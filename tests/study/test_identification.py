@@ -182,6 +182,73 @@ def test_check_says_how_far_the_model_is(folder, capsys):
     assert not list((folder / "evaluations").glob("*/study.json"))
 
 
+SPRUNG = """
+import torchmbd as mbd
+
+def build() -> mbd.System:
+    ground, block = mbd.Ground(), mbd.RigidBody("block", mbd.variable(1.0), (0.01, 0.01, 0.01))
+    slide = mbd.Prismatic(ground.at(), block.at(), axis="x", name="slide")
+    spring = mbd.AxialSpringDamper(ground.at(), block.at(), axis="x", stiffness=mbd.variable(120.0), name="spring")
+    return mbd.System([block], [slide], [spring, mbd.Force(block.at(), (mbd.variable(0.0), 0.0, 0.0), name="push")])
+"""
+OTHER_KINDS = """
+# How stiff is the spring, and how heavy the block?
+model: sprung.py:build
+identify:
+  unknowns:
+    spring.stiffness: {lower: 50, upper: 500, unit: none}
+    block.mass: {lower: 0.5, upper: 5, unit: kg}
+  experiments:
+    pulled:
+      static_curve:
+        file: curve.csv
+        loads: {push.x: F}
+        channels:
+          x: {position: {body: block, axis: x}, unit: mm, deviation: 0.01}
+    ringing:
+      modal_data: {frequencies: [1.5915494]}
+"""
+
+
+def other_kinds(folder: Path) -> None:
+    """A spring of 200 N/m and a block of 2 kg: a curve of loads, and a frequency."""
+    (folder / "sprung.py").write_text(SPRUNG, encoding="utf-8")
+    (folder / "kinds.yaml").write_text(OTHER_KINDS, encoding="utf-8")
+    (folder / "curve.csv").write_text("F [N],x [mm]\n1,5.00\n2,10.00\n4,20.00\n", encoding="utf-8")
+
+
+@pytest.mark.thorough
+def test_static_curves_and_frequencies(folder):
+    other_kinds(folder)
+    made = load("kinds.yaml")
+    assert isinstance(made, IdentificationPlan)
+    assert run_identification(made, Console(file=io.StringIO())) == 0
+    values = {row["unknown"]: float(row["value"]) for row in table(artifacts(folder) / "unknowns.csv")}
+    assert values["spring.stiffness[0]"] == pytest.approx(200.0, rel=1e-4)
+    assert values["block.mass[0]"] == pytest.approx(2.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "identify.experiments.pulled.static_curve.loads={push.y: F}",
+            r"pulled\.static_curve\.loads\.push\.y.*push\.x",
+        ),
+        (
+            "identify.experiments.pulled.static_curve.loads={push.x: G}",
+            r"static_curve\.loads.*column 'G' does not exist",
+        ),
+        ("identify.experiments.ringing.modal_data.frequencies=[2, 1]", r"ringing\.modal_data.*ascending"),
+        ("identify.experiments.ringing={duration: 1.0}", r"ringing: measures nothing; must have time_series or"),
+    ],
+)
+def test_mistakes_of_other_kinds_are_named(folder, override, message):
+    other_kinds(folder)
+    with pytest.raises(InputError, match=message):
+        load("kinds.yaml", [override])
+
+
 CHANNEL = "identify.experiments.swing.time_series.channels.angle"
 MISTAKES = {
     "a body that the model has not": (f"{CHANNEL}={{angle: {{body: bab, axis: z}}}}", r"angle.*'bab'.*bob"),

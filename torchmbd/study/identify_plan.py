@@ -21,6 +21,9 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.identification.channel import SENSOR, Channel
 from torchmbd.identification.experiment import Experiment
 from torchmbd.identification.fit_problem import FitProblem
+from torchmbd.identification.modal_data import ModalData
+from torchmbd.identification.registry import MEASUREMENTS
+from torchmbd.identification.static_curve import StaticCurve
 from torchmbd.identification.time_series import TimeSeries
 from torchmbd.math import units
 from torchmbd.math.variable import variable
@@ -118,7 +121,7 @@ class _Maker:
         return [
             f"{name}.{channel}.{key}" if len(experiments) > 1 else f"{channel}.{key}"
             for name, x in experiments.items()
-            for channel in x.time_series.channels
+            for channel in x.channels
             for key in SENSOR
         ]
 
@@ -126,20 +129,15 @@ class _Maker:
         """The experiment, or None with its faults."""
         path = ("identify", kind, name)
         system = self._system((*path, "options"), data.options)
-        channels: dict[str, Channel] = {}
-        series, of_series = data.time_series, (*path, "time_series")
-        for channel, x in series.channels.items():
-            made = self._channel((*of_series, "channels", channel), kind, name, channel, x)
-            if made is not None and system is not None:
-                checked = partial(made.response.check, system)
-                before = len(self.faults)
-                self.faults.at((*of_series, "channels", channel), checked)
-                if len(self.faults) == before:
-                    channels[channel] = made
-        if not channels:
-            return None
-        measured = self._measured(of_series, channels, series.file, series.time)
-        if measured is None or system is None or len(channels) < len(series.channels):
+        made = [
+            self._of_file(path, kind, name, key, system)
+            if key != "modal_data"
+            else self._modal_data(path, data.modal_data)
+            for key in MEASUREMENTS
+            if getattr(data, key) is not None
+        ]
+        measured = [x for x in made if x is not None]
+        if system is None or len(measured) < len(made):
             return None
         simulate: Motion = self.data.simulate
         start = simulate.start if data.start is None else data.start
@@ -150,19 +148,58 @@ class _Maker:
         make = partial(Experiment, system, measured, si_of(data.set), data.duration, simulate.steps)
         return self.faults.at(path, partial(make, **options, **simulate.options))
 
-    def _measured(self, path: FaultPath, channels: dict[str, Channel], file: str, time: str) -> TimeSeries | None:
-        """The measurement; None with its faults, those of a channel at the channel."""
+    def _of_file(
+        self, path: FaultPath, kind: str, name: str, key: str, system: System | None
+    ) -> TimeSeries | StaticCurve | None:
+        """The measurement `key` of an experiment, in a file; None with its faults, those of a channel at the channel."""
+        data: Any = getattr(getattr(self.data.identify, kind)[name], key)
+        channels: dict[str, Channel] = {}
+        for channel, x in data.channels.items():
+            place = (*path, key, "channels", channel)
+            made = self._channel(place, kind, name, channel, x)
+            if made is not None and system is not None:
+                before = len(self.faults)
+                self.faults.at(place, partial(made.response.check, system))
+                channels |= {channel: made} if len(self.faults) == before else {}
+        if not channels:
+            return None
+        file = self.folder / data.file
         try:
-            return TimeSeries(self.folder / file, channels, time)
+            series = key == "time_series"
+            made = TimeSeries(file, channels, data.time) if series else StaticCurve(file, data.loads, channels)
+            if system is not None and len(channels) == len(data.channels):
+                made.check(system)
+                return made
+            return None
         except InputError as error:
             text = str(error)
         except OSError as error:
             text = f"cannot be read: {error.strerror}"
-        columns = {name: channel.column or name for name, channel in channels.items()}
-        named = [name for name in channels if f"{name!r}" in text or f"column {columns[name]!r}" in text]
-        where = ("channels", named[0]) if named else ("time",) if f"{time!r}" in text else ("file",)
-        self.faults.append(Fault((*path, *where), f": {text}"))
+        columns = {channel: x.column or channel for channel, x in channels.items()}
+        named = [x for x in channels if f"{x!r}" in text or f"column {columns[x]!r}" in text]
+        where: FaultPath = ("channels", named[0]) if named else ("file",)
+        if not named and f"{getattr(data, 'time', None)!r}" in text:
+            where = ("time",)
+        if loads := [
+            x for x, column in getattr(data, "loads", {}).items() if f"{x!r}" in text or f"{column!r}" in text
+        ]:
+            where = ("loads", loads[0])
+        self.faults.append(Fault((*path, key, *where), f": {text}"))
         return None
+
+    def _modal_data(self, path: FaultPath, data: Any) -> ModalData | None:
+        place = (*path, "modal_data")
+        find = partial(find_response, folder=self.folder)
+        sensors = [
+            self.faults.at((*place, "sensors", k), partial(history_of, x, (), find)) for k, x in enumerate(data.sensors)
+        ]
+        if None in sensors:
+            return None
+        damping = None if data.damping is None else [np.nan if x is None else x for x in data.damping]
+        shares = {key: getattr(data, key) for key in ("frequency_share", "damping_share")}
+        shares |= {} if data.least_mac is None else {"least_mac": data.least_mac}
+        make = partial(ModalData, data.frequencies, damping, data.shapes, sensors, data.modes, **shares)
+        return self.faults.at(place, make)
 
     def _system(self, path: FaultPath, options: Mapping[str, Any]) -> System | None:
         if not options:

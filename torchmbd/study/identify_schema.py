@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, history_of
 from torchmbd.identification.losses import LOSSES
+from torchmbd.identification.registry import MEASUREMENTS
 from torchmbd.study.scenario_keys import Settings
 from torchmbd.study.schema import FUNCTION, Bounded, Motion, Starts, Tracking, units_fit
 from torchmbd.study.section import Numbers, Section, Unit, fault, one_of
@@ -98,21 +99,69 @@ class TimeSeriesData(Section):
     time: str = "t"
 
 
-class ExperimentData(Section):
-    """An experiment: what was measured, and in what it differs from the others.
+class StaticCurveData(Section):
+    """Channels at rest under several loads in a file.
 
-    time_series  channels over time
+    file      CSV file, relative to the experiment file
+    loads     parameter of the model -> name of the column with its values
+    channels  name -> response with its unit and deviation; without delay
+    """
+
+    file: str
+    loads: Annotated[dict[str, str], Len(min_length=1)]
+    channels: Annotated[dict[str, ChannelData], Len(min_length=1)]
+
+
+class ModalDataKeys(Section):
+    """Arguments of torchmbd.ModalData: frequencies, damping ratios and mode shapes of small vibrations.
+
+    frequencies  of the modes [Hz], ascending
+    damping      damping ratios [-]; null where there is none
+    shapes       for each sensor its numbers in all modes
+    sensors      position responses: {position: {body: arm, axis: z, node: right}}
+    """
+
+    frequencies: Annotated[list[float], Len(min_length=1)]
+    damping: list[float | None] | None = None
+    shapes: list[list[float]] | None = None
+    sensors: list[dict[str, Any]] = Field(default=[])
+    modes: list[PositiveInt] | None = None
+    frequency_share: float = Field(default=0.01, gt=0)
+    damping_share: float = Field(default=0.1, gt=0)
+    least_mac: float | None = Field(default=None, gt=0, lt=1)
+
+
+class ExperimentData(Section):
+    """An experiment: what was measured, in one or several kinds, and in what it differs from the others.
+
+    time_series   channels over time
+    static_curve  channels at rest under several loads
+    modal_data    frequencies, damping ratios and mode shapes
     set          parameters of the model that are no unknowns, with their values [SI]; of angles with a unit
     options      other arguments of the model's function in this experiment
     duration     of the motion [s]; default: until the last measured time
     start        instead of that of `simulate`
     """
 
-    time_series: TimeSeriesData
+    time_series: TimeSeriesData | None = None
+    static_curve: StaticCurveData | None = None
+    modal_data: ModalDataKeys | None = None
     set: Settings = Field(default={})
     options: dict[str, Any] = Field(default={})
     duration: float | None = Field(default=None, gt=0)
     start: str | dict[str, list[float]] | None = None
+
+    @model_validator(mode="after")
+    def _measures_something(self) -> Self:
+        if not any(getattr(self, kind) is not None for kind in MEASUREMENTS):
+            raise fault(f": measures nothing; must have {' or '.join(MEASUREMENTS)}")
+        return self
+
+    @property
+    def channels(self) -> dict[str, ChannelData]:
+        """Channels of all files by name."""
+        of_kinds = (x.channels for x in (self.time_series, self.static_curve) if x is not None)
+        return {name: channel for channels in of_kinds for name, channel in channels.items()}
 
 
 class Identify(Section):
@@ -168,7 +217,8 @@ class IdentificationFile(Section):
             del data["parameters"]
         for group in (data["identify"]["experiments"], data["identify"]["validation"]):
             for experiment in group.values():
-                channels = experiment["time_series"]["channels"]
-                for name, channel in channels.items():
-                    channels[name] = channel.pop("response") | channel
+                for kind in experiment.keys() & {"time_series", "static_curve"}:
+                    channels = experiment[kind]["channels"]
+                    for name, channel in channels.items():
+                        channels[name] = channel.pop("response") | channel
         return data

@@ -18,7 +18,7 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
-from torchmbd.identification import Channel, Experiment, TimeSeries, identify
+from torchmbd.identification import Channel, Experiment, ModalData, StaticCurve, TimeSeries, identify
 from torchmbd.identification.losses import LOSSES
 from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
@@ -29,7 +29,9 @@ from torchmbd.study.identify_schema import (
     ExperimentData,
     IdentificationFile,
     Identify,
+    ModalDataKeys,
     Prior,
+    StaticCurveData,
     TimeSeriesData,
     Unknown,
 )
@@ -69,6 +71,8 @@ CONSTRUCTORS: dict[type, Sequence[Any]] = {
     Prior: (),
     ChannelData: (Channel,),
     TimeSeriesData: (TimeSeries,),
+    StaticCurveData: (StaticCurve,),
+    ModalDataKeys: (ModalData,),
     ExperimentData: (Experiment,),
     schema.Motion: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), simulate),
 }

@@ -40,7 +40,8 @@ def load(
 ) -> S | FiguresPlan | IdentificationPlan:
     """Return the study of a file, or the plan of its figures or its fit; StudyError with every fault, each with its line."""
     document = read_yaml(path)
-    override(document, overrides)
+    with_values_of_file(document, Path(path).absolute().parent)
+    override(document, overrides)  # of single values, or of the name of the file
     with_values_of_file(document, Path(path).absolute().parent)
     return study_of_document(document, Path(path), tuple(overrides), kind)
 

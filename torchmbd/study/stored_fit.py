@@ -84,7 +84,7 @@ def fit_key(problem: FitProblem) -> str:
         problem.prior_mean,
         problem.prior_deviation,
     ]
-    unknown = list(problem.parameters.values())
+    unknown: list[Any] = []
     for name, experiment in problem.experiments.items():
         own = dict(experiment.system.named_parameters())
         unknown += [own[key] for key in problem.space.variables if key in own]
