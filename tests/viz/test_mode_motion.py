@@ -116,7 +116,7 @@ def test_wrong_arguments_are_named(change, message):
 
 
 def test_a_page_of_another_ending_is_refused():
-    with pytest.raises(mbd.InputError, match="allowed: a name that ends in .html"):
+    with pytest.raises(mbd.InputError, match=r"allowed: a name that ends in \.html"):
         mbd.viz.animate_mode(mbd.equilibrium(chain()), "mode.txt")
 
 
