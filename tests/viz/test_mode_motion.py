@@ -115,6 +115,11 @@ def test_wrong_arguments_are_named(change, message):
         mbd.viz.mode_motion(**{"rest": mbd.equilibrium(chain())} | change)
 
 
+def test_a_page_of_another_ending_is_refused():
+    with pytest.raises(mbd.InputError, match=r"allowed: a name that ends in \.html"):
+        mbd.viz.animate_mode(mbd.equilibrium(chain()), "mode.txt")
+
+
 def test_a_free_motion_is_no_vibration():
     free = mbd.RigidBody("free", 2.0, (1.0, 1.0, 1.0))
     rest = mbd.equilibrium(mbd.System([free], [mbd.Prismatic(GROUND.at(), free.at(), axis="x")]))

@@ -61,6 +61,7 @@ def animate(
     >>> mbd.viz.animate(motion, "arm.html", title="An arm swings").name
     'arm.html'
     """
+    path = page_path(path)
     require_motion(motion)
     require_lane(motion, lane)
     frames = spread_frames(motion, max_frames)
@@ -74,11 +75,16 @@ def animate(
     return write_scene(scene, path)
 
 
-def write_scene(scene: dict[str, Any], path: str | Path) -> Path:
-    """Write a scene with its strips and its title as an HTML file."""
+def page_path(path: str | Path) -> Path:
+    """The path of a page; InputError for another ending."""
     path = Path(path)
     if path.suffix not in (".html", ".htm"):
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
+    return path
+
+
+def write_scene(scene: dict[str, Any], path: Path) -> Path:
+    """Write a scene with its strips and its title as an HTML file."""
     text = json.dumps(scene, allow_nan=False).replace("<", "\\u003c")  # no text ends or opens an element
     path.write_text(_VIEWER.read_text(encoding="utf-8").replace("__SCENE__", text), encoding="utf-8")
     return path

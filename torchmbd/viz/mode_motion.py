@@ -29,7 +29,7 @@ from torchmbd.multibody.system.steady_rotation import ObserverAtRest
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
-from torchmbd.viz.animation import require_lane, scene_of, write_scene
+from torchmbd.viz.animation import page_path, require_lane, scene_of, write_scene
 
 _UNDAMPED = 1e-7  # damping [%] that is rounding
 _PERIODS = 3  # in a page: the player takes about six seconds for all
@@ -88,6 +88,7 @@ def animate_mode(
     >>> mbd.viz.animate_mode(rest, "swing.html").name
     'swing.html'
     """
+    path = page_path(path)
     motion = mode_motion(rest, number, lane, size, _PERIODS)
     scene = scene_of(motion, 0, np.arange(len(motion.t)))
     scene |= {"title": ": ".join(x for x in (title, motion.stats["mode"]) if x), "strips": [], "scale": 1.0}
