@@ -1,7 +1,7 @@
 """States of designs at rest or at several speeds of rotation, and the eigenvalues of vibrations about them.
 
 Drives that turn the whole at a constant speed turn at each of the speeds: a speed is one of the machine, not of its drives.
-Checked in tests/integrate/test_steady_states.py.
+Checked in tests/design/test_system_vibrations.py.
 """
 
 from __future__ import annotations
@@ -41,12 +41,15 @@ class Shaft:
     [1.0, 0.0, 0.0]
     """
 
-    axis: str | Sequence[float] = "z"
-    center: Sequence[float] = (0.0, 0.0, 0.0)
+    axis: str | Sequence[float] | Tensor = "z"
+    center: Sequence[float] | Tensor = (0.0, 0.0, 0.0)
     observer: str = TURNING
 
     def __post_init__(self) -> None:
         SteadyRotation.of(self.direction, self.center, self.observer)
+        for name in ("axis", "center"):
+            x = getattr(self, name)
+            object.__setattr__(self, name, x if isinstance(x, str) else tuple(reals(name, x).tolist()))
 
     @property
     def direction(self) -> Tensor:
