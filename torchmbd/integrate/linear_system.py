@@ -38,7 +38,7 @@ _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that 
 @checked_signature
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy.
+    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and python-control's `control.ss` take them.
 
     states, inputs, outputs   their names
     shapes                    increments of the coordinates by the first half of the states [n_v, n]
@@ -62,17 +62,6 @@ class LinearSystem:
     def to_scipy(self) -> scipy.signal.StateSpace:
         """For the functions of scipy.signal."""
         return scipy.signal.StateSpace(self.A, self.B, self.C, self.D)
-
-    def to_control(self) -> Any:
-        """A StateSpace of the package python-control, with the names. InputError where it is not installed."""
-        try:
-            import control  # pyright: ignore[reportMissingImports]
-        except ImportError as error:
-            raise InputError(
-                "to_control needs the package control; allowed: pip install control, or to_scipy()"
-            ) from error
-        names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
-        return control.ss(self.A, self.B, self.C, self.D, **names)
 
     def response(self, frequencies: ArrayLike) -> np.ndarray:
         """Frequency response [frequencies, outputs, inputs], complex, at frequencies [Hz]."""
