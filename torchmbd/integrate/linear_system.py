@@ -38,7 +38,7 @@ _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that 
 @checked_signature
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and python-control's `control.ss` take them.
+    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and `control.ss` take them.
 
     states, inputs, outputs   their names
     shapes                    increments of the coordinates by the first half of the states [n_v, n]
