@@ -67,11 +67,17 @@ class DesignFailure(InputError, SimulationFailure):
     """
 
 
+_MISSPELT = (
+    0.8  # likeness from which on a name is another with an error, as left_edgy; below, a longer word for it may be
+)
+
+
 def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
     options = [str(option) for option in allowed]
     close = difflib.get_close_matches(str(name), options, n=3, cutoff=0.5)
-    close.sort(key=lambda option: len(option) < 3 or not str(name).startswith(option))  # degrees: deg, not deg/s
+    if close and difflib.SequenceMatcher(None, str(name), close[0]).ratio() < _MISSPELT:
+        close.sort(key=lambda option: len(option) < 3 or not str(name).startswith(option))  # degrees: deg, not deg/s
     if not close:  # a name in capitals is near to the same in small letters
         small = {option.lower(): option for option in reversed(options)}
         close = [small[x] for x in difflib.get_close_matches(str(name).lower(), small, n=1, cutoff=0.5)]

@@ -4,6 +4,8 @@ sar_antenna            half of the antenna of the paper, first phase; its parts 
                        sar_antenna_data, both phases in sar_antenna_whole, its gaps in sar_antenna_clearance
 spatial_arm            two laminated tubes under gravity, asked about in configs/spatial_arm
 arm_twin               an arm identified from its own motion, with noise: `python -m experiments.models.arm_twin 100`
+turning_blade          a blade on a hub, asked about in configs/turning_blade
+pendulum_rig           a rig whose friction and inertia are measured, asked about in configs/pendulum_rig
 steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
 panel                  a laminated panel on three joints
 five_bar               a pick-and-place robot: `python -m experiments.benchmark chosen-steps`

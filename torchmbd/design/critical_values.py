@@ -101,6 +101,13 @@ class CriticalSpeed(OfVibrations):
     axis, center, observer   of the rotation, as of OfVibrations; of rotors in bearings the observer is in the "ground"
 
     Raises InputError where there are fewer.
+
+    >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
+    >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 5e3), turning_stiffness=(0.0, 30.0, 30.0))
+    >>> motion = mbd.simulate(mbd.System([disk], forces=[bearing]), 1e-4, steps=2)
+    >>> second = mbd.CriticalSpeed(2, between=(10.0, 90.0), axis="x", observer="ground")
+    >>> round(second(motion).item(), 6)  # sqrt(5e3 / 2) [rad/s]
+    50.0
     """
 
     number: int = 1
@@ -157,6 +164,17 @@ class StabilityLimit(OfVibrations):
 
     Vibrations need damping: without it poles are on the imaginary axis until two meet, which has no derivative. Raises
     InputError where no vibration begins to grow.
+
+    >>> masses = {"a": (2.0, 1.0), "b": (1.0, 2.0)}  # [kg], place along x [m]
+    >>> links = [mbd.RigidBody(name, m, (1e-7,) * 3, position=(x, 0, 0)) for name, (m, x) in masses.items()]
+    >>> ends = [(mbd.Ground().at(), links[0].at(-1.0, 0, 0)), (links[0].at(), links[1].at(-1.0, 0, 0))]
+    >>> hinges = [mbd.Revolute(*pair, axis="z") for pair in ends]
+    >>> springs = [mbd.RotationalSpringDamper(*pair, axis="z", stiffness=3.0, damping=0.2) for pair in ends]
+    >>> tip = links[1].at(0, 0, 0, axes=torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)))
+    >>> push = mbd.Force(tip, (mbd.variable(1.0), 0.0, 0.0), axes="frame", name="push")
+    >>> motion = mbd.simulate(mbd.System(links, hinges, [*springs, push]), 1e-4, steps=2)
+    >>> round(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6)(motion).item(), 4)  # Ziegler: 41/28 k + c^2 / 2 [N]
+    4.4129
     """
 
     parameter: str = SPEED

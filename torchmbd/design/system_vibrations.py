@@ -216,6 +216,13 @@ class CampbellClearance(OfVibrations):
     axis, center, observer   of the rotation, as of OfVibrations: "turning" for loads that stand still while blades turn, or
               "ground" for unbalance
     Rows: all orders of the first frequency, then those of the second, ...
+
+    >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
+    >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 8e3), turning_stiffness=(0.0, 30.0, 30.0))
+    >>> motion = mbd.simulate(mbd.System([disk], forces=[bearing]), 1e-4, steps=2)
+    >>> clear = mbd.CampbellClearance((1,), band=(20.0, 30.0), modes=(3,), points=3, axis="x", observer="ground")
+    >>> round(clear(motion).item(), 3)  # sqrt(8e3 / 2) = 63.2 rad/s is 111 % above 30
+    1.108
     """
 
     orders: Sequence[float] = (1.0, 2.0, 3.0)

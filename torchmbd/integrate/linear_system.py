@@ -35,12 +35,19 @@ _PORTS = "ports of linearize"
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
 
+@checked_signature
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy.
+    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and `control.ss` take them.
 
     states, inputs, outputs   their names
     shapes                    increments of the coordinates by the first half of the states [n_v, n]
+
+    >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
+    >>> system = mbd.System([hinge.b.body], [hinge], gravity=(0.0, -9.81, 0.0))
+    >>> linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointRate(hinge)])
+    >>> linear.response(0.1).shape, linear.to_scipy().D.shape  # one frequency, output and input
+    ((1, 1, 1), (1, 1))
     """
 
     A: np.ndarray
@@ -55,17 +62,6 @@ class LinearSystem:
     def to_scipy(self) -> scipy.signal.StateSpace:
         """For the functions of scipy.signal."""
         return scipy.signal.StateSpace(self.A, self.B, self.C, self.D)
-
-    def to_control(self) -> Any:
-        """A StateSpace of the package python-control, with the names. InputError where it is not installed."""
-        try:
-            import control  # pyright: ignore[reportMissingImports]
-        except ImportError as error:
-            raise InputError(
-                "to_control needs the package control; allowed: pip install control, or to_scipy()"
-            ) from error
-        names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
-        return control.ss(self.A, self.B, self.C, self.D, **names)
 
     def response(self, frequencies: ArrayLike) -> np.ndarray:
         """Frequency response [frequencies, outputs, inputs], complex, at frequencies [Hz]."""

@@ -46,7 +46,7 @@ class StoredFit(FitProblem):
         return np.concatenate([self.deviations, np.ones(len(self.prior_rows))])
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Residuals]:
-        """As of FitProblem: from the store, else computed and stored."""
+        """Residuals of unknowns [lanes, n]: those in the store, others are computed and stored."""
         X = np.asarray(X, dtype=float)
         known = self.store.find(X, gradients)
         missing = [k for k, x in enumerate(known) if x is None]

@@ -29,6 +29,7 @@ _GUARD, _FEW = (
     4,
     6,
 )  # vibrations beyond those asked for, so that those that coincide are complete; a share: most by `_lowest_whirl`
+_SINGLE_SHAPE = "one of several that coincide and have a single shape (defective)"
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
 _FLUTTER = "that of a vibration that grows"
 # Share of |s| that the imaginary part of an oscillating pole has at least: nearly equal real poles get 1e-4 by rounding.
@@ -169,19 +170,24 @@ def _normalized(rest: Linearization, values: Tensor, right: Tensor, left: Tensor
     slope = 2.0 * s * (M @ r) + C @ r
     slope = 1j * slope if natural else slope  # by w
     faults = list(fault)
-    scaled = torch.zeros_like(left)
-    for number in cluster.unique().tolist():
+    products = (l.conj() * slope).sum(0)
+    products = products.real.to(s.dtype) if natural else products
+    sizes = l.norm(dim=0) * slope.norm(dim=0)
+    scaled = left / products.conj()
+    counts = torch.bincount(cluster, minlength=len(values))[cluster]
+    for i in ((counts == 1) & ~(products.abs() > _DEFECTIVE * sizes)).nonzero()[:, 0].tolist():
+        faults[i] = faults[i] or _SINGLE_SHAPE
+    for number in cluster[counts > 1].unique().tolist():
         members = [i for i in (cluster == number).nonzero()[:, 0].tolist() if not faults[i]]
         if not members:
             continue
         B = l[:, members].mH @ slope[:, members]
         B = B.real.to(s.dtype) if natural else B
-        size = l[:, members].norm(dim=0).max() * slope[:, members].norm(dim=0).max()
-        if not float(torch.linalg.svdvals(B)[-1]) > _DEFECTIVE * float(size):
+        if float(torch.linalg.svdvals(B)[-1]) > _DEFECTIVE * float(sizes[members].max()):
+            scaled[:, members] = left[:, members] @ torch.linalg.inv(B).mH
+        else:
             for i in members:
-                faults[i] = "one of several that coincide and have a single shape (defective)"
-            continue
-        scaled[:, members] = left[:, members] @ torch.linalg.inv(B).mH
+                faults[i] = _SINGLE_SHAPE
     faulty = torch.tensor([bool(x) for x in faults], dtype=torch.bool)
     right, left = torch.where(faulty, 0.0, right), torch.where(faulty, 0.0, scaled)
     r, l = right[rest.active], left[rest.active]
