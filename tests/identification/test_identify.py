@@ -246,3 +246,17 @@ def test_experiments_of_another_kind():
     for wrong in (3, [], {}, "x", [3]):
         with pytest.raises(mbd.InputError, match=r"experiments .*allowed: "):
             mbd.identify(wrong, ["x"])
+
+
+def test_an_unknown_with_equal_bounds_is_a_constant():
+    """Deviations of the others are those of a fit in which it is none, and no combination with it is unseen."""
+    numbers = pendulum.data(0.01)
+    held = mbd.identify(
+        pendulum.experiment(numbers, 1.0), pendulum.UNKNOWNS, bounds={"bob.mass": (1.2, 1.2)}, tolerance=1e-9
+    )
+    without = mbd.identify(pendulum.experiment(numbers, 1.0), pendulum.UNKNOWNS[1:], tolerance=1e-9)
+    np.testing.assert_allclose(held.deviation[1:], without.deviation, rtol=1e-6)
+    assert held.deviation[0] == 0.0
+    assert held.freedoms == without.freedoms
+    np.testing.assert_allclose(held.singular_values, without.singular_values, rtol=1e-6)
+    assert "1.2, its bounds" in str(held)

@@ -79,6 +79,31 @@ def test_bad_arguments_are_named():
         (lambda: mbd.linearize(system, force, travel, state=3), "state is 3"),
         (lambda: mbd.linearize(system, force, travel, lane=4), "lane is 4"),
         (lambda: mbd.linearize(system, force, travel, mbd.equilibrium(mbd.examples.pendulum())), "coordinates"),
+        (lambda: mbd.linearize(system, force, []), "outputs is empty"),
+        (lambda: mbd.linearize(system, force, travel).response(np.nan), "frequencies is nan"),
     ):
         with pytest.raises(mbd.InputError, match=words):
             call()
+
+
+def hinged(length: float) -> tuple[mbd.System, mbd.Joint]:
+    bob = mbd.RigidBody("bob", 1.0, (0.1, 0.1, 0.1), position=(0, -length, 0))
+    hinge = mbd.Revolute(mbd.Ground().at(), bob.at(0, length, 0), axis="z")
+    return mbd.System([bob], [hinge], gravity=(0, -9.81, 0)), hinge
+
+
+def test_a_state_of_another_system_is_refused():
+    """With as many coordinates, it would give matrices of a state that is none."""
+    state, (system, hinge) = mbd.equilibrium(hinged(1.0)[0]), hinged(2.0)
+    ports = [mbd.signals.JointTorque(hinge)], [mbd.signals.JointAngle(hinge)]
+    assert mbd.linearize(system, *ports, mbd.equilibrium(system)).A[1, 0] == pytest.approx(-2.0 * 9.81 / 4.1)
+    with pytest.raises(mbd.InputError, match="state is no equilibrium of the system"):
+        mbd.linearize(system, *ports, state)
+
+
+def test_the_response_at_a_pole_is_refused():
+    body = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
+    rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
+    linear = mbd.linearize(mbd.System([body], [rail]), [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
+    with pytest.raises(mbd.InputError, match="frequencies has 0 Hz, a pole without damping"):
+        linear.response([1.0, 0.0])

@@ -1,8 +1,9 @@
 """Identification: unknowns of a model from what was measured, with exact Jacobians."""
 
 from torchmbd.identification.channel import Channel
+from torchmbd.identification.channel_fit import ChannelFit
 from torchmbd.identification.experiment import Experiment
-from torchmbd.identification.identification import ChannelFit, Identification
+from torchmbd.identification.identification import Identification
 from torchmbd.identification.identify import identify
 from torchmbd.identification.measurement import Measurement
 from torchmbd.identification.modal_data import ModalData

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchmbd.errors import InputError, checked_signature, nearest
+from torchmbd.identification.channel_fit import ChannelFit, agreement, channel_fits
 from torchmbd.identification.fit_problem import FitProblem, Residuals
 from torchmbd.identification.least_squares import Fit, FitSettings
 from torchmbd.identification.profile import profile_interval
@@ -21,9 +22,7 @@ from torchmbd.identification.statistics import (
     LEVEL,
     correlations,
     covariance,
-    ljung_box,
     quantile,
-    runs_test,
     variance_factor,
 )
 from torchmbd.identification.unseen import Unseen, singular_values, unseen_combinations, unseen_count
@@ -35,32 +34,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 _AT_BOUND = 1e-6  # of its scale: an unknown that is as near to a bound
-
-
-@dataclass(frozen=True)
-class ChannelFit:
-    """How model and data agree in one channel.
-
-    name        of the channel, with that of its experiment where there are several
-    count       of its numbers
-    rms         root of the mean square of model minus data, in the unit of the channel
-    relative    rms over the standard deviation of the data
-    deviation   mean standard deviation that was given or, with `estimated`, estimated
-    chi_square  mean square of the residuals in deviations: near one where the model is right
-    ljung_box, runs   probabilities of such residuals of white noise (statistics.py); small: the model is in them
-    note        what a user must know of this channel
-    """
-
-    name: str
-    count: int
-    rms: float
-    relative: float
-    deviation: float
-    estimated: bool
-    chi_square: float
-    ljung_box: float
-    runs: float
-    note: str = ""
 
 
 @checked_signature
@@ -162,16 +135,24 @@ class Identification(Summary):
         return self._jacobian
 
     @property
+    def searched(self) -> np.ndarray:
+        """Places of the unknowns whose bounds are not equal; the others are constants, without a deviation."""
+        return np.flatnonzero(self.settings.lower < self.settings.upper)
+
+    @property
     def freedoms(self) -> int:
-        """Numbers less unknowns."""
-        return len(self.residuals) - len(self.names)
+        """Numbers less unknowns that were searched."""
+        return len(self.residuals) - len(self.searched)
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance [n, n], linearized; infinite where the data see nothing."""
-        values, vectors = singular_values(self._jacobian, self.size)
+        """Covariance [n, n], linearized; infinite where the data see nothing, zero of constants."""
+        searched, result = self.searched, np.zeros((len(self.names), len(self.names)))
+        jacobian, size = self._jacobian[:, searched], self.size[searched]
+        values, vectors = singular_values(jacobian, size)
         unseen = vectors[:, len(values) - unseen_count(values) :]
-        return covariance(self._jacobian, unseen, self.size, self.variance_factor)
+        result[np.ix_(searched, searched)] = covariance(jacobian, unseen, size, self.variance_factor)
+        return result
 
     @property
     def size(self) -> np.ndarray:
@@ -182,7 +163,7 @@ class Identification(Summary):
     def variance_factor(self) -> float:
         """Factor of the covariance (statistics.py)."""
         s = self.settings
-        return variance_factor(self.residuals, s.data, len(self.names), s.loss, s.f_scale)
+        return variance_factor(self.residuals, s.data, len(self.searched), s.loss, s.f_scale)
 
     @property
     def deviation(self) -> np.ndarray:
@@ -202,17 +183,21 @@ class Identification(Summary):
 
     @property
     def singular_values(self) -> np.ndarray:
-        """Singular values [n] of the Jacobian by unknowns in units of their sizes, in deviations; below 1 is unseen."""
-        return singular_values(self._jacobian, self.size)[0]
+        """Singular values of the Jacobian by searched unknowns in units of their sizes, in deviations; below 1 is unseen."""
+        return singular_values(self._jacobian[:, self.searched], self.size[self.searched])[0]
 
     @cached_property
     def unseen(self) -> list[Unseen]:
         """Combinations of unknowns that the data cannot see, in words (unseen.py); a few further simulations."""
 
-        def values(x: np.ndarray) -> np.ndarray:
-            return self.problem.evaluate(x[None], False)[0].values
+        k = self.searched
 
-        return unseen_combinations(self._jacobian, self.size, self.names, self.x, values)
+        def values(x: np.ndarray) -> np.ndarray:
+            design = self.x.copy()
+            design[k] = x
+            return self.problem.evaluate(design[None], False)[0].values
+
+        return unseen_combinations(self._jacobian[:, k], self.size[k], [self.names[i] for i in k], self.x[k], values)
 
     @property
     def at_bounds(self) -> list[str]:
@@ -256,17 +241,19 @@ class Identification(Summary):
             }
         if len(groups) == 1:
             raise InputError("there is one channel alone; allowed: two at least, of which one may be left out")
-        J, r, result = self._jacobian * self.size, self.residuals, {}
+        searched, r, result = self.searched, self.residuals, {}
+        size = self.size[searched]
+        J = self._jacobian[:, searched] * size
         for name, parts in groups.items():
             kept = np.ones(len(r), dtype=bool)
             for rows in parts:
                 kept[rows] = False
-            values, vectors = singular_values(self._jacobian[kept], self.size)
+            values, vectors = singular_values(J[kept], np.ones_like(size))
             # Directions that only the group sees keep their values.
             seen = vectors[:, : len(values) - unseen_count(values)]
             step = -seen @ np.linalg.lstsq(J[kept] @ seen, r[kept], rcond=None)[0]
-            result[name] = step * self.size / self.deviation
-        return pd.DataFrame(result, index=self.names).T
+            result[name] = step * size / self.deviation[searched]
+        return pd.DataFrame(result, index=[self.names[k] for k in searched]).T
 
     def profile(self, name: str, level: float = LEVEL) -> tuple[float, float]:
         """Interval of an unknown by its profile likelihood: all others are fitted again for each of its values.
@@ -340,6 +327,9 @@ class Identification(Summary):
             ]
         for name, value, deviation in zip(self.names, self.x, self.deviation, strict=True):
             half = quantile(self.freedoms) * deviation
+            if not deviation:
+                rows.append((name, f"{value:.6g}, its bounds"))
+                continue
             text = (
                 f"{value:.6g} +- {half:.2g} (95 %)"
                 if np.isfinite(deviation)
@@ -351,44 +341,11 @@ class Identification(Summary):
 
     @property
     def _agreements(self) -> list[tuple[str, Any]]:
-        rows: list[tuple[str, Any]] = [(x.name, _agreement(x)) for x in self.channels]
-        rows += [(f"held out: {x.name}", _agreement(x)) for x in self.validation]
+        rows: list[tuple[str, Any]] = [(x.name, agreement(x)) for x in self.channels]
+        rows += [(f"held out: {x.name}", agreement(x)) for x in self.validation]
         if self.validation_residuals is not None and not self.validation_residuals.ok:
             rows.append(("held out", self.validation_residuals.status))
         return rows + ([("notes", few(self.notes))] if self.notes else [])
-
-
-def _agreement(x: ChannelFit) -> str:
-    white = min((p for p in (x.ljung_box, x.runs) if np.isfinite(p)), default=np.nan)
-    text = f"rms {x.rms:.3g}, {100.0 * x.relative:.2g} % of the data"
-    if not x.estimated:
-        text += f", chi-square {x.chi_square:.3g}"
-    return text + ("; residuals are not white" if white < 0.01 else "")
-
-
-def channel_fits(problem: FitProblem, values: np.ndarray) -> list[ChannelFit]:
-    """How model and data agree in every block of a problem, of residuals [rows]."""
-    result = []
-    for row in problem.rows:
-        r, deviation = values[row.rows], problem.deviations[row.rows]
-        difference = r * deviation
-        rms = float(np.sqrt(np.mean(difference**2)))
-        spread = float(np.std(row.block.measured)) or float(np.abs(row.block.measured).max()) or 1.0
-        result.append(
-            ChannelFit(
-                row.name,
-                len(r),
-                rms,
-                rms / spread,
-                float(deviation.mean()),
-                row.estimated,
-                float(np.mean(r**2)),
-                ljung_box(r),
-                runs_test(r),
-                row.block.note,
-            )
-        )
-    return result
 
 
 def best_first(fits: Sequence[Fit]) -> list[Fit]:

@@ -173,7 +173,8 @@ def _fits(
 def _estimated(problem: FitProblem, fit: Fit, loss: str) -> np.ndarray:
     """Deviations of all measured numbers [data]: those given, and of the other channels those of their residuals."""
     result = problem.deviations.copy()
-    share = max(1.0 - len(problem.names) / len(fit.residuals.values), 1.0 / len(fit.residuals.values))
+    rows, searched = len(fit.residuals.values), int((problem.lower < problem.upper).sum())
+    share = max(1.0 - searched / rows, 1.0 / rows)
     for row in (row for row in problem.rows if row.estimated):
         difference = fit.residuals.values[row.rows] * problem.deviations[row.rows]
         size = float(np.sqrt(np.mean(difference**2) / share))

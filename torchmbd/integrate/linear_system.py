@@ -32,6 +32,7 @@ from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
 
 _PORTS = "ports of linearize"
+_BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
 
@@ -65,9 +66,16 @@ class LinearSystem:
 
     def response(self, frequencies: ArrayLike) -> np.ndarray:
         """Frequency response [frequencies, outputs, inputs], complex, at frequencies [Hz]."""
-        s = 2j * np.pi * np.atleast_1d(reals("frequencies", frequencies).numpy())
-        unit = np.eye(len(self.A))
-        return np.stack([self.C @ np.linalg.solve(x * unit - self.A, self.B) + self.D for x in s])
+        f = np.atleast_1d(reals("frequencies", frequencies).numpy())
+        if f.ndim != 1 or not np.isfinite(f).all():
+            raise InputError(f"frequencies is {frequencies!r}; allowed: finite numbers [Hz]")
+        unit, result = np.eye(len(self.A)), []
+        for x in f:
+            try:
+                result.append(self.C @ np.linalg.solve(2j * np.pi * x * unit - self.A, self.B) + self.D)
+            except np.linalg.LinAlgError as error:
+                raise InputError(f"frequencies has {x:g} Hz, a pole without damping; allowed: others") from error
+        return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 
 
 class _Ports(nn.Module):
@@ -108,6 +116,8 @@ def linearize(
         raise InputError(f"system is {system!r}; allowed: a System")
     inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
     outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
+    if not outputs:
+        raise InputError("outputs is empty; allowed: at least one signal")
     if any(isinstance(signal, Time) for signal in outputs):
         raise InputError("outputs has the time; allowed: signals of the motion")
     state = equilibrium(system) if state is None else state
@@ -134,7 +144,8 @@ def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, stat
     if not inputs:
         raise InputError("inputs is empty; allowed: at least one actuator")
     probe = Controller(ports, outputs, inputs, name=_PORTS)
-    names = [body.name for body in system.bodies]
+    nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
+    names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
     with_ports = System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
     dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
     link = next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
@@ -153,6 +164,11 @@ def _matrices(
 ) -> LinearSystem:
     T, data = dynamics.topology, dynamics.data
     rest = Linearization.of(dynamics, q[:, 0, 0], t, None, observer)
+    size = max(float(rest.forces.abs().max()), float(rest.K.abs().max()))
+    if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
+        rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
+    ):
+        raise InputError("state is no equilibrium of the system; allowed: one of mbd.equilibrium of the same system")
     M, n = rest.inertia, rest.N.shape[1]
     if rest.negative_mass or int(torch.linalg.cholesky_ex(M)[1]):
         raise DesignFailure("no linear system: the mechanism can move without moving a mass; allowed: masses > 0")
