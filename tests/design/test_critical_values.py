@@ -108,6 +108,11 @@ def test_what_is_not_there_is_named():
     column = mbd.simulate(ziegler(), 1e-4, steps=2)
     with pytest.raises(mbd.DesignFailure, match="no vibration begins to grow"):
         mbd.StabilityLimit("push.x", (0.1, 1.0), points=3)(column)
+    undamped = mbd.simulate(ziegler(c=0.0), 1e-4, steps=2)
+    with pytest.raises(
+        mbd.DesignFailure, match=r"no limit of stability for push\.x: at 5, .* neither decays nor grows"
+    ):
+        mbd.StabilityLimit("push.x", (1.0, 13.0), points=4)(undamped)
     with pytest.raises(mbd.InputError, match=r"'push\.w' does not exist"):
         mbd.Problem(ziegler(), 1e-4, mbd.StabilityLimit("push.w"), steps=2)
     for make, words in (

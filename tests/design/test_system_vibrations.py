@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -146,6 +147,9 @@ def test_designs_without_a_state_are_statuses():
         (lambda: mbd.DampingRatio(1, observer="moon"), "observer 'moon'"),
         (lambda: mbd.StabilityMargin(sharpness=-1.0), "sharpness is -1"),
         (lambda: mbd.CampbellClearance((0.0,), (1.0, 2.0)), "orders is 0"),
+        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), modes=([1],)), r"modes is \[1\]"),
+        (lambda: mbd.SystemFrequency(1, center="a"), "center is 'a'"),
+        (lambda: mbd.StabilityMargin(sharpness=1.0)(mbd.simulate(fixed(), 1e-4, steps=2)), "no freedom"),
         (lambda: mbd.CampbellClearance((1.0,), (2.0, 1.0)), "band is"),
         (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), points=1), "points is 1"),
         (lambda: mbd.SystemFrequency(9)(mbd.simulate(carriage(), 1e-4, steps=2)), "number is 9; allowed: 1 to 2"),
@@ -155,3 +159,17 @@ def test_designs_without_a_state_are_statuses():
 def test_bad_arguments_are_named(make, words):
     with pytest.raises(mbd.InputError, match=words):
         make()
+
+
+def fixed() -> mbd.System:
+    """A body without a freedom."""
+    body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
+    return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at())])
+
+
+def test_axes_as_arrays_are_those_as_words():
+    """Measures are compared and are keys, which arrays cannot be."""
+    by_array = mbd.SystemFrequency(1, axis=np.array([0.0, 0.0, 1.0]), center=torch.zeros(3, dtype=torch.float64))
+    assert by_array == mbd.SystemFrequency(1, axis=(0.0, 0.0, 1.0))
+    problem = mbd.Problem(carriage(), 1e-4, by_array, [by_array >= 0.01], steps=2)
+    assert problem.evaluate(problem.start[None], False)[0].status == "ok"

@@ -74,6 +74,20 @@ def test_leaving_one_out_is_linear_in_a_linear_problem(fit):
     np.testing.assert_allclose(moves, alone.x - fit.x, rtol=0.2, atol=0.1 * np.abs(alone.x - fit.x).max())
 
 
+def test_what_only_the_channel_left_out_sees_stays(fit):
+    """The angle alone hardly sees the mass: noise, and rounding, would move it by thousands of deviations."""
+    assert fit.leave_one_out().loc["force"].abs().max() < 100.0
+
+
+def test_a_fit_that_has_not_ended_claims_no_intervals():
+    shown = {"angle": mbd.Channel(pendulum.ANGLE)}
+    fit = mbd.identify(pendulum.experiment(pendulum.data(0.01), **shown), pendulum.UNKNOWNS, max_evaluations=2)
+    assert fit.status == "max_evaluations"
+    assert "cannot see" not in str(fit)
+    assert "+-" not in str(fit)
+    assert "angle" in str(fit)
+
+
 def test_delay_gain_and_offset_are_recovered(compiled):
     late = {
         "angle": mbd.Channel(

@@ -91,6 +91,27 @@ def test_frequencies_of_a_flexible_body_in_rotation():
         ),
         (lambda: mbd.ModalData([1.0], sensors=[mbd.StrainEnergy("a")]), "sensors has .*; allowed: positions"),
         (lambda: mbd.ModalData([1.0], modes=[0]), r"modes is \[0\]; allowed: 1 different numbers"),
+        (lambda: mbd.ModalData([1.0], modes=[1.5]), r"modes is \[1.5\]; allowed: 1 different numbers"),
+        (lambda: mbd.ModalData([1.0], modes=["a"]), r"modes is \['a'\]; allowed: 1 different numbers"),
+        (lambda: mbd.ModalData([1.0], damping=["a"]), "damping is .*; allowed: 1 positive numbers"),
+        (lambda: mbd.ModalData([1.0], damping=[np.inf]), "damping is .*; allowed: 1 positive numbers"),
+        (lambda: mbd.ModalData([1.0], shapes=[["a"]], sensors=[mbd.Position("a", "x")]), "shapes have shape"),
+        (lambda: mbd.ModalData([1.0], sensors=[mbd.Position("a", "x")]), "sensors are given without shapes"),
+        (
+            lambda: mbd.ModalData([1.0], shapes=[[1.0]], sensors=[mbd.Position("a", "x")], modes=[1]),
+            "modes is .* with shapes",
+        ),
+        (lambda: mbd.ModalData([1.0], least_mac=2.0), "least_mac"),
+        (
+            lambda: mbd.ModalData([1.0], spinn=(0, 0, 1)),
+            "option 'spinn' of ModalData does not exist.*did you mean 'spin'",
+        ),
+        (
+            lambda: mbd.identify(
+                mbd.Experiment(pendulum.row(k1=-9e3), mbd.ModalData([5.0], unstable=True)), ["second.stiffness"]
+            ),
+            "vibrations about the equilibrium grow",
+        ),
         (
             lambda: fitted(mbd.ModalData([1.0, 2.0, 3.0]), ["first.stiffness"]),
             "mode 3 is measured, and the model has 2 vibrations",
@@ -100,3 +121,18 @@ def test_frequencies_of_a_flexible_body_in_rotation():
 def test_bad_input_is_named(make, message):
     with pytest.raises(mbd.InputError, match=message):
         make()
+
+
+def test_a_mode_that_is_damped_more_than_critically_shifts_no_other():
+    """The poles of the first mode are real: the damping measured of the second is that of the only pair that oscillates."""
+    heavy = {"c1": 800.0, "c2": 0.0}
+    f, zeta, _ = pendulum.row_modes(**heavy)
+    assert len(zeta) == 1
+    data = mbd.ModalData([f[1]], zeta, modes=[2])
+    model = pendulum.row(**heavy)
+    fit = mbd.identify(mbd.Experiment(model, data), ["first.damping"], max_evaluations=1)
+    assert abs(fit.residuals).max() < 1e-6
+    with pytest.raises(mbd.InputError, match=r"mode 1 of the model, .* Hz, does not oscillate"):
+        mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).within({}).measurements[0].predict(
+            mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).run({}, 1, False, None), {}
+        )

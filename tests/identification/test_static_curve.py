@@ -66,3 +66,24 @@ POSITION = mbd.Position("bob", "x")
 def test_bad_input_is_named(make, message):
     with pytest.raises(mbd.InputError, match=message):
         make()
+
+
+def test_a_load_is_no_unknown_and_no_setting():
+    """It would replace the loads of all rows."""
+    curve = mbd.StaticCurve({"F": [0.0, 1.0], "angle": [0.0, 0.1]}, {"push.x": "F"}, {"angle": pendulum.ANGLE})
+    with pytest.raises(mbd.InputError, match=r"unknown 'push\.x' is a load of experiment 'experiment'"):
+        mbd.identify(mbd.Experiment(pendulum.pushed(), curve), ["push.x"])
+    with pytest.raises(mbd.InputError, match=r"settings has 'push\.x', a load that a measurement sets"):
+        mbd.Experiment(pendulum.pushed(), curve, settings={"push.x": 1.0})
+
+
+def test_an_experiment_that_starts_at_rest():
+    """Its motions start in equilibrium; the search for that of the curve starts assembled."""
+    data = {"F": [1.0, 2.0], "angle": [0.07, 0.14]}
+    curve = mbd.StaticCurve(data, {"push.x": "F"}, {"angle": mbd.Channel(pendulum.ANGLE, deviation=1e-3)})
+    fits = [
+        mbd.identify(mbd.Experiment(pendulum.pushed(), curve, start=start), ["spring.stiffness"])
+        for start in ("equilibrium", "assembled")
+    ]
+    assert [fit.status for fit in fits] == ["converged"] * 2
+    assert fits[0].x == pytest.approx(fits[1].x)

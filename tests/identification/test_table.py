@@ -79,3 +79,16 @@ def test_a_million_rows_are_read_once(tmp_path):
     tracemalloc.stop()
     assert [len(block.measured) for block in series.blocks] == [1_000_000] * 2
     assert peak < 4 * 3 * 8e6
+
+
+def test_spaces_after_separators_are_no_part_of_names(tmp_path):
+    file = tmp_path / "rig.csv"
+    file.write_text("t [ms], tip [mm], other\n0, 1, 7\n1, 2, 8\n")
+    table = Table.of(file, ["tip", "t"])
+    assert table.columns["tip"].tolist() == [1.0, 2.0]
+    assert table.columns["t"].tolist() == [0.0, 1.0]
+
+
+def test_columns_of_one_name_are_refused():
+    with pytest.raises(mbd.InputError, match=r"columns \['x \[mm\]', 'x \[m\]'\]; allowed: each name once"):
+        Table.of({"x [mm]": [1.0], "x [m]": [1.0]}, ["x"])

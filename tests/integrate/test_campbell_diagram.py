@@ -95,6 +95,8 @@ def test_a_system_without_vibrations_has_none():
     ("change", "message"),
     [
         ({"system": 3}, "campbell of 3; allowed: a System"),
+        ({"center": 5}, "center is 5; allowed: three finite numbers"),
+        ({"center": "a"}, "center is 'a'"),
         ({"modes": 0}, "modes is 0; allowed: 1, 2"),
         ({"speeds": [2.0, 1.0]}, "speeds is .*; allowed: rising"),
         ({"axis": "w"}, "axis"),

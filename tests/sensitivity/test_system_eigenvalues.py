@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -125,9 +126,49 @@ def test_what_has_no_derivative_is_named():
     system = mbd.System([body], [hinge])
     with pytest.raises(mbd.InputError, match="eigenvalue 1 has no derivative: it is zero, that of a free motion"):
         mbd.equilibrium(system).frequencies.sum().backward()
-    with pytest.raises(mbd.InputError, match=r"no derivative: it is one of several that coincide.*defective"):
+    with pytest.raises(mbd.InputError, match="no derivative: it is zero, that of a free motion"):
         mbd.equilibrium(system).poles.real.sum().backward()
     spring = mbd.RotationalSpringDamper(GROUND.at(), body.at(), axis="z", stiffness=V(3.0), name="s")
     held, x = mbd.System([body], [hinge], [spring]), torch.tensor(2.0, dtype=torch.float64)
     with pytest.raises(mbd.InputError, match="second derivative"):
         torch.func.hessian(lambda k: mbd.equilibrium(held, designs={"s.stiffness": k[None]}).frequencies[0, 0])(x)
+
+
+def chain(k: float = 50.0, d: float = 2.0, masses: int = 3, held: bool = False) -> mbd.System:
+    """Masses of 2 kg on a rail, with springs and dampers between them; held: also to the ground."""
+    bodies = [mbd.RigidBody(f"mass{i}", 2.0, (1.0, 1.0, 1.0)) for i in range(masses)]
+    ends = [GROUND] * held + bodies
+    springs = [
+        mbd.AxialSpringDamper(a.at(), b.at(), axis="y", stiffness=V(k), damping=d, name=f"spring{i}")
+        for i, (a, b) in enumerate(itertools.pairwise(ends))
+    ]
+    return mbd.System(bodies, [mbd.Prismatic(GROUND.at(), b.at(), axis="y") for b in bodies], springs)
+
+
+def test_poles_of_a_free_motion_are_zero_and_the_others_count():
+    """Free in one direction: its poles would be +-1e-8 by rounding, and the first of the poles that oscillate."""
+    k = torch.tensor([50.0], dtype=torch.float64, requires_grad=True)
+    rest = mbd.equilibrium(chain(), designs={"spring0.stiffness": k})
+    assert rest.poles[0, :2].tolist() == [0.0, 0.0]
+    assert rest.damping_ratios[0, :2].tolist() == pytest.approx(
+        [0.1, 0.1 * 3.0**0.5]
+    )  # d w / (2 k), w^2 = k / m, 3 k / m
+    (slope,) = torch.autograd.grad(rest.damping_ratios[0, 0], k, retain_graph=True)
+    assert float(slope) == pytest.approx(-0.1 / (4.0 * 50.0), rel=1e-9)  # one of two springs alike, at constant damping
+    motion = mbd.simulate(chain(), 1e-4, steps=2)
+    assert float(mbd.DampingRatio(1)(motion)) == pytest.approx(0.1)
+    assert float(mbd.StabilityMargin()(motion)) == 0.0
+    with pytest.raises(mbd.DesignFailure, match="it is zero, that of a free motion"):
+        mbd.StabilityMargin()(motion).sum().backward()
+
+
+def test_slow_poles_of_strong_dampers_are_no_free_motions():
+    poles = mbd.equilibrium(chain(1.0, 1e6, 2, held=True)).poles[0].real
+    assert poles[2:].tolist() == pytest.approx([-1e-6, -1e-6], rel=1e-3)  # -k / d
+
+
+def test_poles_without_a_mass_are_refused_by_name():
+    body = mbd.RigidBody("mass", 1.0, (0.0, 0.0, 0.0))
+    system = mbd.System([body], [mbd.Spherical(GROUND.at(), body.at(0, 0, -1.0))], gravity=(0, 0, -9.81))
+    with pytest.raises(mbd.DesignFailure, match="can move without moving a mass"):
+        mbd.equilibrium(system).poles  # noqa: B018

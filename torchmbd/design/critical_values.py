@@ -138,7 +138,8 @@ class CriticalSpeed(OfVibrations):
         w = steady_states(system, speeds, self.shaft, designs).eigenvalues(NATURAL)[0]
         g = w - self.order * speeds[:, None]
         crossings = []
-        for i, k in ((g[:-1] < 0.0) != (g[1:] < 0.0)).nonzero().tolist():
+        numbers = ~(g[:-1].isnan() | g[1:].isnan())  # where vibrations grow the lowest is none
+        for i, k in (numbers & ((g[:-1] < 0.0) != (g[1:] < 0.0))).nonzero().tolist():
             share = float(g[i, k] / (g[i, k] - g[i + 1, k]))
             crossings.append((float(speeds[i]) + share * float(speeds[i + 1] - speeds[i]), i, k))
         if len(crossings) < self.number:
@@ -220,10 +221,16 @@ class StabilityLimit(OfVibrations):
         values = torch.linspace(*self.between, self.points, dtype=torch.float64)
         poles = self._poles(system, values, designs)
         size = poles.abs()
-        grows = (poles.real > torch.maximum(_STILL * size, _ROUNDING * size.amax(1, keepdim=True))).any(1)
+        rounding = torch.maximum(_STILL * size, _ROUNDING * size.amax(1, keepdim=True))
+        grows, decays = (poles.real > rounding).any(1), (poles.real < -rounding).all(1)
         for i in range(len(values) - 1):
-            if bool(grows[i + 1] and not grows[i]):
+            if bool(grows[i + 1] and decays[i]):
                 return float(values[i]), float(values[i + 1]), None
+            if bool(grows[i + 1] and not grows[i]):
+                raise DesignFailure(
+                    f"no limit of stability for {self.parameter}: at {float(values[i]):g}, before vibrations begin to grow, "
+                    "one neither decays nor grows; allowed: damping of all vibrations, and no free motion"
+                )
         low, high = self.between
         state = "vibrations grow at all values" if bool(grows.all()) else "no vibration begins to grow"
         raise DesignFailure(

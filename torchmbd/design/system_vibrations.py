@@ -44,10 +44,9 @@ class OfVibrations(Measure):
     observer: str = TURNING
 
     def __post_init__(self) -> None:
-        for name in ("axis", "center"):
-            x = getattr(self, name)
-            object.__setattr__(self, name, tuple(x) if isinstance(x, list) else x)
-        _ = self.shaft
+        shaft = self.shaft
+        object.__setattr__(self, "axis", shaft.axis)
+        object.__setattr__(self, "center", shaft.center)
 
     @property
     def shaft(self) -> Shaft:
@@ -65,10 +64,13 @@ class OfVibrations(Measure):
 
 
 def _numbers(name: str, numbers: object) -> tuple[int, ...]:
-    if not isinstance(numbers, (list, tuple)) or not numbers or len(set(numbers)) < len(numbers):
-        raise InputError(f"{name} is {numbers!r}; allowed: numbers of vibrations, each once, such as (2, 3)")
+    allowed = f"{name} is {numbers!r}; allowed: numbers of vibrations, each once, such as (2, 3)"
+    if not isinstance(numbers, (list, tuple)) or not numbers:
+        raise InputError(allowed)
     for number in numbers:
         number_of(name, number)
+    if len(set(numbers)) < len(numbers):
+        raise InputError(allowed)
     return tuple(numbers)
 
 
@@ -188,6 +190,8 @@ class StabilityMargin(OfVibrations):
     def value(self, motion: Trajectory) -> Tensor:
         states = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64))
         growth = states.eigenvalues(POLES, None, self.sharpness is not None)[:, 0].real
+        if not growth.shape[1]:
+            raise DesignFailure("no vibrations: the joints leave the system no freedom")
         if self.sharpness is not None:
             return torch.logsumexp(self.sharpness * growth, -1) / self.sharpness
         # A conjugate pair counts once: the member with the larger imaginary part comes last.

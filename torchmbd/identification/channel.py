@@ -110,7 +110,10 @@ def checked_deviation(what: str, deviation: Any) -> float | np.ndarray:
     """A positive standard deviation, or one for each row; InputError for other values."""
     if np.ndim(deviation) == 0:
         return positive(what, deviation, "")
-    values = np.asarray(deviation, dtype=float)
+    try:
+        values = np.asarray(deviation, dtype=float)
+    except (TypeError, ValueError):
+        values = np.zeros(1)
     if values.ndim != 1 or not (values > 0.0).all() or not np.isfinite(values).all():
         raise InputError(f"{what} is {deviation!r}; allowed: positive numbers, one or one for each row")
     return values

@@ -78,6 +78,10 @@ class Experiment(Summary):
             segments_of(system, (Phase(),) if phases is None else phases, length)
         self.system = system
         self.settings = settings_of(system, (), "the experiment", settings or {})
+        for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
+            raise InputError(
+                f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are none"
+            )
         self.steps = steps
         self.simulation = {"method": method, "phases": phases, "backend": backend, "start": start, **options}
 

@@ -326,6 +326,10 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
             of_system = dict(x.system.named_parameters())
             if name in x.settings:
                 raise InputError(f"experiment {key!r} sets {name!r}, an unknown; allowed: parameters that are none")
+            if any(name in measurement.sets for measurement in x.measurements):
+                raise InputError(
+                    f"unknown {name!r} is a load of experiment {key!r}, which is measured; allowed: others"
+                )
             if name in of_system and of_system[name].shape != every[name].shape:
                 raise InputError(
                     f"{name!r} has {of_system[name].numel()} entries in experiment {key!r}, and {every[name].numel()} in "

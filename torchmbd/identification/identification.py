@@ -256,15 +256,16 @@ class Identification(Summary):
             }
         if len(groups) == 1:
             raise InputError("there is one channel alone; allowed: two at least, of which one may be left out")
-        J, r = self._jacobian * self.settings.scale, self.residuals
-        result = {}
+        J, r, result = self._jacobian * self.size, self.residuals, {}
         for name, parts in groups.items():
             kept = np.ones(len(r), dtype=bool)
             for rows in parts:
                 kept[rows] = False
-            step = -np.linalg.lstsq(J[kept], r[kept], rcond=1e-10)[0] * self.settings.scale
+            values, vectors = singular_values(self._jacobian[kept], self.size)
             # Directions that only the group sees keep their values.
-            result[name] = step / self.deviation
+            seen = vectors[:, : len(values) - unseen_count(values)]
+            step = -seen @ np.linalg.lstsq(J[kept] @ seen, r[kept], rcond=None)[0]
+            result[name] = step * self.size / self.deviation
         return pd.DataFrame(result, index=self.names).T
 
     def profile(self, name: str, level: float = LEVEL) -> tuple[float, float]:
@@ -331,6 +332,12 @@ class Identification(Summary):
         ]
         if self.fit.residuals.jacobian is None:
             return rows
+        if not self.converged:  # deviations and what data see are those at a minimum
+            return [
+                *rows,
+                *((name, f"{value:.6g}") for name, value in zip(self.names, self.x, strict=True)),
+                *self._agreements,
+            ]
         for name, value, deviation in zip(self.names, self.x, self.deviation, strict=True):
             half = quantile(self.freedoms) * deviation
             text = (
@@ -340,7 +347,11 @@ class Identification(Summary):
             )
             rows.append((name, text + " at a bound" * (name in self.at_bounds)))
         rows += [("the data see", x.words) for x in self.unseen]
-        rows += [(x.name, _agreement(x)) for x in self.channels]
+        return rows + self._agreements
+
+    @property
+    def _agreements(self) -> list[tuple[str, Any]]:
+        rows: list[tuple[str, Any]] = [(x.name, _agreement(x)) for x in self.channels]
         rows += [(f"held out: {x.name}", _agreement(x)) for x in self.validation]
         if self.validation_residuals is not None and not self.validation_residuals.ok:
             rows.append(("held out", self.validation_residuals.status))

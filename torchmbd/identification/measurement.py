@@ -80,6 +80,11 @@ class Measurement:
         """Unknowns of the measurement itself by name, such as "tip.delay"."""
         return {}
 
+    @property
+    def sets(self) -> list[str]:
+        """Parameters of the system that it sets itself, such as loads: none of them is an unknown or a setting."""
+        return []
+
     def until(self, limits: Limits) -> float:
         """How long a motion must last for it [s], for all values of its unknowns within limits; 0: it needs no motion."""
         return 0.0

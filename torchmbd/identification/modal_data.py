@@ -8,6 +8,7 @@ mode whose MAC is too small at the start has no partner and is left out, by name
 the model have no derivatives. Without shapes modes are paired by their order.
 Frequencies are natural ones, those without damping. Sources: Allemang, Sound and Vibration 37 (2003) 14-23 (MAC); the pairs are
 those of scipy.optimize.linear_sum_assignment.
+Over 300 lines: one measurement, and how its modes are paired.
 Checked in tests/identification/test_modal_data.py.
 """
 
@@ -24,17 +25,20 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.histories import Displacement, Position, Velocity
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import DesignFailure, InputError, checked_signature, nearest
 from torchmbd.identification.measurement import Block, Limits, Measurement, Prediction
 from torchmbd.identification.run import Run
 from torchmbd.integrate import Equilibrium, equilibrium
 from torchmbd.integrate.eigenvalues import NATURAL, POLES
-from torchmbd.math.checked_numbers import positive
+from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import System
+from torchmbd.multibody.system.spectrum import SWINGS
+from torchmbd.optimization.optimizer import require_range
 from torchmbd.results.motion_data import OK
 from torchmbd.results.time_rows import TensorSignals
 
 LEAST_MAC = 0.5  # below, two shapes are not taken for the same mode
+OPTIONS = ("times", "spin", "center", "observer", "follow", "unstable")  # of `equilibrium`
 _ZERO = 1e-6  # of the largest frequency: rigid motions
 
 
@@ -84,13 +88,20 @@ class ModalData(Measurement):
         if (np.diff(self.frequencies) < 0.0).any():
             raise InputError(f"frequencies is {frequencies!r}; allowed: in ascending order [Hz]")
         count = len(self.frequencies)
-        self.damping = np.full(count, np.nan) if damping is None else np.asarray(damping, dtype=float)
-        if self.damping.shape != (count,) or (self.damping <= 0.0).any():
+        self.damping = np.full(count, np.nan) if damping is None else _numbers(damping)
+        if self.damping.shape != (count,) or (self.damping <= 0.0).any() or np.isinf(self.damping).any():
             raise InputError(f"damping is {damping!r}; allowed: {count} positive numbers, nan where there is none")
         self.shares = positive("frequency_share", frequency_share, "-"), positive("damping_share", damping_share, "-")
-        self.least_mac, self.options = positive("least_mac", least_mac, "-"), options
+        require_range("least_mac", least_mac, 0.0, 1.0)
+        self.least_mac, self.options = least_mac, options
+        if wrong := [name for name in options if name not in OPTIONS]:
+            raise InputError(f"option {wrong[0]!r} of ModalData does not exist{nearest(wrong[0], OPTIONS)}")
         self.sensors = [_velocity(sensor) for sensor in sensors]
-        self.shapes = None if shapes is None else np.asarray(shapes, dtype=float)
+        self.shapes = None if shapes is None else _numbers(shapes)
+        if shapes is None and self.sensors:
+            raise InputError("sensors are given without shapes; allowed: both, or none")
+        if shapes is not None and modes is not None:
+            raise InputError(f"modes is {modes!r} with shapes, which pair modes; allowed: one of them")
         if self.shapes is not None and self.shapes.shape != (len(self.sensors), count):
             raise InputError(
                 f"shapes have shape {self.shapes.shape}; allowed: [{len(self.sensors)} sensors, {count} modes]"
@@ -101,8 +112,13 @@ class ModalData(Measurement):
             raise InputError(
                 "shapes have a mode that is zero or no number; allowed: finite numbers, one that is not zero"
             )
-        self.numbers = list(range(1, count + 1)) if modes is None else [int(k) for k in modes]
-        if len(self.numbers) != count or min(self.numbers, default=1) < 1 or len(set(self.numbers)) < count:
+        numbers: Any = list(range(1, count + 1)) if modes is None else modes
+        self.numbers: list[int] = list(numbers) if isinstance(numbers, (list, tuple, range)) else []
+        if (
+            len(self.numbers) != count
+            or not all(is_whole(k) and k >= 1 for k in self.numbers)
+            or len(set(self.numbers)) < count
+        ):
             raise InputError(f"modes is {modes!r}; allowed: {count} different numbers, 1 for the lowest mode")
         self.labels, self.without_partner = list(range(1, count + 1)), ""
 
@@ -182,11 +198,9 @@ class ModalData(Measurement):
             name: x.detach().clone().requires_grad_(differentiable and name in run.variables)
             for name, x in run.parameters.items()
         }
-        start = run.simulation.get("start", "assembled")
-        start = "assembled" if start == "equilibrium" else start
         with torch.set_grad_enabled(differentiable):
             variables = run.variables if differentiable else None
-            return equilibrium(run.system, designs=designs, variables=variables, start=start, **self.options)
+            return equilibrium(run.system, designs=designs, variables=variables, start=run.rest_start, **self.options)
 
     def _pairing(self, rest: Equilibrium, lane: int) -> Pairing:
         if self.shapes is not None:
@@ -204,6 +218,8 @@ class ModalData(Measurement):
     def _elastic(self, rest: Equilibrium, lane: int) -> list[int]:
         """Numbers of the vibrations of the model that are no rigid motions, from 0."""
         f = rest.vibrations[lane].frequencies
+        if bool(f.isnan().any()):
+            raise DesignFailure("vibrations about the equilibrium grow, so that its modes are no frequencies")
         largest = float(torch.nan_to_num(f).max()) if len(f) else 0.0
         return [k for k, x in enumerate(f.tolist()) if x > _ZERO * largest]
 
@@ -238,16 +254,30 @@ class ModalData(Measurement):
 
 
 def _poles_of(s: Tensor, natural: Tensor, modes: Tensor) -> Tensor:
-    """Numbers of the poles [k, lanes] of vibrations: of those with a positive imaginary part the one as high in their order."""
+    """Numbers of the poles [k, lanes] of vibrations: among those that oscillate the one whose size is that frequency.
+
+    Sizes, not imaginary parts: damping changes these, and a mode that is damped more than critically has none.
+    """
+    from scipy.optimize import linear_sum_assignment
+
     result = torch.zeros_like(modes)
     for lane in range(modes.shape[1]):
-        upper = torch.nonzero(s[:, lane].imag > 0.0)[:, 0]
-        upper = upper[torch.argsort(s[upper, lane].imag)]
         w = natural[:, lane]
-        rank = [int((w[:mode] > _ZERO * w.nan_to_num().max()).sum()) for mode in modes[:, lane].tolist()]
-        if max(rank, default=0) >= len(upper):
-            raise InputError(f"mode {max(rank) + 1} of the model does not vibrate: its poles are real")
-        result[:, lane] = upper[torch.tensor(rank)]
+        elastic = torch.nonzero(w > _ZERO * w.nan_to_num().max())[:, 0]
+        upper = torch.nonzero(s[:, lane].imag > SWINGS * s[:, lane].abs())[:, 0]
+        upper = upper[torch.argsort(s[upper, lane].abs(), stable=True)]
+        distance = (s[upper, lane].abs().log() - w[elastic, None].log()).square()
+        rows, columns = linear_sum_assignment(distance.numpy())
+        pole = dict(
+            zip(elastic[torch.from_numpy(rows)].tolist(), upper[torch.from_numpy(columns)].tolist(), strict=True)
+        )
+        for k, mode in enumerate(modes[:, lane].tolist()):
+            if mode not in pole:
+                raise DesignFailure(
+                    f"mode {mode + 1} of the model, {float(w[mode]) / (2.0 * math.pi):.4g} Hz, does not oscillate: its "
+                    "poles are real; allowed: less damping"
+                )
+            result[k, lane] = pole[mode]
     return result
 
 
@@ -267,11 +297,16 @@ def _velocity(sensor: Any) -> Velocity:
     return Velocity(sensor.body, sensor.axis, sensor.node, sensor.point, seen_from, sensor.axes)
 
 
-def _positive(what: str, numbers: Any, unit: str) -> np.ndarray:
+def _numbers(x: Any) -> np.ndarray:
+    """Numbers as float64; one that is none, which no shape allows, for anything else."""
     try:
-        values = np.asarray(numbers, dtype=float)
+        return np.asarray(x, dtype=float)
     except (TypeError, ValueError):
-        values = np.full(1, np.nan)
+        return np.array(np.nan)
+
+
+def _positive(what: str, numbers: Any, unit: str) -> np.ndarray:
+    values = _numbers(numbers)
     if values.ndim != 1 or not len(values) or not (values > 0.0).all() or not np.isfinite(values).all():
         raise InputError(f"{what} is {numbers!r}; allowed: positive numbers{unit}, one at least")
     return values

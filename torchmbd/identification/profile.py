@@ -4,8 +4,8 @@
     interval: D(p) <= F(level; 1, N - n)
 
 Each D(p) is a fit of the other unknowns, from those of the p before. The ends are found by Brent's method on
-sqrt(D(p)) - sqrt(F), nearly linear in p. Where a bound, or ten times the linearized interval, does not reach it, the end is
-the bound or infinite.
+sqrt(D(p)) - sqrt(F), nearly linear in p. Where it is not reached at a bound, or 32 half widths of the linearized interval
+away, the end is the bound or infinite.
 Source: Venzon and Moolgavkar, Applied Statistics 37 (1988) 87-94. Checked in tests/identification/test_profile.py.
 """
 

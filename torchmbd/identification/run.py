@@ -50,6 +50,12 @@ class Run:
         return {name: x.expand(self.lanes, *x.shape) for name, x in self.settings.items()} | {**self.designs}
 
     @property
+    def rest_start(self) -> Any:
+        """Where the search for an equilibrium begins, as the motion does; one that starts at rest begins it assembled."""
+        start = self.simulation.get("start", "assembled")
+        return "assembled" if isinstance(start, str) and start == "equilibrium" else start
+
+    @property
     def status(self) -> list[str]:
         """Status of the motion of every lane."""
         status = self.motion.status

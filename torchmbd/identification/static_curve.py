@@ -87,6 +87,10 @@ class StaticCurve(Measurement):
     def unknowns(self) -> dict[str, nn.Parameter]:
         return {f"{name}.{key}": x for name, channel in self.channels.items() for key, x in channel.unknowns.items()}
 
+    @property
+    def sets(self) -> list[str]:
+        return list(self.loads)
+
     def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:
         paths = [self._path(run, lane) for lane in range(run.lanes)]
         value = torch.stack([y for y, _ in paths])
@@ -116,10 +120,9 @@ class StaticCurve(Measurement):
         for name, x in run.parameters.items():
             x = x[lane].detach().expand(count, *x.shape[1:]).clone()
             designs[name] = x.requires_grad_(differentiable and name in run.variables)
-        start = run.simulation.get("start", "assembled")
         with torch.set_grad_enabled(differentiable):
             variables = run.variables if differentiable else None
-            rest = equilibrium(run.system, designs=designs, variables=variables, start=start, follow=True)
+            rest = equilibrium(run.system, designs=designs, variables=variables, start=run.rest_start, follow=True)
 
         def rows(rest: Any) -> Tensor:
             return torch.cat([channel.response.values(rest)[:, :1] for channel in self.channels.values()], 1)

@@ -54,7 +54,10 @@ class Table:
                 f"data is {data!r}; allowed: the path of a CSV file, a DataFrame, or a mapping of arrays by name"
             )
         columns, units = {}, {}
-        headings = _headings([str(key) for key in data])
+        texts = [str(key) for key in data]
+        headings = _headings(texts)
+        if len(headings) < len(texts):
+            raise InputError(f"data has columns {texts}; allowed: each name once, whatever its unit")
         keys = dict(zip(headings, data, strict=True))
         for name in names:
             if name not in headings:
@@ -137,7 +140,10 @@ def _read(file: Path, names: Sequence[str]) -> Table:
         raise InputError(_fault(file, separator, texts, places) or f"{file}: {error}") from error
     if not _is_regular(file, separator, len(texts)) and (fault := _fault(file, separator, texts, places)):
         raise InputError(fault)
-    columns = {name: frame[texts[place]].to_numpy() for name, place in zip(names, places, strict=True)}
+    # By place: pandas has other names where spaces follow separators.
+    columns = {
+        name: frame.iloc[:, sorted(places).index(place)].to_numpy() for name, place in zip(names, places, strict=True)
+    }
     return Table(columns, {name: unit for name in names if (unit := headings[name])}, file)
 
 

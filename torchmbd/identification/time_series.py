@@ -75,7 +75,7 @@ class TimeSeries(Measurement):
     def blocks(self) -> list[Block]:
         result = []
         for name, samples in self.samples.items():
-            note = f"{samples.outside} samples are left out: a delay within its bounds puts them before or after the motion"
+            note = f"{samples.outside} samples are left out: with some delay within its bounds they are not within the motion"
             note = note if samples.outside else ""
             title = self.channels[name].title
             result.append(Block(name, samples.t, samples.y, samples.deviation, title, note=note))

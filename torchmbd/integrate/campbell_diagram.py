@@ -90,7 +90,7 @@ def campbell(
         raise InputError(f"campbell of {system!r}; allowed: a System")
     if not is_whole(modes) or modes < 1:
         raise InputError(f"modes is {modes!r}; allowed: 1, 2, ...")
-    shaft = Shaft(axis, tuple(float(x) for x in center), observer)
+    shaft = Shaft(axis, center, observer)
     states = steady_states(system, speeds, shaft, designs)
     names = list(states.dynamics.data)
     numbers, status = outside_transforms(

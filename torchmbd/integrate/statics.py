@@ -84,7 +84,8 @@ class Equilibrium(Trajectory):
         known = s.detach().imag > SWINGS * s.detach().abs()
         first = known.to(torch.float64).argsort(dim=1, descending=True, stable=True)[:, : s.shape[1] // 2]
         s, known = s.gather(1, first), known.gather(1, first)
-        return torch.where(known, -s.real / s.abs(), torch.nan)
+        # Others take no part, also not by a derivative at zero.
+        return torch.where(known, -s.real / torch.where(known, s, 1.0).abs(), torch.nan)
 
     def _eigenvalues(self, kind: str) -> Tensor:
         return self.eigenvalues(kind).T

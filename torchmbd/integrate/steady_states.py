@@ -41,12 +41,15 @@ class Shaft:
     [1.0, 0.0, 0.0]
     """
 
-    axis: str | Sequence[float] = "z"
-    center: Sequence[float] = (0.0, 0.0, 0.0)
+    axis: str | Sequence[float] | Tensor = "z"
+    center: Sequence[float] | Tensor = (0.0, 0.0, 0.0)
     observer: str = TURNING
 
     def __post_init__(self) -> None:
         SteadyRotation.of(self.direction, self.center, self.observer)
+        for name in ("axis", "center"):
+            x = getattr(self, name)
+            object.__setattr__(self, name, x if isinstance(x, str) else tuple(reals(name, x).tolist()))
 
     @property
     def direction(self) -> Tensor:

@@ -7,6 +7,7 @@ M is a block of the saddle-point matrix; K and C are tangents of the residual of
 multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
 Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
 Coriolis.
+Over 300 lines: the matrices of one state and its natural frequencies, which share what counts as zero.
 Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
 """
 
@@ -32,7 +33,7 @@ from torchmbd.multibody.system.topology import Topology
 _CANCELS, _EIGEN = 1e-10, 1e-15
 _ZERO_MASS = 1e-9  # share of the largest eigenvalue of the inertia
 NEGATIVE_MASS = "bodies bend until their modes have a negative mass"
-_GROWS = 1e-6  # ratio of real part and size of a pole above which vibrations grow
+GROWS = 1e-6  # ratio of real part and size of a pole above which vibrations grow
 _AT_REST = 1e-7  # share of the largest frequency below which one is zero
 _UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetry of the stiffness that unbalanced forces and rounding may cause
 
@@ -148,6 +149,20 @@ class Linearization:
         masses = torch.linalg.eigvalsh(self.inertia)
         return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
 
+    def factored_inertia(self) -> Tensor:
+        """L with L L' = N' M N. DesignFailure where the inertia is not positive definite: vibrations do not exist."""
+        if self.negative_mass:
+            raise DesignFailure(
+                f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
+            )
+        L, singular = torch.linalg.cholesky_ex(self.inertia)
+        if int(singular):
+            raise DesignFailure(
+                "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
+                "allowed: masses and inertias > 0 of all that is free to move"
+            )
+        return L
+
     @property
     def stiffness(self) -> Tensor:
         """N' K N; symmetric but for forces without a potential, and dampers at rest, which push what turns sideways."""
@@ -198,25 +213,15 @@ class Vibrations:
     @classmethod
     def of(cls, rest: Linearization) -> Vibrations:
         """Solve the eigenvalue problem in the null space. InputError where the inertia is not positive definite."""
-        if rest.negative_mass:
-            raise DesignFailure(
-                f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
-            )
         M, K_full = rest.inertia, rest.reduced(rest.K)
         K = 0.5 * (K_full + K_full.T)
-        L, singular = torch.linalg.cholesky_ex(M)
-        if int(singular):
-            raise DesignFailure(
-                "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
-                "allowed: masses and inertias > 0 of all that is free to move"
-            )
-        inverse = torch.linalg.inv(L)
+        inverse = torch.linalg.inv(rest.factored_inertia())
         flutters = rest.nonconservative and not rest.rotates
         squares, Y = _flutter(inverse @ K_full @ inverse.T) if flutters else torch.linalg.eigh(inverse @ K @ inverse.T)
         n = len(squares)
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
         shapes[rest.active] = rest.N @ (inverse.T @ Y)
-        squares = torch.where(squares.abs() <= _rounding(rest, shapes, squares), 0.0, squares)
+        squares = torch.where(squares.abs() <= rounding_of_squares(rest, shapes, squares), 0.0, squares)
         if not rest.rotates or not n:
             return cls(squares.sqrt() / (2.0 * math.pi), shapes, rest)
         C = rest.reduced(rest.C)
@@ -244,10 +249,10 @@ def _grow(poles: Tensor, largest: Tensor) -> bool:
     largest   the largest angular frequency [rad/s], a measure of rounding; poles of strong dampers are much larger
     """
     size = poles.abs()
-    return bool(((poles.real > _GROWS * size) & (size > _AT_REST * largest)).any())
+    return bool(((poles.real > GROWS * size) & (size > _AT_REST * largest)).any())
 
 
-def _rounding(rest: Linearization, shapes: Tensor, squares: Tensor) -> Tensor:
+def rounding_of_squares(rest: Linearization, shapes: Tensor, squares: Tensor) -> Tensor:
     """Squares of angular frequencies [freedoms] that count as zero: rounding of energies that cancel, and of eigenvalues.
 
     A share of the largest square alone would make a heavy part on a light stiff shaft a free one.
@@ -263,7 +268,7 @@ def _flutter(A: Tensor) -> tuple[Tensor, Tensor]:
     values, vectors = torch.linalg.eig(A)
     order = values.real.argsort()
     values, Y = values[order], vectors[:, order].real
-    squares = torch.where(values.imag.abs() > _GROWS * values.abs(), torch.nan, values.real)
+    squares = torch.where(values.imag.abs() > GROWS * values.abs(), torch.nan, values.real)
     return squares, Y / Y.norm(dim=0)
 
 

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.fem.reduction.basis import CLUSTER
-from torchmbd.multibody.system.linearized import Linearization, Vibrations
+from torchmbd.multibody.system.linearized import GROWS, Linearization, Vibrations, rounding_of_squares
 from torchmbd.multibody.system.rank import RELATIVE
 
 _GUARD, _FEW = (
@@ -31,6 +31,7 @@ _GUARD, _FEW = (
 )  # vibrations beyond those asked for, so that those that coincide are complete; a share: most by `_lowest_whirl`
 _SINGLE_SHAPE = "one of several that coincide and have a single shape (defective)"
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
+_FLUTTER = "that of a vibration that grows"
 # Share of |s| that the imaginary part of an oscillating pole has at least: nearly equal real poles get 1e-4 by rounding.
 SWINGS = 1e-2
 _DEFECTIVE = 1e-6  # cosine between the left and the right vector, P' between them, below which rounding decides
@@ -71,6 +72,7 @@ class Spectrum:
                 return _normalized(rest, w, _full(rest, right), _full(rest, right), ("",) * count)
         vibrations = Vibrations.of(rest)
         w = 2.0 * math.pi * vibrations.frequencies
+        grows = torch.zeros(len(w), dtype=torch.bool)
         right = left = vibrations.shapes.to(torch.complex128)
         if rest.rotates:
             C, K = rest.reduced(rest.C), rest.reduced(rest.K)
@@ -78,6 +80,7 @@ class Spectrum:
             pairs = s.imag.abs().argsort(stable=True).reshape(-1, 2)
             upper = torch.where(s.imag[pairs[:, 0]] >= 0.0, pairs[:, 0], pairs[:, 1])
             right = left = _full(rest, V[:, upper])
+            grows = s.real[upper].abs() > GROWS * s[upper].abs()  # as in flutter, whose roots are not imaginary
         elif rest.nonconservative:
             M, K = rest.inertia, rest.reduced(rest.K)
             squares, L, R = _eigenvectors(torch.linalg.solve(M, K))
@@ -85,15 +88,29 @@ class Spectrum:
             right = _full(rest, R[:, order])
             left = _full(rest, torch.linalg.solve(M.to(L.dtype), L[:, order]))
         keep = slice(0, count)
-        fault = tuple(_GROWS if math.isnan(x) else "" if x > 0.0 else _FREE for x in w[keep].tolist())
+        known = zip(w[keep].tolist(), grows[keep].tolist(), strict=True)
+        fault = tuple(_GROWS if math.isnan(x) else _FREE if x == 0.0 else _FLUTTER if bad else "" for x, bad in known)
         return _normalized(rest, w[keep], right[:, keep], left[:, keep], fault)
 
     @classmethod
     def poles(cls, rest: Linearization) -> Spectrum:
         """Poles in rising order of the size of their imaginary part, then of the real one; pairs -, +."""
+        rest.factored_inertia()
         s, R, L = _state_vectors(rest.inertia, rest.reduced(rest.C), rest.stiffness)
+        free = _free(rest, s, R)
+        s = torch.where(free, 0.0, s)
         order = sorted(range(len(s)), key=lambda i: (abs(s[i].imag.item()), s[i].real.item(), s[i].imag.item()))
-        return _normalized(rest, s[order], _full(rest, R[:, order]), _full(rest, L[:, order]), ("",) * len(s))
+        fault = tuple(_FREE if x else "" for x in free[order].tolist())
+        return _normalized(rest, s[order], _full(rest, R[:, order]), _full(rest, L[:, order]), fault)
+
+
+def _free(rest: Linearization, s: Tensor, Y: Tensor) -> Tensor:
+    """Which poles [k] with vectors [freedoms, k] are zero but for rounding, those of free motions: neither inertia nor
+    stiffness does work on them."""
+    inertia, stiffness = ((Y.conj() * (X.to(Y.dtype) @ Y)).sum(0).real for X in (rest.inertia, rest.stiffness))
+    squares = stiffness / inertia
+    small = rounding_of_squares(rest, _full(rest, Y).abs() / inertia.sqrt(), squares)
+    return (s.abs().square() <= small) & (squares.abs() <= small)
 
 
 def _lowest_whirl(rest: Linearization, count: int) -> tuple[Tensor, Tensor] | None:
