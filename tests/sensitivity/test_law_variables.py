@@ -248,7 +248,7 @@ def loaded() -> mbd.System:
         mbd.Force(arm.at(), mbd.forces.Scaled(varies(0.4), waves), axes="frame", name="wave"),
         mbd.Torque(arm.at(), (0.0, varies(0.0), 0.0), name="turn"),
         mbd.Bushing(
-            rod.at("left"), arm.at(), varies(30.0), (0.1, varies(0.2), 0.0), (0.2, 0.1, varies(0.0)), name="mount"
+            rod.at("left"), arm.at(), varies(30.0), (0.1, varies(0.2), 0.0), (0.2, 0.1, varies(0.05)), name="mount"
         ),
         mbd.Pressure(rod, varies(5.0), name="wind"),
         mbd.Pressure(rod, gust, direction=(1.0, 2.0, 0.0), name="gust"),

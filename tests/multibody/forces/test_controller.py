@@ -366,7 +366,7 @@ def test_signals_of_a_flexible_body():
 
     def read(q: Tensor, v: Tensor) -> Tensor:
         at = equations.placement(T, data, q, T.prescribed(motion.t[5], data))
-        return T.links._signals(equations.action_states(T, data, at, v), motion.t[5])[link.read][:, 0, 0]
+        return T.links.signals(equations.action_states(T, data, at, v), motion.t[5])[link.read][:, 0, 0]
 
     q, v = (x[0, 5][:, None, None] for x in (motion.q, motion.v))
     x, tip = read(q, v), motion.body("rod").at("right")
