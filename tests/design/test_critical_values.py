@@ -50,6 +50,17 @@ def test_an_order_is_a_multiple_of_the_speed():
     assert float(made.value) == pytest.approx(math.sqrt(5e3 / 2.0) / 2.0, rel=1e-9)
 
 
+def test_whirls_that_coincide_have_a_critical_speed():
+    """In equal bearings: the value is there, a derivative by the stiffness in one direction is not."""
+    system = disk(5e3)
+    measure = mbd.CriticalSpeed(2, between=(10.0, 90.0), points=9, **DISK)
+    k = torch.tensor([5e3], dtype=torch.float64, requires_grad=True)
+    speed = measure(mbd.simulate(system, 1e-4, steps=2, designs={"bearing.stiffness_y": k}))
+    assert float(speed) == pytest.approx(50.0, rel=1e-9)
+    with pytest.raises(mbd.DesignFailure, match="coincide"):
+        speed.sum().backward()
+
+
 @pytest.mark.thorough
 def test_rotor5_of_ross():
     """petrobras/ross, tests/test_rotor_assembly.py: found by a search over speeds, extrapolated to elements of no length."""

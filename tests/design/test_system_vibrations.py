@@ -101,6 +101,19 @@ def test_measures_of_one_evaluation_share_the_state(monkeypatch):
     assert len(calls) == 1
 
 
+def test_values_first_and_gradients_later():
+    """Numbers that were asked for without gradients are no obstacle to those with."""
+    system = carriage()
+    x = torch.tensor([40.0], dtype=torch.float64, requires_grad=True)
+    rest = mbd.equilibrium(system, designs={"spring_first.stiffness": x})
+    with torch.no_grad():
+        plain = rest.frequencies, rest.poles
+    assert not any(y.requires_grad for y in plain)
+    (rest.frequencies.sum() + rest.poles.real.sum()).backward()
+    assert x.grad is not None
+    assert float(x.grad) > 0.0
+
+
 @pytest.mark.thorough
 def test_campbell_clearance_of_a_blade():
     """Against frequencies at each speed; a band that an order crosses is negative."""
@@ -141,6 +154,7 @@ def test_designs_without_a_state_are_statuses():
     [
         (lambda: mbd.SystemFrequency(0), "number is 0"),
         (lambda: mbd.SystemFrequency(cluster=(1, 1)), "cluster is"),
+        (lambda: mbd.SystemFrequency(3, cluster=(1, 2)), "number is 3 with cluster"),
         (lambda: mbd.SystemFrequency(1, power=0.0), "power is 0"),
         (lambda: mbd.SystemFrequency(1, speed=-1.0), "speed is -1"),
         (lambda: mbd.DampingRatio(1, axis="w"), "axis"),

@@ -35,19 +35,20 @@ _ROUNDING = 1e-13  # of poles, as a share of the largest
 SPEED = "speed"
 
 Designs = dict[str, Tensor]
-Function = Callable[[Tensor, Designs, Any], Tensor]
+Function = Callable[[Tensor, Designs, Any, bool], Tensor]
 
 
 def root(g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]], name: str) -> Tensor:
-    """The zero p [] of g(p, designs, *more); a differentiable function of the designs.
+    """The zero p [] of g(p, designs, more, symmetric); a differentiable function of the designs.
 
+    g         with `symmetric` eigenvalues that coincide have the mean of their derivatives, which is enough for the search
     bracket   of constant designs: two numbers between which g has two signs, and what else g takes
     """
     tensors = list(designs.values())
     p, slope, more = outside_transforms(lambda *x: _search(g, dict(zip(designs, x, strict=True)), bracket), *tensors)
     if not slope:
         raise DesignFailure(f"{name} has no derivative at {p:g}: the curves touch and do not cross")
-    y = g(torch.tensor(p, dtype=torch.float64), designs, more)
+    y = g(torch.tensor(p, dtype=torch.float64), designs, more, False)
     return p - (y - y.detach()) / slope
 
 
@@ -62,7 +63,7 @@ def _search(
     def at(p: float) -> tuple[float, float]:
         with torch.enable_grad():
             x = torch.tensor(p, dtype=torch.float64, requires_grad=True)
-            y = g(x, designs, more)
+            y = g(x, designs, more, True)
         return float(y), float(torch.autograd.grad(y, x)[0])
 
     below = at(a)[0] < 0.0
@@ -126,9 +127,9 @@ class CriticalSpeed(OfVibrations):
         return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
 
     def _of_lane(self, system: System, designs: Designs) -> Tensor:
-        def g(speed: Tensor, designs: Designs, mode: int) -> Tensor:
+        def g(speed: Tensor, designs: Designs, mode: int, symmetric: bool) -> Tensor:
             states = steady_states(system, speed[None], self.shaft, designs)
-            return states.eigenvalues(NATURAL, [mode])[0, 0, 0] - self.order * speed
+            return states.eigenvalues(NATURAL, [mode], symmetric)[0, 0, 0] - self.order * speed
 
         return root(g, designs, lambda designs: self._bracket(system, designs), "the critical speed")
 
@@ -201,20 +202,20 @@ class StabilityLimit(OfVibrations):
         return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
 
     def _of_lane(self, system: System, designs: Designs) -> Tensor:
-        def g(p: Tensor, designs: Designs, _: None) -> Tensor:
-            poles = self._poles(system, p[None], designs)[0]
+        def g(p: Tensor, designs: Designs, _: None, symmetric: bool) -> Tensor:
+            poles = self._poles(system, p[None], designs, symmetric)[0]
             return poles[int(untransformed(poles).real.argmax())].real
 
         return root(g, designs, lambda designs: self._bracket(system, designs), "the limit of stability")
 
-    def _poles(self, system: System, p: Tensor, designs: Designs) -> Tensor:
+    def _poles(self, system: System, p: Tensor, designs: Designs, symmetric: bool = True) -> Tensor:
         """Poles [n, 2 freedoms] at values p [n] of one design."""
         if self.parameter == SPEED:
-            return steady_states(system, p, self.shaft, designs).eigenvalues(POLES)[0]
+            return steady_states(system, p, self.shaft, designs).eigenvalues(POLES, None, symmetric)[0]
         like = system.get_parameter(self.parameter)
         wide = {name: x.expand(len(p), *x.shape[1:]) for name, x in designs.items() if name != self.parameter}
         wide[self.parameter] = p.reshape(-1, *like.shape)
-        return steady_states(system, [0.0], self.shaft, wide).eigenvalues(POLES)[:, 0]
+        return steady_states(system, [0.0], self.shaft, wide).eigenvalues(POLES, None, symmetric)[:, 0]
 
     def _bracket(self, system: System, designs: Designs) -> tuple[float, float, None]:
         """Two values around the limit."""

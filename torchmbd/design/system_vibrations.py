@@ -106,6 +106,8 @@ class SystemFrequency(OfVibrations):
         nonnegative("speed", self.speed, "rad/s")
         if self.cluster is not None:
             object.__setattr__(self, "cluster", _numbers("cluster", self.cluster))
+            if self.number != 1:
+                raise InputError(f"number is {self.number} with cluster {self.cluster}; allowed: one of both")
         if scalar("power", self.power, "a finite number but 0") == 0.0:
             raise InputError(f"power is {self.power!r}; allowed: a finite number but 0")
 

@@ -55,13 +55,14 @@ class Equilibrium(Trajectory):
     """
 
     rotation: SteadyRotation | None = None
+    _known_eigenvalues: dict[Any, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def vibrations(self) -> list[Vibrations]:
         """Small vibrations about the equilibrium at the last time, of each lane."""
         return [self._vibrations(lane, -1) for lane in range(self.lanes)]
 
-    @cached_property
+    @property
     def frequencies(self) -> Tensor:
         """Natural frequencies [lanes, freedoms] [Hz] at the last time, without damping; see Vibrations.
 
@@ -70,7 +71,7 @@ class Equilibrium(Trajectory):
         """
         return self._eigenvalues(NATURAL) / (2.0 * math.pi)
 
-    @cached_property
+    @property
     def poles(self) -> Tensor:
         """Poles [lanes, 2 freedoms] [1/s], complex, at the last time, in rising order of the size of the imaginary part, then
         of the real one; differentiable as the frequencies are."""
@@ -88,7 +89,10 @@ class Equilibrium(Trajectory):
         return torch.where(known, -s.real / torch.where(known, s, 1.0).abs(), torch.nan)
 
     def _eigenvalues(self, kind: str) -> Tensor:
-        return self.eigenvalues(kind).T
+        key = kind, torch.is_grad_enabled()  # those of one mode have no graph
+        if key not in self._known_eigenvalues:
+            self._known_eigenvalues[key] = self.eigenvalues(kind).T
+        return self._known_eigenvalues[key]
 
     def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [k, lanes] at the last time, as of `eigenvalues` of integrate/eigenvalues.py."""
