@@ -20,7 +20,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from torchmbd.errors import DesignFailure, InputError, checked_signature
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.integrate.statics import Equilibrium, equilibrium
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
@@ -170,8 +170,7 @@ def _matrices(
     ):
         raise InputError("state is no equilibrium of the system; allowed: one of mbd.equilibrium of the same system")
     M, n = rest.inertia, rest.N.shape[1]
-    if rest.negative_mass or int(torch.linalg.cholesky_ex(M)[1]):
-        raise DesignFailure("no linear system: the mechanism can move without moving a mass; allowed: masses > 0")
+    rest.factored_inertia()  # refuses what moves without a mass
     zero = q.new_zeros(T.n_v, 1, 1)
     N = torch.zeros(T.n_v, n, dtype=q.dtype)
     N[rest.active] = rest.N

@@ -43,15 +43,15 @@ class Coupling:
             first[c] = count
             count += max(len(freedoms[body]) for body in range(T.bodies) if color[body] == c)
         directions = torch.zeros(T.n_v, count, dtype=torch.float64)
-        for body, own in enumerate(freedoms):
-            directions[own, first[color[body]] + torch.arange(len(own))] = 1.0
+        for body, rows in enumerate(freedoms):
+            directions[rows, first[color[body]] + torch.arange(len(rows))] = 1.0
         column = torch.full((T.n_v + T.rows, count), T.n_v)
-        rows = [(own, near[body]) for body, own in enumerate(freedoms)]
-        rows += [([T.n_v + row], bodies) for row, bodies in enumerate(joined)]
-        for own, bodies in rows:
+        coupled = [(rows, near[body]) for body, rows in enumerate(freedoms)]
+        coupled += [([T.n_v + row], bodies) for row, bodies in enumerate(joined)]
+        for rows, bodies in coupled:
             for body in bodies:
                 along = first[color[body]] + torch.arange(len(freedoms[body]))
-                column[torch.tensor(own)[:, None], along] = torch.tensor(freedoms[body])
+                column[torch.tensor(rows)[:, None], along] = torch.tensor(freedoms[body])
         return cls(directions, column)
 
     def matrix(self, X: Tensor, constraints: bool = False) -> Tensor:
@@ -63,8 +63,8 @@ class Coupling:
 
 def _freedoms(T: Any, body: int) -> list[int]:
     """Rows of v of a body."""
-    own = [i * T.bodies + body for i in range(6)]
-    return own + ([row - T.bodies for row in T.w_slice(body)] if body < T.flexible else [])
+    rigid = [i * T.bodies + body for i in range(6)]
+    return rigid + ([row - T.bodies for row in T.w_slice(body)] if body < T.flexible else [])
 
 
 def _groups(T: Any) -> list[set[int]]:

@@ -97,11 +97,6 @@ class SteadyRotation:
         """The same rotation at another spin [3, ..., lanes]."""
         return replace(self, spin=spin)
 
-    @property
-    def period(self) -> float:
-        """Time of a turn by one radian [s], of one lane."""
-        return 1.0 / float(self.spin.norm())
-
     def rates(self, T: Topology, q: Any) -> tuple[Any, Any]:
         """v and v' [n_v, ...] of the rotation at coordinates q [n_q, ...]."""
         r, p, w = equations.split_q(T, q)
