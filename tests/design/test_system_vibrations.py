@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.sensitivity.test_system_eigenvalues import angles_of, blade
+from tests.vibrations.test_eigenvalues import angles_of, blade
 
 V, GROUND = mbd.variable, mbd.Ground()
 

@@ -338,8 +338,9 @@ class Problem(Summary):
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
             return self._refused(X, gradients, self._refusal(X, gradients, error) if len(X) == 1 else "")
+        reference = self.reference  # outside of `try`: a start that fails is no failure of these designs
         try:
-            values, slopes = self._rows(motions, X)
+            values, slopes = self._rows(reference, motions, X)
         except SimulationFailure as error:
             return self._refused(X, gradients, f"failed: {error}")
         each = slopes if slopes is not None else [None] * len(X)
@@ -378,9 +379,11 @@ class Problem(Summary):
             groups += [[]] if many else []
         return [torch.cat(group, 1) for group in groups if group]
 
-    def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def _rows(
+        self, reference: Reference, motions: Sequence[Trajectory], X: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
-        reference, first = self.reference, self.peaks or 1
+        first = self.peaks or 1
         values, slopes = self._unscaled(motions, reference.measures)
         values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
         if slopes is not None:

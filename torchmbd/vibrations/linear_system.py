@@ -5,7 +5,7 @@
 
 F: generalized forces of unit inputs. Inputs are the actuators and outputs the signals of controllers (mbd.signals).
 Numbers, without derivatives: frequencies, poles and measures of them have these.
-Checked in tests/integrate/test_linear_system.py.
+Checked in tests/vibrations/test_linear_system.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.statics import Equilibrium, equilibrium
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.controller import Controller
@@ -30,6 +29,7 @@ from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
+from torchmbd.vibrations.statics import Equilibrium, equilibrium
 
 _PORTS = "ports of linearize"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
