@@ -7,13 +7,13 @@ x are increments of all coordinates, of positions in ground axes, of rotations i
 
     d omega = x' + omega x x        d omega' = x'' + omega x x' + omega' x x
 
-E x are the coordinates themselves, rows of x that E selects once and for all. N moves, as the constraints turn with the motion;
-N' and N'' follow from Phi' and Phi'', which stay zero along any perturbed motion. M, C and K are N' times the derivative of
-the residual of the equations of motion along (x, x', x'') with the multipliers of the state, so that d/dt (z, z') = A(t) (z, z')
-is exact along the motion. Poles of A at one time are no invariants: other coordinates, which depend on these by a function of the
-position, have others, and growth over a time follows from A(t) of all of it. Of a state at rest all coordinates have the same.
+z = E x are some of them: E selects rows. N turns with the constraints; N' and N'' follow from Phi' and Phi'', which stay zero
+along any perturbed motion. M, C and K are N' times the derivative of the residual of the equations of motion along x, x' and
+x'', with the multipliers of the state. So d/dt (z, z') = A(t) (z, z') is exact along the motion, to first order in z.
+Eigenvalues of A at one time are no invariants: coordinates c(t) z have other ones. What grows over a time follows from A(t) of
+all of it. About a state at rest all coordinates have the same eigenvalues.
 Differentiable by the state and the data.
-Checked in tests/multibody/system/test_moving_state.py.
+Checked in tests/vibrations/test_moving_state.py.
 """
 
 from __future__ import annotations
@@ -26,21 +26,24 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, one_of
+from torchmbd.math.checked_numbers import nonnegative
 from torchmbd.math.pair import Pair, cat, cross, value
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import null_space, unpadded_rates
+from torchmbd.multibody.system.linearized import factored_inertia, null_space, unpadded_rates
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.topology import Topology
+from torchmbd.results.trajectory import Trajectory
 
 # Share of the largest part of a freedom that a row has at least, [rad] to [m] or to [-]: smaller ones are poor coordinates.
 _PART = 1e-3
+_SAME_TIME = 1e-9  # share of the duration
 
 
 @dataclass(frozen=True, eq=False)
 class MovingState:
     """One design at coordinates q [n_q, 1, 1], rates v and accelerations a [n_v, 1, 1] of a motion.
 
-    It is an observer, as of steady_rotation.py.
+    It is an observer, as of multibody/system/steady_rotation.py.
     """
 
     v: Tensor
@@ -80,7 +83,8 @@ class MovingLinearization:
 
     @property
     def A(self) -> Tensor:
-        """State matrix [2 n, 2 n] of (z, z')."""
+        """State matrix [2 n, 2 n] of (z, z'); DesignFailure where something moves without a mass."""
+        factored_inertia(self.M.detach())
         n = len(self.rows)
         unit, none = torch.eye(n, dtype=self.M.dtype), self.M.new_zeros(n, n)
         below = torch.linalg.solve(self.M, torch.cat([self.K, self.C], 1))
@@ -100,13 +104,14 @@ class MovingLinearization:
         active, zero = unpadded_rates(T), q.new_zeros(T.n_v, 1, 1)
         kept = [i for i in range(T.rows) if i not in dynamics.rank.left_out]
 
-        def moved(x: Tensor, xd: Tensor, xdd: Tensor) -> tuple[Any, Any, Any]:
-            near, *rates = observer.perturbed(T, q, *(Pair.of(zero, y[..., None]) for y in (x, xd, xdd)))
-            return equations.placement(T, data, near, excitation), *rates
+        def moved(x: Any, xd: Any, xdd: Any) -> tuple[Any, Any, Any]:
+            x, xd, xdd = (Pair.of(zero, y[..., None]) for y in (x, xd, xdd))
+            near, v, a = observer.perturbed(T, q, x, xd, xdd)
+            return equations.placement(T, data, near, excitation), v, a
 
         def constraint_jets(x: Tensor, xd: Tensor) -> Any:
-            at, *rates = moved(x, xd, torch.zeros_like(x))
-            return equations.constraint_jets(T, at, data, *rates, t)
+            at, v, a = moved(x, xd, torch.zeros_like(x))
+            return equations.constraint_jets(T, at, data, v, a, t)
 
         Phi_q, violation = q.new_zeros(0, len(active)), 0.0
         if kept:
@@ -135,12 +140,29 @@ class MovingLinearization:
         N2 = closing(constraint_jets(N, N1).acceleration) if kept else none
 
         def along(x: Tensor, xd: Tensor, xdd: Tensor) -> Tensor:
-            at, *rates = moved(x, xd, xdd)
+            at, v, a = moved(x, xd, xdd)
             still = Pair.of(lam, lam.new_zeros(T.rows, x.shape[1], 1))
-            return N.T @ equations.dynamic_residual(T, data, at, *rates, still).tangent[..., 0]
+            return N.T @ equations.dynamic_residual(T, data, at, v, a, still).tangent[..., 0]
 
         M, C, K = along(none, none, N), along(none, N, 2.0 * N1), along(N, N1, N2)
         return cls(rows, N, N1, M, C, K, observer, lam, violation)
+
+
+def time_index(motion: Trajectory, time: float | None) -> int:
+    """The number of a time [s] among those of a motion; None: the last. InputError for others, and for motions in phases."""
+    if motion.actions or motion.switches:
+        raise InputError(
+            "state is a motion in phases; allowed: a motion without, which may start at the end of another"
+        )
+    if time is None:
+        return len(motion.t) - 1
+    t, x = motion.t.detach(), nonnegative("time", time, "s")
+    k = int((t - x).abs().argmin())
+    if abs(float(t[k]) - x) > _SAME_TIME * float(t[-1]):
+        raise InputError(
+            f"time is {time!r}; allowed: one of the {len(t)} times of the state, the nearest is {float(t[k])!r}"
+        )
+    return k
 
 
 def _accelerations(dynamics: Any, q: Tensor, v: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
@@ -180,9 +202,7 @@ def _rows(T: Topology, active: Tensor, basis: Tensor, coordinates: Sequence[str]
     part = basis[[i for _, i in found]]
     if len(set(found)) != n or len(found) != n or float(torch.linalg.svdvals(part)[-1] if n else 1.0) < RELATIVE:
         proper = [T.rate_name(row) for row in independent_rows(T, active, basis)]
-        raise InputError(
-            f"coordinates is {list(coordinates)!r}; allowed: {n} that are independent, such as {proper!r}"
-        )
+        raise InputError(f"coordinates is {list(coordinates)!r}; allowed: {n} that are independent, such as {proper!r}")
     return [row for row, _ in found]
 
 

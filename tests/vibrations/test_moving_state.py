@@ -11,7 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum, rigid_pendulum, tensor
-from torchmbd.multibody.system.moving_state import MovingLinearization, _accelerations
+from torchmbd.vibrations.moving_state import MovingLinearization, _accelerations
 
 G, GROUND = 9.81, mbd.Ground()
 
@@ -65,7 +65,7 @@ def test_a_double_pendulum_in_its_angles():
 
 
 def test_under_a_drive_and_in_coordinates_that_are_chosen():
-    """On a carriage at X = sin(w t) / 2: (m L^2 + J) angle'' = -m L (g sin(angle) + X'' cos(angle)); also in x = L sin(angle)."""
+    """On a carriage at X = sin(w t) / 2: (m L^2 + J) angle'' = -m L (g sin(angle) + X'' cos(angle)), and in L sin(angle)."""
     L, m, t, angle, rate, w = 2.0, 1.5, 0.4, 0.7, 1.9, 3.0
     x, speed, push = (0.5 * f for f in (math.sin(w * t), w * math.cos(w * t), -w * w * math.sin(w * t)))
     [bob], (q, v), J = at_angles(tensor(angle), tensor(rate), (L,), (m,), speed)
@@ -99,8 +99,8 @@ def test_perturbed_states_in_general_position(build):
     """Differences of accelerations of states that keep the constraints to first order; with a flexible body."""
     system = build()
     motion = mbd.simulate(system, 0.02, steps=20)
-    dynamics, t = system.dynamics().values(), motion.t[-1]
-    q, v = motion.q[0, -1, :, None, None], motion.v[0, -1, :, None, None]
+    dynamics, t = motion.detach().dynamics.values(), motion.t[-1]
+    q, v = (x[0, -1, :, None, None].detach() for x in (motion.q, motion.v))
     rest = MovingLinearization.of(dynamics, q, v, t)
     n, T = len(rest.rows), system.topology
     assert n == {"rigid_pendulum": 4, "pendulum": 5}[build.__name__]
