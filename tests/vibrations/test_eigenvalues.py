@@ -17,7 +17,7 @@ from tests.multibody.system.test_ground_observer import rotor
 from tests.sensitivity.number_cases import differences
 from tests.sensitivity.test_rest import NAMES, hanging
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.spectrum import Spectrum
+from torchmbd.vibrations.spectrum import Spectrum
 
 V, GROUND = mbd.variable, mbd.Ground()
 Values = Callable[[mbd.System, dict[str, Tensor]], Tensor]

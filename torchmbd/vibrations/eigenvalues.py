@@ -7,7 +7,7 @@ functions of the equations, once, and its gradient is that of the eigenvalue.
 Forward mode multiplies the same gradient, a row for each eigenvalue, by the directions.
 Eigenvalues that coincide have the mean of their derivatives. It is the derivative of every function that is symmetric in them;
 others are refused, in reverse mode by unequal cotangents, in forward mode where the derivatives along the direction differ.
-Checked in tests/sensitivity/test_system_eigenvalues.py.
+Checked in tests/vibrations/test_eigenvalues.py.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.spectrum import Spectrum
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
+from torchmbd.vibrations.spectrum import Spectrum
 
 NATURAL, POLES = "natural", "poles"
 _NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
