@@ -179,19 +179,9 @@ def test_poles_without_a_mass_are_refused_by_name():
 def test_vibrations_that_grow_in_rotation_have_no_derivative():
     """A mass on negative springs, seen by a turning observer: s = +-i speed +- sqrt(-k), of which i speed is no eigenvalue."""
     speed, k = 3.0, -1.0
-    eye, none = torch.eye(2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
-    matrices = {"rates": 2.0 * speed * torch.tensor([[0.0, -1.0], [1.0, 0.0]]).double(), "accelerations": eye}
-    rest = Linearization(
-        none.new_zeros(2),
-        none,
-        (k - speed**2) * eye,
-        none.new_zeros(0, 2),
-        none,
-        torch.arange(2),
-        eye,
-        matrices.__getitem__,
-        True,
-    )
+    eye = torch.eye(2, dtype=torch.float64)
+    C = 2.0 * speed * torch.tensor([[0.0, -1.0], [1.0, 0.0]]).double()
+    rest = Linearization.of_matrices(eye, C, (k - speed**2) * eye)
     spectrum = Spectrum.natural(rest)
     assert spectrum.values[1].item() == pytest.approx(speed)
     assert spectrum.fault == ("not a number: vibrations grow", "that of a vibration that grows")
