@@ -2,9 +2,9 @@
 
     u_x / L = sin(a) / a - 1,  u_y / L = (1 - cos(a)) / a,  a = pi lambda        in closed form: du/dlambda = -L, -2 L / pi
 
-T. McDonnell, A. Ning, GXBeam.jl, docs/src/literate/sensitivities.jl: du/dlambda = -12.025539968259286, -7.659921842013467 inches
-of a beam of 12 inches in 16 elements. Ours bend into arcs exactly; GXBeam's are midpoint rules in Wiener and Milenkovic's parameters
-c = 4 tan(angle / 4), whose error with the square of the elements' length is the whole difference.
+T. McDonnell, A. Ning, GXBeam.jl, docs/src/literate/sensitivities.jl: du/dlambda = -12.025539968259286, -7.659921842013467
+inches of a beam of 12 inches in 16 elements. Ours bend into arcs exactly; GXBeam's are midpoint rules in Wiener and
+Milenkovic's parameters c = 4 tan(angle / 4), whose error with the square of the elements' length is the whole difference.
 """
 
 from __future__ import annotations
