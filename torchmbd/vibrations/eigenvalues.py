@@ -52,37 +52,35 @@ def eigenvalues(
     modes       their numbers from 0, in the order of spectrum.py; None: all
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
-    problem = _Eigenproblem(replace(dynamics, data={}), tuple(dynamics.data), t, rotation, kind, modes, symmetric)
+    model, names = replace(dynamics, data={}), tuple(dynamics.data)
+    problem = _AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
 
 
-@dataclass(eq=False)
-class _Eigenproblem:
-    """`Integration`; inputs are q and the data, outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+def poles_of_matrices(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
+    """Poles [2 n, lanes] of M z'' + C z' + K z = 0, matrices [n, n, lanes] by which they are differentiable."""
+    problem = _OfMatrices(kind=POLES, modes=None, symmetric=False)
+    real, imag = Motion.apply(problem, *(x[:, :, None] for x in (M, C, K)))  # pyright: ignore[reportGeneralTypeIssues]
+    return torch.complex(real[:, 0], imag[:, 0])
 
-    model: Dynamics
-    names: tuple[str, ...]
-    t: Tensor
-    rotation: SteadyRotation | None
+
+@dataclass(eq=False, kw_only=True)
+class _Eigenproblem:
+    """`Integration`; inputs [..., lanes], outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+
     kind: str
     modes: Sequence[int] | None
     symmetric: bool
     inputs: list[Tensor] = field(default_factory=list, init=False)
     spectra: list[Spectrum] = field(default_factory=list, init=False)
-    balance: list[Linearization] = field(default_factory=list, init=False)
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         lanes = max(x.shape[-1] for x in inputs)
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
-        for lane in range(lanes):
-            q, data = self._split([x[..., lane : lane + 1] for x in self.inputs])
-            rest = Linearization.of(replace(self.model, data=data), q[:, 0, 0], self.t, None, self._observer(data))
-            self.balance.append(rest)
-            few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
-            self.spectra.append(Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest))
-        sizes = {rest.N.shape[1] * (1 + (self.kind == POLES)) for rest in self.balance}
+        self.spectra = [self._spectrum([x[..., lane : lane + 1] for x in self.inputs]) for lane in range(lanes)]
+        sizes = {self._size(lane) for lane in range(lanes)}
         if len(sizes) > 1:
             raise InputError(
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
@@ -93,6 +91,18 @@ class _Eigenproblem:
         self.modes = range(size) if self.modes is None else self.modes
         parts = torch.stack([x.values[list(self.modes)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
+
+    def _spectrum(self, inputs: Sequence[Tensor]) -> Spectrum:
+        """Of one lane."""
+        raise NotImplementedError(type(self).__name__)
+
+    def _size(self, lane: int) -> int:
+        """How many eigenvalues there are."""
+        return len(self.spectra[lane].values)
+
+    def _slopes(self, modes: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[Tensor], list[Tensor]]:
+        """Inputs as leaves, and -l_i^H P r_j [pairs, lanes] as their functions: its real and, of poles, its imaginary part."""
+        raise NotImplementedError(type(self).__name__)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         count, lanes = max(x.shape[-2] for x in directions if x is not None), len(self.spectra)
@@ -179,6 +189,32 @@ class _Eigenproblem:
             if bool(((block - unit * mean[:, None]).abs() > _UNEQUAL * block.abs().amax((0, 1))).any()):
                 raise _coincide(spectrum, [modes[i] for i in members])
 
+    def _vectors(self, rows: Sequence[int], columns: Sequence[int]) -> list[Tensor]:
+        """Left vectors and slips of eigenvalues `rows`, right vectors and forces of `columns`, [n, k, lanes]."""
+        names = {"left": rows, "slip": rows, "right": columns, "force": columns}
+        return [torch.stack([getattr(x, name)[:, k] for x in self.spectra], -1) for name, k in names.items()]
+
+
+@dataclass(eq=False, kw_only=True)
+class _AboutState(_Eigenproblem):
+    """Of the equations of motion about a state at rest or in steady rotation; inputs are q and the data."""
+
+    model: Dynamics
+    names: tuple[str, ...]
+    t: Tensor
+    rotation: SteadyRotation | None
+    balance: list[Linearization] = field(default_factory=list, init=False)
+
+    def _spectrum(self, inputs: Sequence[Tensor]) -> Spectrum:
+        q, data = self._split(inputs)
+        rest = Linearization.of(replace(self.model, data=data), q[:, 0, 0], self.t, None, self._observer(data))
+        self.balance.append(rest)
+        few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+        return Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest)
+
+    def _size(self, lane: int) -> int:
+        return self.balance[lane].N.shape[1] * (1 + (self.kind == POLES))
+
     def _split(self, inputs: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         return inputs[0], dict(zip(self.names, inputs[1:], strict=True))
 
@@ -186,15 +222,12 @@ class _Eigenproblem:
         return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
     def _slopes(self, modes: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[Tensor], list[Tensor]]:
-        """Inputs as leaves, and -l_i^H P r_j [pairs, lanes] as their functions: its real and, of poles, its imaginary part."""
         T, leaves = self.model.topology, [leaf(x) for x in self.inputs]
         q, data = self._split(leaves)
         observer = self._observer(data)
         columns = [modes[j] for _, j in pairs]
         s = torch.stack([x.roots[columns] for x in self.spectra], -1)
-        right, force = (torch.stack([y[:, columns] for y in x], -1) for x in self._vectors("right", "force"))
-        rows = [modes[i] for i, _ in pairs]
-        left, slip = (torch.stack([y[:, rows] for y in x], -1) for x in self._vectors("left", "slip"))
+        left, slip, right, force = self._vectors([modes[i] for i, _ in pairs], columns)
         with torch.enable_grad():
             excitation = T.prescribed(self.t, data)
             zero = q.new_zeros(T.n_v, 1, q.shape[-1])
@@ -210,9 +243,6 @@ class _Eigenproblem:
                 products = [x + y for x, y in zip(products, more, strict=True)]
             return leaves, [-x for x in (products if self.kind == POLES else products[:1])]
 
-    def _vectors(self, *names: str) -> list[list[Tensor]]:
-        return [[getattr(x, name) for x in self.spectra] for name in names]
-
     def _multipliers(self, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor) -> Tensor:
         """Multipliers [rows, 1, lanes] that balance the state: the known ones, by a Newton step that carries derivatives."""
         T, active = self.model.topology, self.balance[0].active
@@ -220,6 +250,24 @@ class _Eigenproblem:
         forces = observer.rows(T, q, equations.dynamic_residual(T, data, at, rates[0], rates[1], lam))[active, 0]
         back = [torch.linalg.pinv(rest.Phi_q[:, active].T, rtol=RELATIVE) for rest in self.balance]
         return lam - torch.einsum("rvl,vl->rl", torch.stack(back, -1), forces)[:, None]
+
+
+@dataclass(eq=False, kw_only=True)
+class _OfMatrices(_Eigenproblem):
+    """Of M z'' + C z' + K z = 0; inputs are M, C and K [n, n, 1, lanes]."""
+
+    def _spectrum(self, inputs: Sequence[Tensor]) -> Spectrum:
+        return Spectrum.poles(Linearization.of_matrices(*(x[:, :, 0, 0] for x in inputs)))
+
+    def _slopes(self, modes: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[Tensor], list[Tensor]]:
+        leaves, columns = [leaf(x) for x in self.inputs], [modes[j] for _, j in pairs]
+        s = torch.stack([x.roots[columns] for x in self.spectra], -1)
+        left, _, right, _ = self._vectors([modes[i] for i, _ in pairs], columns)
+        with torch.enable_grad():
+            M, C, K = (x[:, :, 0].to(s.dtype) for x in leaves)
+            P = [torch.einsum("ijl,jkl->ikl", X, f * right) for X, f in ((M, s * s), (C, s), (K, torch.ones_like(s)))]
+            product = -(left.conj() * (P[0] + P[1] + P[2])).sum(0)
+            return leaves, [product.real, product.imag]
 
 
 def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:

@@ -10,6 +10,7 @@ x are increments of all coordinates, of positions in ground axes, of rotations i
 z = E x are some of them: E selects rows. N turns with the constraints; N' and N'' follow from Phi' and Phi'', which stay zero
 along any perturbed motion. M, C and K are N' times the derivative of the residual of the equations of motion along x, x' and
 x'', with the multipliers of the state. So d/dt (z, z') = A(t) (z, z') is exact along the motion, to first order in z.
+A state that is off the constraints by errors of the steps is projected onto them first.
 Eigenvalues of A at one time are no invariants: coordinates c(t) z have other ones. What grows over a time follows from A(t) of
 all of it. About a state at rest all coordinates have the same eigenvalues.
 Differentiable by the state and the data.
@@ -36,6 +37,8 @@ from torchmbd.results.trajectory import Trajectory
 
 # Share of the largest part of a freedom that a row has at least, [rad] to [m] or to [-]: smaller ones are poor coordinates.
 _PART = 1e-3
+_ROUNDING = 1e-12  # of terms that cancel
+_PROJECTIONS = 2  # onto the constraints: the second squares what the first leaves
 _SAME_TIME = 1e-9  # share of the duration
 
 
@@ -68,7 +71,7 @@ class MovingLinearization:
     N, N1           [n_v, n] and its rate
     M, C, K         [n, n] of the module header
     observer, lam   the state, and its multipliers [rows, 1, 1]
-    violation       largest of the constraints and of their rates
+    violation       of the constraints and of their rates by the state, [m] or [m/s], which is projected onto them
     """
 
     rows: list[int]
@@ -99,10 +102,15 @@ class MovingLinearization:
         coordinates   names of rows of v, as of Topology.rate_name; None: those that `independent_rows` takes
         """
         T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
-        a, lam = _accelerations(dynamics, q, v, t)
-        observer, excitation = MovingState(v, a), T.prescribed(t, data)
-        active, zero = unpadded_rates(T), q.new_zeros(T.n_v, 1, 1)
+        excitation, active, zero = T.prescribed(t, data), unpadded_rates(T), q.new_zeros(T.n_v, 1, 1)
         kept = [i for i in range(T.rows) if i not in dynamics.rank.left_out]
+        violation = 0.0
+        for _ in range(_PROJECTIONS if kept else 0):
+            step, speed, size = _closing(dynamics, q, v, t, active, kept)
+            violation = max(violation, size)
+            q, v = equations.advance(T, q, step), v + speed
+        a, lam = _accelerations(dynamics, q, v, t)
+        observer = MovingState(v, a)
 
         def moved(x: Any, xd: Any, xdd: Any) -> tuple[Any, Any, Any]:
             x, xd, xdd = (Pair.of(zero, y[..., None]) for y in (x, xd, xdd))
@@ -113,12 +121,7 @@ class MovingLinearization:
             at, v, a = moved(x, xd, torch.zeros_like(x))
             return equations.constraint_jets(T, at, data, v, a, t)
 
-        Phi_q, violation = q.new_zeros(0, len(active)), 0.0
-        if kept:
-            unit = T.coupling.directions
-            jets = constraint_jets(unit, torch.zeros_like(unit))
-            Phi_q = T.coupling.matrix(jets.value.tangent[..., 0], True)[kept][:, active]
-            violation = max(float(x.value.detach()[kept].abs().max()) for x in (jets.value, jets.velocity))
+        Phi_q = _jacobian(T, data, q, excitation)[kept][:, active] if kept else q.new_zeros(0, len(active))
         basis = null_space(Phi_q.detach())
         rows = independent_rows(T, active, basis) if coordinates is None else _rows(T, active, basis, coordinates)
         place = {row: i for i, row in enumerate(active.tolist())}
@@ -144,7 +147,9 @@ class MovingLinearization:
             still = Pair.of(lam, lam.new_zeros(T.rows, x.shape[1], 1))
             return N.T @ equations.dynamic_residual(T, data, at, v, a, still).tangent[..., 0]
 
-        M, C, K = along(none, none, N), along(none, N, 2.0 * N1), along(N, N1, N2)
+        M = along(none, none, N)
+        C = _sum([along(none, N, none), along(none, none, 2.0 * N1)])
+        K = _sum([along(N, none, none), along(none, N1, none), along(none, none, N2)])
         return cls(rows, N, N1, M, C, K, observer, lam, violation)
 
 
@@ -163,6 +168,32 @@ def time_index(motion: Trajectory, time: float | None) -> int:
             f"time is {time!r}; allowed: one of the {len(t)} times of the state, the nearest is {float(t[k])!r}"
         )
     return k
+
+
+def _sum(terms: list[Tensor]) -> Tensor:
+    """The sum of terms; zero where they cancel but for rounding, as in a free motion."""
+    total, size = torch.stack(terms).sum(0), torch.stack(terms).detach().abs().sum(0)
+    return torch.where(total.detach().abs() <= _ROUNDING * size, 0.0, total)
+
+
+def _jacobian(T: Topology, data: Any, q: Tensor, excitation: Any) -> Tensor:
+    """Phi_q [rows, n_v] at coordinates q [n_q, 1, 1]."""
+    near = equations.advance(T, q, Pair.of(q.new_zeros(T.n_v, 1, 1), T.coupling.directions[..., None]))
+    phi = equations.constraints(T, equations.placement(T, data, near, excitation))
+    return T.coupling.matrix(phi.tangent[..., 0], True)
+
+
+def _closing(
+    dynamics: Any, q: Tensor, v: Tensor, t: Tensor, active: Tensor, kept: list[int]
+) -> tuple[Tensor, Tensor, float]:
+    """Increments of q and v [n_v, 1, 1] that close what steps left open of the constraints and their rates, and its size."""
+    T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
+    excitation = T.prescribed(t, data)
+    back = torch.linalg.pinv(_jacobian(T, data, q, excitation)[kept][:, active], rtol=RELATIVE)
+    jets = equations.constraint_jets(T, equations.placement(T, data, q, excitation), data, v, torch.zeros_like(v), t)
+    open_by = [x[kept, :, 0] for x in (jets.value, jets.velocity)]
+    step, speed = (v.new_zeros(T.n_v, 1, 1).index_copy(0, active, -(back @ x)[..., None]) for x in open_by)
+    return step, speed, max(float(x.detach().abs().max()) for x in open_by)
 
 
 def _accelerations(dynamics: Any, q: Tensor, v: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:

@@ -128,6 +128,15 @@ class Linearization:
         rotates = isinstance(observer, SteadyRotation) and bool(observer.spin.any())
         return cls(forces, phi, K, Phi_q, lam, active, null_space(Phi_q[:, active]), along, rotates)
 
+    @classmethod
+    def of_matrices(cls, M: Tensor, C: Tensor, K: Tensor) -> Linearization:
+        """Of M z'' + C z' + K z = 0 [n, n] in independent coordinates; K is taken as it is, also where it is unsymmetric."""
+        n, none = len(M), M.new_zeros(0)
+        matrices, unit = {"rates": C, "accelerations": M}, torch.eye(n, dtype=M.dtype)
+        return cls(
+            M.new_zeros(n), none, K, M.new_zeros(0, n), none, torch.arange(n), unit, matrices.__getitem__, rotates=True
+        )
+
     @property
     def unbalanced(self) -> Tensor:
         """Generalized forces that no constraint force balances [active]."""
