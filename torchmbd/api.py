@@ -117,7 +117,7 @@ from torchmbd.optimization import (
 from torchmbd.optimization.multistart import multistart
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
-from torchmbd.vibrations import Campbell, Equilibrium, LinearSystem, campbell, equilibrium, linearize
+from torchmbd.vibrations import Campbell, Equilibrium, LinearSystem, campbell, equilibrium, frozen_poles, linearize
 
 if TYPE_CHECKING:
     from torchmbd.study.stored_run import LoadedStudy
@@ -291,6 +291,7 @@ __all__ = [
     "examples",
     "forces",
     "frequencies",
+    "frozen_poles",
     "history",
     "identify",
     "latin_hypercube",

@@ -15,6 +15,7 @@ Files of others, read unedited; a variable of the environment names the folder o
     iea_blade              windIO, against BeamDyn and ElastoDyn; IEA15_RWT
 Published numbers
     ivp_slider_crank       of the test set for IVP solvers: `python -m experiments.peers.ivp_slider_crank`
+    composite_strips       measured deflections of three laminates: `python -m experiments.peers.composite_strips`
 
 The files of others run alike, as `python -m experiments.peers.robots`; each says in its header what it needs.
 """

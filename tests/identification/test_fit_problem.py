@@ -61,6 +61,7 @@ def test_a_design_that_cannot_be_has_a_status_and_the_others_their_numbers():
         ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 3.0)}}, "start of bob.mass|start"),
     ],
 )
+@pytest.mark.thorough
 def test_bad_input_is_named(arguments, message):
     with pytest.raises(mbd.InputError, match=message):
         FitProblem({"swing": swing()}, **arguments)

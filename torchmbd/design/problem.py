@@ -62,6 +62,7 @@ from torchmbd.optimization.optimizer import as_numbers
 from torchmbd.summary import Summary, few
 
 BOUND = "bound"  # name of the extra variable beta
+Rows = tuple[np.ndarray, np.ndarray | None]  # values [lanes, rows]; slopes [lanes, rows, n] if asked for
 
 
 @checked_signature
@@ -379,9 +380,7 @@ class Problem(Summary):
             groups += [[]] if many else []
         return [torch.cat(group, 1) for group in groups if group]
 
-    def _rows(
-        self, reference: Reference, motions: Sequence[Trajectory], X: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def _rows(self, reference: Reference, motions: Sequence[Trajectory], X: np.ndarray) -> Rows:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
         first = self.peaks or 1
         values, slopes = self._unscaled(motions, reference.measures)
@@ -390,9 +389,7 @@ class Problem(Summary):
             slopes[:, first:] /= reference.scale[:, None]
         return reference.extra.stated(values, slopes, X[:, -1]) if self.peaks else (values, slopes)
 
-    def _unscaled(
-        self, motions: Sequence[Trajectory], measures: Sequence[Measure]
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def _unscaled(self, motions: Sequence[Trajectory], measures: Sequence[Measure]) -> Rows:
         """Rows of measures [lanes, rows], in their units, with gradients [lanes, rows, n] of motions that have them."""
         measured = differentiate(partial(self._measured, measures), motions[0])
         slopes = None if measured.gradient is None else measured.gradient.numpy() @ self.space.map

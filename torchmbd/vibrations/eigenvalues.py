@@ -55,7 +55,8 @@ def eigenvalues(
     modes       their numbers from 0, in the order of spectrum.py; None: all
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
-    problem = _Eigenproblem(replace(dynamics, data={}), tuple(dynamics.data), t, rotation, kind, modes, symmetric)
+    model, names = replace(dynamics, data={}), tuple(dynamics.data)
+    problem = _AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
@@ -79,31 +80,28 @@ class _Slope(NamedTuple):
     by: Tensor
 
 
-@dataclass(eq=False)
-class _Eigenproblem:
-    """`Integration`; inputs are q and the data, outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+def poles_of_matrices(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
+    """Poles [2 n, lanes] of M z'' + C z' + K z = 0, matrices [n, n, lanes] by which they are differentiable."""
+    problem = _OfMatrices(kind=POLES, modes=None, symmetric=False)
+    real, imag = Motion.apply(problem, *(x[:, :, None] for x in (M, C, K)))  # pyright: ignore[reportGeneralTypeIssues]
+    return torch.complex(real[:, 0], imag[:, 0])
 
-    model: Dynamics
-    names: tuple[str, ...]
-    t: Tensor
-    rotation: SteadyRotation | None
+
+@dataclass(eq=False, kw_only=True)
+class _Eigenproblem:
+    """`Integration`; inputs [..., lanes], outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+
     kind: str
     modes: Sequence[int] | None
     symmetric: bool
     inputs: list[Tensor] = field(default_factory=list, init=False)
     spectra: list[Spectrum] = field(default_factory=list, init=False)
-    balance: list[Linearization] = field(default_factory=list, init=False)
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         lanes = max(x.shape[-1] for x in inputs)
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
-        for some in torch.arange(lanes).split(_LANES):
-            q, data = self._split([x[..., some] for x in self.inputs])
-            self.balance += Linearization.each(replace(self.model, data=data), q, self.t, None, self._observer(data))
-        few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
-        for rest in self.balance:
-            self.spectra.append(Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest))
-        sizes = {rest.N.shape[1] * (1 + (self.kind == POLES)) for rest in self.balance}
+        self.spectra = self._spectra()
+        sizes = {self._size(lane) for lane in range(lanes)}
         if len(sizes) > 1:
             raise InputError(
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
@@ -114,6 +112,18 @@ class _Eigenproblem:
         self.modes = range(size) if self.modes is None else self.modes
         parts = torch.stack([x.values[list(self.modes)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
+
+    def _spectra(self) -> list[Spectrum]:
+        """Of all lanes."""
+        raise NotImplementedError(type(self).__name__)
+
+    def _size(self, lane: int) -> int:
+        """How many eigenvalues there are."""
+        return len(self.spectra[lane].values)
+
+    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+        """Inputs as leaves, a lane for each term, and -l^H P r [1, terms]: its real and, of poles, its imaginary part."""
+        raise NotImplementedError(type(self).__name__)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         count, lanes = max(x.shape[-2] for x in directions if x is not None), len(self.spectra)
@@ -202,12 +212,6 @@ class _Eigenproblem:
             if bool(((block - unit * mean[:, None]).abs() > _UNEQUAL * block.abs().amax((0, 1))).any()):
                 raise _coincide(spectrum, [modes[i] for i in members])
 
-    def _split(self, inputs: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        return inputs[0], dict(zip(self.names, inputs[1:], strict=True))
-
-    def _observer(self, data: dict[str, Tensor]) -> Observer:
-        return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
-
     @property
     def _parts(self) -> int:
         return 1 + (self.kind == POLES)
@@ -223,6 +227,38 @@ class _Eigenproblem:
                     for lane, of_lane in groupby(enumerate(some), lambda numbered: numbered[1].lane):
                         places = [i for i, _ in of_lane]
                         yield _Slope(part, k, lane, [start + i for i in places], g[..., 0, places])
+
+    def _vectors(self, terms: Sequence[_Term], side: str, *names: str) -> list[Tensor]:
+        """Columns [n, 1, terms] of the named tensors of the spectra."""
+        of = [(self.spectra[term.lane], getattr(term, side)) for term in terms]
+        return [torch.stack([getattr(x, name)[..., k] for x, k in of], -1).reshape(-1, 1, len(of)) for name in names]
+
+
+@dataclass(eq=False, kw_only=True)
+class _AboutState(_Eigenproblem):
+    """Of the equations of motion about a state at rest or in steady rotation; inputs are q and the data."""
+
+    model: Dynamics
+    names: tuple[str, ...]
+    t: Tensor
+    rotation: SteadyRotation | None
+    balance: list[Linearization] = field(default_factory=list, init=False)
+
+    def _spectra(self) -> list[Spectrum]:
+        for some in torch.arange(self.inputs[0].shape[-1]).split(_LANES):
+            q, data = self._split([x[..., some] for x in self.inputs])
+            self.balance += Linearization.each(replace(self.model, data=data), q, self.t, None, self._observer(data))
+        few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+        return [Spectrum.natural(x, few) if self.kind == NATURAL else Spectrum.poles(x) for x in self.balance]
+
+    def _size(self, lane: int) -> int:
+        return self.balance[lane].N.shape[1] * (1 + (self.kind == POLES))
+
+    def _split(self, inputs: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        return inputs[0], dict(zip(self.names, inputs[1:], strict=True))
+
+    def _observer(self, data: dict[str, Tensor]) -> Observer:
+        return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
     def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [terms]: its real and, of poles, its imaginary part."""
@@ -247,11 +283,6 @@ class _Eigenproblem:
                 products = [x + y for x, y in zip(products, more, strict=True)]
             return leaves, [-x for x in products[: self._parts]]
 
-    def _vectors(self, terms: Sequence[_Term], side: str, *names: str) -> list[Tensor]:
-        """Columns [n, 1, terms] of the named tensors of the spectra."""
-        of = [(self.spectra[term.lane], getattr(term, side)) for term in terms]
-        return [torch.stack([getattr(x, name)[..., k] for x, k in of], -1).reshape(-1, 1, len(of)) for name in names]
-
     def _multipliers(
         self, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor, lanes: Sequence[int]
     ) -> Tensor:
@@ -262,6 +293,25 @@ class _Eigenproblem:
         of_lane = {i: torch.linalg.pinv(self.balance[i].Phi_q[:, active].T, rtol=RELATIVE) for i in sorted(set(lanes))}
         back = torch.stack([of_lane[lane] for lane in lanes], -1)
         return lam - torch.einsum("rvl,vl->rl", back, forces)[:, None]
+
+
+@dataclass(eq=False, kw_only=True)
+class _OfMatrices(_Eigenproblem):
+    """Of M z'' + C z' + K z = 0; inputs are M, C and K [n, n, 1, lanes]."""
+
+    def _spectra(self) -> list[Spectrum]:
+        lanes = range(self.inputs[0].shape[-1])
+        return [Spectrum.poles(Linearization.of_matrices(*(x[:, :, 0, i] for x in self.inputs))) for i in lanes]
+
+    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+        leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
+        s, right = self._vectors(terms, "right", "roots", "right")
+        [left] = self._vectors(terms, "left", "left")
+        with torch.enable_grad():
+            M, C, K = (x[:, :, 0].to(s.dtype) for x in leaves)
+            P = sum(torch.einsum("ijl,jkl->ikl", X, f * right) for X, f in ((M, s * s), (C, s), (K, s**0)))
+            product = -(left.conj() * P).sum(0)
+            return leaves, [product.real, product.imag]
 
 
 def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:

@@ -151,6 +151,15 @@ class Linearization:
             for i, (f, p, K, J, x) in enumerate(parts)
         ]
 
+    @classmethod
+    def of_matrices(cls, M: Tensor, C: Tensor, K: Tensor) -> Linearization:
+        """Of M z'' + C z' + K z = 0 [n, n] in independent coordinates; K is taken as it is, also where it is unsymmetric."""
+        n, none = len(M), M.new_zeros(0)
+        matrices, unit = {"rates": C, "accelerations": M}, torch.eye(n, dtype=M.dtype)
+        return cls(
+            M.new_zeros(n), none, K, M.new_zeros(0, n), none, torch.arange(n), unit, matrices.__getitem__, rotates=True
+        )
+
     @property
     def unbalanced(self) -> Tensor:
         """Generalized forces that no constraint force balances [active]."""
@@ -169,22 +178,11 @@ class Linearization:
     @property
     def negative_mass(self) -> bool:
         """Whether an eigenvalue of the inertia is negative; those of parts without inertia are zero."""
-        masses = torch.linalg.eigvalsh(self.inertia)
-        return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
+        return negative_mass(self.inertia)
 
     def factored_inertia(self) -> Tensor:
-        """L with L L' = N' M N. DesignFailure where the inertia is not positive definite: vibrations do not exist."""
-        if self.negative_mass:
-            raise DesignFailure(
-                f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
-            )
-        L, singular = torch.linalg.cholesky_ex(self.inertia)
-        if int(singular):
-            raise DesignFailure(
-                "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
-                "allowed: masses and inertias > 0 of all that is free to move"
-            )
-        return L
+        """L with L L' = N' M N; DesignFailure where vibrations do not exist."""
+        return factored_inertia(self.inertia)
 
     @property
     def stiffness(self) -> Tensor:
@@ -210,6 +208,27 @@ class Linearization:
             return False
         noise = _UNBALANCED * self.unbalanced.abs().max() + _ROUNDING * K.abs().max()
         return bool((K - K.T).abs().max() > noise)
+
+
+def negative_mass(inertia: Tensor) -> bool:
+    """Whether an eigenvalue of N' M N is negative, beyond rounding."""
+    masses = torch.linalg.eigvalsh(inertia)
+    return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
+
+
+def factored_inertia(inertia: Tensor) -> Tensor:
+    """L with L L' = N' M N. DesignFailure where it is not positive definite: vibrations do not exist."""
+    if negative_mass(inertia):
+        raise DesignFailure(
+            f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
+        )
+    L, singular = torch.linalg.cholesky_ex(inertia)
+    if int(singular):
+        raise DesignFailure(
+            "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
+            "allowed: masses and inertias > 0 of all that is free to move"
+        )
+    return L
 
 
 @dataclass(frozen=True)
