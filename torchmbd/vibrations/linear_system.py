@@ -34,7 +34,7 @@ from torchmbd.results.trajectory import Trajectory
 from torchmbd.vibrations.moving_state import MovingLinearization, time_index
 from torchmbd.vibrations.statics import Equilibrium, equilibrium
 
-_PORTS = "ports of linearize"
+PORTS = "ports of linearize"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
 _KEPT, _SAME = (
     1e-3,
@@ -85,8 +85,8 @@ class LinearSystem:
         return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 
 
-class _Ports(nn.Module):
-    """Inputs that do not depend on the outputs."""
+class Ports(nn.Module):
+    """Inputs u [inputs], or [lanes, inputs], that do not depend on the outputs."""
 
     def __init__(self, inputs: int):
         super().__init__()
@@ -129,12 +129,7 @@ def linearize(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
-    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
-    if not outputs:
-        raise InputError("outputs is empty; allowed: at least one signal")
-    if any(isinstance(signal, Time) for signal in outputs):
-        raise InputError("outputs has the time; allowed: signals of the motion")
+    inputs, outputs = checked_ports(inputs, outputs)
     state = equilibrium(system) if state is None else state
     if not isinstance(state, Trajectory):
         raise InputError(
@@ -142,9 +137,10 @@ def linearize(
         )
     if not is_whole(lane) or not 0 <= lane < state.lanes:
         raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
-    ports = _Ports(len(inputs))
+    ports = Ports(len(inputs))
     with torch.no_grad():
-        dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)
+        designs = {name: x[lane : lane + 1].detach() for name, x in state.designs.items()}
+        dynamics = with_ports(system, ports, inputs, outputs).stages(designs)[0].values()
         k = time_index(state, time)
         q = state.q[lane, k].detach()[:, None, None]
         if q.shape[0] != dynamics.topology.n_q:
@@ -155,20 +151,42 @@ def linearize(
             small = _about_rest(dynamics, q, state, lane, k)
         else:
             small = _about_motion(dynamics, q, state, lane, k, coordinates)
-        return _matrices(dynamics, ports, links, q, state.t[k].detach(), small, _names(inputs), _names(outputs))
+        return _matrices(
+            dynamics,
+            ports,
+            link_of_ports(dynamics.topology),
+            q,
+            state.t[k].detach(),
+            small,
+            port_names(inputs),
+            port_names(outputs),
+        )
 
 
-def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, state: Trajectory, lane: int) -> tuple:
-    """The equations of one design of the system with inputs and outputs, and their link."""
+def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signal]]:
+    """Actuators and signals; InputError for anything else, and for none."""
+    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
     if not inputs:
         raise InputError("inputs is empty; allowed: at least one actuator")
-    probe = Controller(ports, outputs, inputs, name=_PORTS)
+    if not outputs:
+        raise InputError("outputs is empty; allowed: at least one signal")
+    if any(isinstance(signal, Time) for signal in outputs):
+        raise InputError("outputs has the time; allowed: signals of the motion")
+    return inputs, outputs
+
+
+def with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
+    """The system with inputs and outputs; its links have one for them, `link_of_ports`."""
+    probe = Controller(ports, outputs, inputs, name=PORTS)
     nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
     names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
-    with_ports = System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
-    dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
-    link = next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
-    return dynamics.values(), link
+    return System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
+
+
+def link_of_ports(topology: Any) -> Any:
+    """The link of inputs and outputs of a system `with_ports`."""
+    return next(link for link in topology.links.each if link.control.name == PORTS)
 
 
 class _Coefficients(NamedTuple):
@@ -218,7 +236,7 @@ def _about_motion(
 
 def _matrices(
     dynamics: Any,
-    ports: _Ports,
+    ports: Ports,
     link: Any,
     q: Tensor,
     t: Tensor,
@@ -266,7 +284,7 @@ def _freedoms(T: Any, N: Tensor) -> list[str]:
     return names
 
 
-def _names(ports: Sequence[Any]) -> list[str]:
+def port_names(ports: Sequence[Any]) -> list[str]:
     """A name for each number: its kind, the place in the list, and the axis of vectors."""
     names = []
     for k, port in enumerate(ports, 1):
