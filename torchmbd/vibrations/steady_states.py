@@ -1,7 +1,7 @@
 """States of designs at rest or at several speeds of rotation, and the eigenvalues of vibrations about them.
 
 Drives that turn the whole at a constant speed turn at each of the speeds: a speed is one of the machine, not of its drives.
-Checked in tests/design/test_system_vibrations.py, tests/design/test_critical_values.py.
+Checked in tests/vibrations/test_steady_states.py, tests/design/test_system_vibrations.py, tests/design/test_critical_values.py.
 """
 
 from __future__ import annotations
