@@ -141,8 +141,8 @@ class ModalData(Measurement):
         return result
 
     def within(self, limits: Limits, run: Run) -> Self:
-        """Without measured modes that have no partner in the model as it is."""
-        rest = self._rest(replace(run, gradients=False))
+        """Without measured modes that have no partner in the model where the search begins."""
+        rest = self._rest(run)
         if self.shapes is None:
             self._pairing(rest, 0)  # InputError for more modes than the model has
             return self
