@@ -166,7 +166,7 @@ class OneStep(Integrator):
     def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
         """See Integrator. Alternations are measured in the second half of each phase."""
         estimates = self.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
-        statistics = loop.integrate(multiphase, self, estimates)
+        statistics = loop.integrate(multiphase, estimates)
         estimates.put_into(statistics, multiphase.phase_number, self.checkpoint)
         return statistics
 

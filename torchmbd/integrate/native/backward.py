@@ -61,7 +61,7 @@ class NativeAdjointSolver(AdjointSolver):
         code, self.library = library.code, library
         code.adjoint_scratch.restype = code.adjoint.restype = ctypes.c_long
         code.adjoint_scratch.argtypes = [ctypes.c_void_p, ctypes.c_long, ctypes.c_long]
-        self.values, _ = library.data_blocks(grid.dynamics.values())
+        self.values = library.value_blocks(grid.dynamics)
         self.negligible = blocks(in_all_lanes(self.stepper.negligible[None, None], len(grid.lanes)))
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
 

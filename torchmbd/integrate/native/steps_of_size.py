@@ -29,7 +29,7 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
         return None
     T, lanes, new = dynamics.topology, step.x.q.shape[-1], torch.zeros
     state = blocks(torch.cat([in_all_lanes(x, lanes) for x in step.x.values()]).detach())
-    values = code.data_blocks(dynamics.values())[0].detach()
+    values = code.value_blocks(dynamics)
     values = values if len(values) == len(state) else values.expand(len(state), -1, -1, -1).contiguous()  # of one lane
     prescribed, moved = (blocks(x) for x in _prescribed(step, lanes))
     numbers = {"lanes": lanes, "data": values.shape[2], "prescribed": prescribed.shape[2], "first": 1, "steps": 1}

@@ -38,8 +38,8 @@ class _Lanes(NamedTuple):
 
     def of_batch(self, x: Tensor | None) -> Tensor | None:
         """Cotangents [..., lanes] of the lanes of the run, zero where a lane of the batch is not one of it."""
-        if x is None:
-            return None
+        if x is None or self.lanes == self.sources == list(range(self.run.whole.lanes)) == list(range(x.shape[-1])):
+            return x
         result = x.new_zeros(*x.shape[:-1], self.run.whole.lanes)
         result[..., self.sources] = x[..., self.lanes] if x.shape[-1] > 1 else x
         return result

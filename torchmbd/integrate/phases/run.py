@@ -25,6 +25,7 @@ from torchmbd.integrate.phases.switch import (
     accelerations,
     at_time,
     data_with_marks,
+    entered,
     jump,
     velocities_after_impact,
 )
@@ -129,13 +130,14 @@ class MultiphaseRun:
             lam = lam.index_put((times,), torch.where(in_phase[times][:, None], multipliers, lam[times]))
         return lam
 
-    def fail_if_not_finite(self, lane: int) -> bool:
-        """Fail a lane that was integrated to the end, but is not finite at some time; whether it is so."""
-        bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
-        first = torch.nonzero(bad[0] | bad[1] | bad[2])
-        if len(first):
-            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first[0, 0]]):.6g} s on")
-        return bool(len(first))
+    def fail_where_not_finite(self, lanes: Tensor) -> Tensor:
+        """Fail those of some lanes (a mask) at the end of the motion that are not finite at some time; which these are."""
+        finite = [torch.isfinite(x).flatten(1, 2).all(1) for x in (self.q, self.v, self.vd)]
+        bad = ~(finite[0] & finite[1] & finite[2]) & lanes  # [times, lanes]
+        for lane in lane_numbers(bad.any(0)):
+            first = int(bad[:, lane].long().argmax())
+            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first]):.6g} s on")
+        return bad.any(0)
 
     def start(self) -> PhaseExit:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
@@ -166,22 +168,28 @@ class MultiphaseRun:
             return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
 
-    def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, State]:
-        """The dynamics of a phase and the state in which its lanes begin, with consistent accelerations."""
+    def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, Dynamics, State]:
+        """The dynamics of a phase, those of its regular steps, and the state in which its lanes begin, with consistent
+        accelerations."""
         data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
-        self.whole = replace(self.whole, data=data)
-        dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
-        self.least_norm.append(_least_norm(self.whole, phase_model, dynamics))
+        if data is not self.whole.data:
+            self.whole = replace(self.whole, data=data)
+        dynamics, of_steps = self._dynamics_of(number)
+        self.least_norm.append(_least_norm(self.whole, self.phase_models[number], dynamics))
         state = self._state_after(number, dynamics, phase_exit)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
-        return dynamics, state
+        return dynamics, of_steps, state
 
-    def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
-        """The dynamics of a phase, with the data of the whole."""
+    def _dynamics_of(self, number: int) -> tuple[Dynamics, Dynamics]:
+        """The dynamics of a phase and those of its regular steps: of an earlier phase with the same equations and data."""
         phase_model = self.phase_models[number]
+        for record in self.records:
+            if record.dynamics.topology is phase_model.topology and record.dynamics.data is self.whole.data:
+                return record.dynamics, record.condensed
         initial = replace(self.initial_state, condensed=phase_model.condensation)
-        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=initial)
+        dynamics = replace(self.whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=initial)
+        return dynamics, dynamics.condensed() if self.integrator.condenses else dynamics
 
     def _switch(self, number: int, phase_exit: PhaseExit, after: State) -> Switch:
         t = phase_exit.t
@@ -230,12 +238,14 @@ class MultiphaseRun:
         """The state of some lanes after the switch that begins a phase, from the state before it."""
         ended = self.phase_models[number - 1].phase if number else None
         impact = ended.impact if ended is not None and isinstance(ended.until, Event) else None
-        (v,) = at_time(jump, dynamics, t, x.q, x.v)  # also where the rate of a drive jumps
-        if ended is not None and isinstance(ended.until, Event) and impact is not None:
+        if ended is None or not isinstance(ended.until, Event) or impact is None:
+            v, a, lam = at_time(entered, dynamics, t, x.q, x.v)  # also where the rate of a drive jumps
+        else:
+            (v,) = at_time(jump, dynamics, t, x.q, x.v)
             unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
             before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
             v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, before)
-        a, lam = at_time(accelerations, dynamics, t, x.q, v)
+            a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
     def _check_closed(self, number: int, lanes: Sequence[int], dynamics: Dynamics, t: Any, q: Any) -> None:
@@ -320,9 +330,11 @@ class MultiphaseRun:
 
     def never_left(self, phase_model: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
-        for lane in lane_numbers(staying):
-            if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
-                self.never_ends(phase_model, lane)
+        if not bool(staying.any()):
+            return
+        finite = staying & ~self.fail_where_not_finite(staying)
+        for lane in lane_numbers(finite) if phase_model is not self.phase_models[-1] else ():
+            self.never_ends(phase_model, lane)
 
 
 def _least_norm(whole: Dynamics, phase_model: Segment, dynamics: Dynamics) -> LeastNorm | None:
