@@ -131,7 +131,7 @@ class _PhaseLoop:
         at checkpoints."""
         stops, every = [last, *(k for k in self.first.tolist() if i < k)], self.multiphase.every
         if self.ends is not None:
-            stops.append(max(i + 1, int((~self._past_end(slice(None)))[:, self.alive].any(1).sum())))
+            stops.append(max(i + 1, int((~self._past_end(torch.arange(len(self.times))))[:, self.alive].any(1).sum())))
         most = SEGMENT if self.event is None else _BETWEEN_EVENTS
         if every == 1:
             return min([i + most, *stops])
@@ -143,7 +143,7 @@ class _PhaseLoop:
         new = torch.zeros_like(self.alive)
         new[lanes] = True
         g, short = torch.where(new, self.g_first, self.g), self.first_events
-        passed = self._passed(i, new, g)
+        passed = new & self._passed(torch.tensor([i]), torch.stack([self.g, g], 1))[0]
         if short is not None:
             passed = passed | self._occurred(short, new & ~passed, value(self.entry.t)[0])
         counted = (new & ~(passed & self._beyond(i)))[None]
@@ -162,11 +162,12 @@ class _PhaseLoop:
         change = torch.cat([self.change[:, None], (g[:, 1:] - g[:, :-1]).abs()], 1)
         counted = torch.zeros(len(history.q), self.lanes, dtype=torch.bool)
         stepped = counted.clone()
+        of_points = self._passed(torch.arange(i + 1, i + len(history.q)), g)
         short_events = {} if self.search is None else self.search.in_regular_steps(steps, inside, g, change)
         counted[1:] = stepped[1:] = inside
-        for k in range(1, len(history.q)):
-            p, self.g, self.change = i + k, g[:, k - 1], change[:, k - 1]
-            passed, short = self._passed(p, inside, g[:, k]), short_events.get(k)
+        for k in sorted({k + 1 for k in lane_numbers(of_points.any(1))}.union(short_events)):
+            p, self.g = i + k, g[:, k - 1]
+            passed, short = inside & of_points[k - 1], short_events.get(k)
             if short is not None:
                 passed = passed | self._occurred(short, inside & ~passed, self.times[p - 1].expand(self.lanes))
             leaving = lane_numbers(passed)
@@ -260,13 +261,9 @@ class _PhaseLoop:
         self.g_first = self.g.index_copy(0, torch.tensor(lanes), after)
         near = lane_numbers(near_zero(before, after, self.change[lanes]) & ~self.event.passed(before, after))
         if near:
-            some = [lanes[i] for i in near]
-            t, t1, at_start, at_end = (
-                pick_lanes(t, near),
-                pick_lanes(t1, near),
-                *(pick_states(y, near) for y in (at_start, at_end)),
-            )
-            events = self.search.in_steps(some, t, t1 - t, (at_start, at_end), (before[near], after[near]))
+            some, begin, size = [lanes[i] for i in near], pick_lanes(t, near), pick_lanes(t1 - t, near)
+            ends = pick_states(at_start, near), pick_states(at_end, near)
+            events = self.search.in_steps(some, begin, size, ends, (before[near], after[near]))
             self.first_events = events.in_lanes(some, self.lanes)
 
     def _fail(self, failed: Tensor, lanes: list[int], which: str, start: PhaseExit, end: Tensor) -> None:
@@ -297,13 +294,14 @@ class _PhaseLoop:
             g[lanes] = self.multiphase.views.value(self.event, lanes, lanes_of(self.dynamics, lanes), *entry)
         return g
 
-    def _passed(self, i: int, inside: Tensor, g: Tensor) -> Tensor:
-        """Which lanes leave the phase before, or little after, the point i of the grid; g: the event's function there."""
-        if self.event is not None:
-            return inside & self.event.passed(self.g, g)
-        return inside & self._past_end([i])[0]
+    def _passed(self, points: Tensor, g: Tensor) -> Tensor:
+        """Where lanes leave the phase before, or little after, points of the grid [points, lanes].
 
-    def _past_end(self, points: Any) -> Tensor:
+        g   the event's function at these and at the point before [lanes, points + 1]
+        """
+        return self._past_end(points) if self.event is None else self.event.passed(g[:, :-1], g[:, 1:]).T
+
+    def _past_end(self, points: Tensor) -> Tensor:
         """Whether points of the grid are after, or little before, the end of a phase at a known time [points, lanes]."""
         t = self.times[points, None]
         if self.ends is None:
