@@ -62,8 +62,9 @@ def located(
 
     size, enclosed = roots(function, *bracket)
     end = t + size
-    if not isinstance(base.t, Pair):
-        return PhaseExit(end, record.whole(near, end)), enclosed & finite_lanes(near)
+    if not isinstance(base.t, Pair):  # the step that has tangents where there are some: the same to the last digit
+        y = integrator.step_of_size(condensed, start, size[None], end, near)
+        return PhaseExit(end, record.whole(y, end)), enclosed & finite_lanes(y)
     whole, condensed = (widened_data(lanes_of(d, lanes)) for d in (record.dynamics, record.condensed))
     h = widened(widened(size[None], base.t.shape[0] - 1))
     h.full[-1] = 1.0  # its own direction
