@@ -25,6 +25,7 @@ LAYERS = (
     {"multibody.system"},
     {"results"},
     {"integrate"},
+    {"vibrations"},
     {"optimization"},
     {"design"},
     {"identification"},

@@ -66,18 +66,7 @@ from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
-from torchmbd.integrate import (
-    Campbell,
-    Equilibrium,
-    Event,
-    LinearSystem,
-    Phase,
-    Trajectory,
-    campbell,
-    equilibrium,
-    linearize,
-    simulate,
-)
+from torchmbd.integrate import Event, Phase, Trajectory, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -128,6 +117,7 @@ from torchmbd.optimization import (
 from torchmbd.optimization.multistart import multistart
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
+from torchmbd.vibrations import Campbell, Equilibrium, LinearSystem, campbell, equilibrium, frozen_poles, linearize
 
 if TYPE_CHECKING:
     from torchmbd.study.stored_run import LoadedStudy
@@ -301,6 +291,7 @@ __all__ = [
     "examples",
     "forces",
     "frequencies",
+    "frozen_poles",
     "history",
     "identify",
     "latin_hypercube",

@@ -13,8 +13,10 @@ Files of others, read unedited; a variable of the environment names the folder o
     mujoco_models          MJCF, against MuJoCo; MUJOCO_MODELS
     wing_body              a Nastran model, against Simcenter Nastran and MYSTRAN; nastran_decks: all others; PYNASTRAN_MODELS
     iea_blade              windIO, against BeamDyn and ElastoDyn; IEA15_RWT
+    pazy_wing              a Nastran model, against MSC Nastran; its equivalent beam, against measurements; AEPW3_LDWG
 Published numbers
     ivp_slider_crank       of the test set for IVP solvers: `python -m experiments.peers.ivp_slider_crank`
+    composite_strips       measured deflections of three laminates: `python -m experiments.peers.composite_strips`
 
 The files of others run alike, as `python -m experiments.peers.robots`; each says in its header what it needs.
 """

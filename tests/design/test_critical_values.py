@@ -30,6 +30,7 @@ def measured(measure: mbd.Measure, system: mbd.System, designs: dict[str, Tensor
     return measure.value_and_gradient(motion)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_critical_speeds_of_a_disk(mode):
     """sqrt(k / m) of both directions, and sqrt(k / (J + Jp)) of backward whirl; a thin disk has no forward one."""
@@ -44,12 +45,14 @@ def test_critical_speeds_of_a_disk(mode):
     assert float(made.value[1]) == pytest.approx(math.sqrt(9e3 / 2.0), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_an_order_is_a_multiple_of_the_speed():
     measure = mbd.CriticalSpeed(1, order=2.0, between=(22.0, 29.0), points=4, **DISK)
     made = measured(measure, disk(), {"bearing.stiffness_y": torch.tensor([8e3]).double()}, gradients="forward")
     assert float(made.value) == pytest.approx(math.sqrt(5e3 / 2.0) / 2.0, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_whirls_that_coincide_have_a_critical_speed():
     """In equal bearings: the value is there, a derivative by the stiffness in one direction is not."""
     system = disk(5e3)
@@ -96,6 +99,7 @@ def ziegler(k: float = 3.0, c: float = 0.2) -> mbd.System:
     return mbd.System([first, second], hinges, [*springs, push])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_flutter_of_zieglers_column(mode):
     """41/28 k + c^2 / 2 with masses 2, 1 and links of length 1: Herrmann and Jong, J. Appl. Mech. 32 (1965) 592-597."""

@@ -12,7 +12,9 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.sensitivity.test_system_eigenvalues import angles_of, blade
+from tests.vibrations.test_eigenvalues import angles_of, blade
+
+pytestmark = pytest.mark.thorough
 
 V, GROUND = mbd.variable, mbd.Ground()
 
@@ -114,7 +116,6 @@ def test_values_first_and_gradients_later():
     assert float(x.grad) > 0.0
 
 
-@pytest.mark.thorough
 def test_campbell_clearance_of_a_blade():
     """Against frequencies at each speed; a band that an order crosses is negative."""
     system = blade(speed=30.0)

@@ -65,6 +65,7 @@ def test_a_gain_that_steps_resolve_is_verified() -> None:
     assert found.status.startswith("verified: the objective changed by -")
 
 
+@pytest.mark.thorough
 def test_an_artifact_of_the_steps_is_not_verified() -> None:
     """Two steps a period: the least of many designs is a number of the steps, not of the oscillator."""
     problem = vibrating(8)

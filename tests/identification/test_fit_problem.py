@@ -47,6 +47,20 @@ def test_a_design_that_cannot_be_has_a_status_and_the_others_their_numbers():
     assert bad.jacobian is None
 
 
+def test_more_unknowns_than_numbers_are_refused():
+    """Gaps are no numbers, and constants no unknowns."""
+    few = {"t": np.array([0.1, 0.2, 0.3]), "angle": np.array([0.1, np.nan, 0.2])}
+    experiment = pendulum.experiment(few, angle=mbd.Channel(pendulum.ANGLE, deviation=0.1))
+    words = r"3 unknowns \(bob.mass\[0\], .*\) and 2 measured numbers and priors; allowed: at most as many"
+    with pytest.raises(mbd.InputError, match=words):
+        FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
+    assert FitProblem({"swing": experiment}, pendulum.UNKNOWNS, priors={"bob.mass": (1.0, 0.1)}).data == 2
+    constant = {"spring.damping": (0.1, 0.1)}
+    assert (
+        FitProblem({"swing": experiment}, pendulum.UNKNOWNS, bounds=constant, start={"spring.damping": 0.1}).data == 2
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -61,6 +75,7 @@ def test_a_design_that_cannot_be_has_a_status_and_the_others_their_numbers():
         ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 3.0)}}, "start of bob.mass|start"),
     ],
 )
+@pytest.mark.thorough
 def test_bad_input_is_named(arguments, message):
     with pytest.raises(mbd.InputError, match=message):
         FitProblem({"swing": swing()}, **arguments)

@@ -123,6 +123,17 @@ def test_bad_input_is_named(make, message):
         make()
 
 
+def test_partners_are_decided_where_the_search_begins():
+    """The shape of b alone is a mode where the first spring is stiff: that of the start, not that of the system."""
+    data = mbd.ModalData([20.0], shapes=[[0.01], [1.0]], sensors=pendulum.ROW_SENSORS, least_mac=0.99)
+    experiment = mbd.Experiment(pendulum.row(), data)
+    with pytest.raises(mbd.InputError, match=r"no measured mode has a partner in the model: the largest MAC is 0\."):
+        mbd.identify(experiment, ["first.stiffness"])
+    stiff = mbd.identify(experiment, ["first.stiffness"], start={"first.stiffness": 1e6}, max_evaluations=1)
+    assert stiff.notes[0].startswith("measured mode 1 (20 Hz) is mode 1 of the model")
+    assert "MAC 1.00" in stiff.notes[0]
+
+
 def test_a_mode_that_is_damped_more_than_critically_shifts_no_other():
     """The poles of the first mode are real: the damping measured of the second is that of the only pair that oscillates."""
     heavy = {"c1": 800.0, "c2": 0.0}
@@ -133,6 +144,6 @@ def test_a_mode_that_is_damped_more_than_critically_shifts_no_other():
     fit = mbd.identify(mbd.Experiment(model, data), ["first.damping"], max_evaluations=1)
     assert abs(fit.residuals).max() < 1e-6
     with pytest.raises(mbd.InputError, match=r"mode 1 of the model, .* Hz, does not oscillate"):
-        mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).within({}).measurements[0].predict(
+        mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).within({}, {}).measurements[0].predict(
             mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).run({}, 1, False, None), {}
         )

@@ -33,6 +33,9 @@ def test_columns_units_and_gaps(tmp_path, separator):
     [
         ("t,x\n0,1\n\n1,1.2.3\n", r"line 4: column 'x' is '1.2.3'; allowed: a number, or an empty field"),
         ("t,x\n0,1\n1,2,3\n", r"line 3: has 3 fields; allowed: 2"),
+        ("t,x\n0,1\n1\n2,3\n", r"line 3: has 1 fields; allowed: 2 \(an empty field is a gap\)"),
+        ("t,x,y\n0,1\n1,2,3,4\n", r"line 2: has 2 fields; allowed: 3"),  # as many separators as in a good file
+        ("t,x\n0,1\n1", r"line 3: has 1 fields; allowed: 2"),
         ("t,x\n0,1\n1,1_0\n", r"line 3: column 'x' is '1_0'"),
         ("t,y\n0,1\n", r"column 'x' does not exist; allowed: t, y"),
         ("t,x,x\n0,1,2\n", r"line 1: headings are .*allowed: each name once"),
@@ -79,6 +82,16 @@ def test_a_million_rows_are_read_once(tmp_path):
     tracemalloc.stop()
     assert [len(block.measured) for block in series.blocks] == [1_000_000] * 2
     assert peak < 4 * 3 * 8e6
+
+
+def test_lines_longer_than_what_is_read_at_once(tmp_path, monkeypatch):
+    """Separators are counted by lines, whatever chunks the file is read in; quotes and empty lines are no faults."""
+    monkeypatch.setattr("torchmbd.identification.table._CHUNK", 3)
+    for ending in ("\n", ""):
+        file = written(tmp_path, 'time,height\n0.125,1000\n\n0.25,\n0.5,"3000"' + ending)
+        np.testing.assert_array_equal(Table.of(file, ["time", "height"]).columns["height"], [1000.0, np.nan, 3000.0])
+    with pytest.raises(mbd.InputError, match="line 3: has 1 fields"):
+        Table.of(written(tmp_path, "time,height\n0.125,1000\n0.25\n0.5,3000\n"), ["time"])
 
 
 def test_spaces_after_separators_are_no_part_of_names(tmp_path):

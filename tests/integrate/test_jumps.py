@@ -77,6 +77,7 @@ def texts(run) -> list[str]:
         pytest.param((1.0, -1.0, 2.0), None, {}, marks=pytest.mark.thorough),
     ],
 )
+@pytest.mark.thorough
 def test_held_values_have_their_closed_form(values, steps, options):
     """Rates are exact, angles of second order: a jump in the middle of two half steps."""
     motion = mbd.simulate(held(*values), 2.0, steps=steps, gradients="none", **options).require_ok()

@@ -55,10 +55,10 @@ def test_a_coarse_problem_takes_half_of_the_iterations_at_most():
 
 def test_limits_that_end_before():
     problem = Parabola()
-    result = mbd.optimize(problem, "slsqp", max_iterations=1)
+    result = mbd.optimize(problem, "mmfd", max_iterations=1)
     assert "left no iteration by the finer motions" in result.message
     assert {n for n, _ in problem.seen} == {10}
-    assert mbd.optimize(Parabola(), "slsqp", max_iterations=30, max_analyses=3).analyses <= 5
+    assert mbd.optimize(Parabola(), "mmfd", max_iterations=30, max_analyses=3).analyses <= 5
 
 
 def test_wrappers_are_searched_as_they_are():

@@ -13,6 +13,7 @@ from tests.physics.nodal_sums import sums
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
+@pytest.mark.thorough
 def test_energies_are_those_of_the_nodes():
     motion = mbd.simulate(pendulum(), 0.05, steps=50).require_ok()
     found, expected = motion.energies, sums(motion)

@@ -8,6 +8,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import pendulum
 
+pytestmark = pytest.mark.thorough
+
 STEPS = 200
 
 

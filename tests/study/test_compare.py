@@ -16,6 +16,8 @@ from torchmbd.study.listing import print_links_of
 from torchmbd.tracking.catalog import children, find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
+pytestmark = pytest.mark.thorough
+
 
 def shown(function, *arguments):
     output = io.StringIO()
@@ -55,7 +57,6 @@ def test_an_empty_store_says_so(tmp_path):
     assert "No studies yet" in shown(print_best, None, f"sqlite:///{tmp_path}/none.db", 5)
 
 
-@pytest.mark.thorough
 def test_designs_that_violate_a_constraint_come_last(empty_store, folder):
     uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
     tracker = MlflowTracker("order", uri)

@@ -23,6 +23,8 @@ from torchmbd.study.identify_plan import IdentificationPlan
 from torchmbd.study.identify_run import run_identification
 from torchmbd.study.load import load
 
+pytestmark = pytest.mark.thorough
+
 CONFIG = Path(__file__).parents[2] / "configs" / "pendulum_rig" / "friction.yaml"
 MODEL = """
 import torchmbd as mbd
@@ -105,7 +107,6 @@ def table(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(lines))
 
 
-@pytest.mark.thorough
 def test_a_fit_is_tracked_and_its_model_is_one_for_other_studies(folder, capsys):
     assert main(["run", "study.yaml"]) == 0
     said = capsys.readouterr().out
@@ -149,7 +150,6 @@ def test_a_fit_is_tracked_and_its_model_is_one_for_other_studies(folder, capsys)
     assert page.count("data:image/png") == 2
 
 
-@pytest.mark.thorough
 def test_a_fit_that_was_killed_continues_with_what_was_evaluated(folder, monkeypatch):
     """Killed at the third design; continued, it computes the others alone, and ends where an unbroken fit does."""
     evaluate, count = FitProblem.evaluate, {"designs": 0}
@@ -173,7 +173,6 @@ def test_a_fit_that_was_killed_continues_with_what_was_evaluated(folder, monkeyp
     assert all(x.read_text(encoding="utf-8") == continued for x in files)
 
 
-@pytest.mark.thorough
 def test_check_says_how_far_the_model_is(folder, capsys):
     assert main(["check", "study.yaml"]) == 0
     said = capsys.readouterr().out
@@ -217,7 +216,6 @@ def other_kinds(folder: Path) -> None:
     (folder / "curve.csv").write_text("F [N],x [mm]\n1,5.00\n2,10.00\n4,20.00\n", encoding="utf-8")
 
 
-@pytest.mark.thorough
 def test_static_curves_and_frequencies(folder):
     other_kinds(folder)
     made = load("kinds.yaml")
@@ -330,7 +328,6 @@ def test_lines_of_the_data_are_named(folder, line, text, message):
         load("study.yaml")
 
 
-@pytest.mark.thorough
 def test_the_rig_of_the_tutorial(tmp_path, monkeypatch):
     """The fit of configs/pendulum_rig finds the numbers of the twin within its intervals."""
     monkeypatch.chdir(tmp_path)

@@ -16,6 +16,8 @@ from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load
 from torchmbd.study.schema import StudyFile
 
+pytestmark = pytest.mark.thorough
+
 TEXT = Path(__file__).with_name("study.yaml").read_text()
 
 # (what is replaced, by what, path in the message, what else the message says)
@@ -109,7 +111,6 @@ def test_every_fault_is_named_with_path_and_what_is_allowed(folder, capsys, old,
     assert re.sub(room, "", refused(capsys, "run", str(file))) == re.sub(room, "", error)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     "where", ["{keys}", "simulate: {{duration: 0.01, {keys}}}", "design: {{{keys}}}", "tracking: {{{keys}}}"]
 )
@@ -123,7 +124,6 @@ def test_a_flood_of_faults_is_cut(folder, capsys, where):
     assert len(error) < 10_000
 
 
-@pytest.mark.thorough
 def test_a_long_fault_is_cut(folder, capsys):
     file = folder / "study.yaml"
     file.write_text(
@@ -141,7 +141,6 @@ scraps = st.recursive(
 )
 
 
-@pytest.mark.thorough
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.dictionaries(st.sampled_from([*StudyFile.model_fields, "modl"]), scraps, max_size=6))
 def test_scraps_of_files_are_refused(folder, capsys, data):
@@ -150,7 +149,6 @@ def test_scraps_of_files_are_refused(folder, capsys, data):
     assert refused(capsys, "check", str(file)).count("\n") >= 2
 
 
-@pytest.mark.thorough
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, len(TEXT) - 1), st.sampled_from(["", ":", "{", "]", "\n", "\x00", "é", "- ", "!", "*"]))
 def test_a_slip_of_the_keyboard_is_refused_or_harmless(folder, place, slip):

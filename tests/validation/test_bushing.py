@@ -58,6 +58,7 @@ def test_all_three_springs_about_one_axis(axis):
     assert_close(found, expected, rtol=0, atol=2e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_one_spring_beyond_a_right_angle(axis):
     """Up to 2.5 rad: linear in the angle itself, not in its sine."""

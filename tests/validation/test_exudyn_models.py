@@ -17,5 +17,6 @@ def test_the_four_bar_has_the_printed_center_and_energy():
     assert error == pytest.approx(COARSE_ENERGY, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_bricards_mechanism_has_the_printed_norm():
     assert bricard_norm(500, spectral_radius=0.9) == pytest.approx(BRICARD, abs=1e-5)

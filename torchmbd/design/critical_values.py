@@ -21,12 +21,12 @@ from torch import Tensor
 from torchmbd.design.system_vibrations import OfVibrations, number_of, positive_band, rising
 from torchmbd.errors import DesignFailure, InputError, checked_signature, one_of
 from torchmbd.integrate import Trajectory
-from torchmbd.integrate.eigenvalues import NATURAL, POLES
-from torchmbd.integrate.steady_states import steady_states
 from torchmbd.math.checked_numbers import is_whole, positive, scalar
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
+from torchmbd.vibrations.eigenvalues import NATURAL, POLES
+from torchmbd.vibrations.steady_states import steady_states
 
 _STEPS = 60  # of Newton's method; bisection alone takes 50 to double precision
 _ACCURACY = 1e-12  # of the root, relative

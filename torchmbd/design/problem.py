@@ -62,6 +62,7 @@ from torchmbd.optimization.optimizer import as_numbers
 from torchmbd.summary import Summary, few
 
 BOUND = "bound"  # name of the extra variable beta
+Rows = tuple[np.ndarray, np.ndarray | None]  # values [lanes, rows]; slopes [lanes, rows, n] if asked for
 
 
 @checked_signature
@@ -338,8 +339,9 @@ class Problem(Summary):
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
             return self._refused(X, gradients, self._refusal(X, gradients, error) if len(X) == 1 else "")
+        reference = self.reference  # outside of `try`: a start that fails is no failure of these designs
         try:
-            values, slopes = self._rows(motions, X)
+            values, slopes = self._rows(reference, motions, X)
         except SimulationFailure as error:
             return self._refused(X, gradients, f"failed: {error}")
         each = slopes if slopes is not None else [None] * len(X)
@@ -378,18 +380,16 @@ class Problem(Summary):
             groups += [[]] if many else []
         return [torch.cat(group, 1) for group in groups if group]
 
-    def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def _rows(self, reference: Reference, motions: Sequence[Trajectory], X: np.ndarray) -> Rows:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
-        reference, first = self.reference, self.peaks or 1
+        first = self.peaks or 1
         values, slopes = self._unscaled(motions, reference.measures)
         values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
         if slopes is not None:
             slopes[:, first:] /= reference.scale[:, None]
         return reference.extra.stated(values, slopes, X[:, -1]) if self.peaks else (values, slopes)
 
-    def _unscaled(
-        self, motions: Sequence[Trajectory], measures: Sequence[Measure]
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def _unscaled(self, motions: Sequence[Trajectory], measures: Sequence[Measure]) -> Rows:
         """Rows of measures [lanes, rows], in their units, with gradients [lanes, rows, n] of motions that have them."""
         measured = differentiate(partial(self._measured, measures), motions[0])
         slopes = None if measured.gradient is None else measured.gradient.numpy() @ self.space.map

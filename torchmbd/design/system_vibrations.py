@@ -24,11 +24,11 @@ from torch import Tensor
 from torchmbd.design.response import Measure
 from torchmbd.errors import DesignFailure, InputError, checked_signature
 from torchmbd.integrate import Trajectory
-from torchmbd.integrate.eigenvalues import NATURAL, POLES
-from torchmbd.integrate.steady_states import Shaft, SteadyStates, steady_states
 from torchmbd.math.checked_numbers import is_whole, nonnegative, positive, scalar
-from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.multibody.system.steady_rotation import TURNING
+from torchmbd.vibrations.eigenvalues import NATURAL, POLES
+from torchmbd.vibrations.spectrum import SWINGS
+from torchmbd.vibrations.steady_states import Shaft, SteadyStates, steady_states
 
 
 @dataclass(frozen=True, kw_only=True)

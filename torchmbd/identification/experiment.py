@@ -93,16 +93,18 @@ class Experiment(Summary):
             ("settings", settings or "none"),
         ]
 
-    def within(self, limits: Limits) -> Experiment:
-        """The experiment with its duration, and without what no motion of this duration has.
+    def within(self, limits: Limits, start: Mapping[str, Tensor]) -> Experiment:
+        """The experiment with its duration, and without what no motion of this duration has, and no model at the start.
 
         limits   bounds of the unknowns of its measurements, by name
+        start    values of parameters where the search begins, by name [1, ...]; those of other systems are left out
         """
         last = max(measurement.until(limits) for measurement in self.measurements)
         result = object.__new__(Experiment)
         vars(result).update(vars(self))
         result.duration = self.duration or last
-        run = result.run({}, 1, False, None)
+        parameters = dict(self.system.named_parameters())
+        run = result.run({name: x for name, x in start.items() if name in parameters}, 1, False, None)
         result.measurements = [measurement.within(limits, run) for measurement in self.measurements]
         return result
 

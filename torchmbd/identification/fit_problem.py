@@ -94,7 +94,7 @@ class FitProblem:
             raise InputError("unknowns is empty; allowed: names of parameters, or mbd.variable(...) in a channel")
         self.space = DesignSpace.of_parameters(parameters, bounds, start, links)
         self._keep_positive(experiments)
-        self.experiments = {name: x.within(self.limits(self._own[name])) for name, x in experiments.items()}
+        self.experiments = self._within(experiments, self._own)
         self.rows = _rows(self.experiments)
         self.data = self.rows[-1].rows.stop
         self.prior_rows, self.prior_mean, self.prior_deviation = self._priors(priors or {})
@@ -102,11 +102,19 @@ class FitProblem:
         self.measured = np.concatenate([x.block.measured for x in self.rows])
         self.steps: dict[str, int | None] = {name: x.steps for name, x in experiments.items()}
         count = self.data + len(self.prior_rows)
-        if count < len(self.names):
+        searched = [name for name, low, high in zip(self.names, self.lower, self.upper, strict=True) if low < high]
+        if count < len(searched):
             raise InputError(
-                f"{len(self.names)} unknowns ({', '.join(self.names)}) and {count} measured numbers and priors; "
+                f"{len(searched)} unknowns ({', '.join(searched)}) and {count} measured numbers and priors; "
                 "allowed: at most as many unknowns as numbers"
             )
+
+    def _within(
+        self, experiments: Mapping[str, Experiment], own: Mapping[str, Mapping[str, str]]
+    ) -> dict[str, Experiment]:
+        """Experiments without the numbers that no model within the bounds has, or that has none at the start."""
+        entries = self.space.designs(self.start[None])
+        return {name: x.within(self.limits(own[name]), entries) for name, x in experiments.items()}
 
     def _keep_positive(self, experiments: Mapping[str, Experiment]) -> None:
         """Lower bounds of zero for what must not be negative, such as masses and moduli, where lower ones are asked for."""
@@ -290,7 +298,7 @@ class FitProblem:
                         )
                     own[name][key] = known[id(parameter)]
         result._own = own
-        result.experiments = {name: x.within(self.limits(own[name])) for name, x in experiments.items()}
+        result.experiments = self._within(experiments, own)
         result.rows = _rows(result.experiments)
         result.data = result.rows[-1].rows.stop
         result.deviations = np.concatenate([_first_deviation(x.block) for x in result.rows])

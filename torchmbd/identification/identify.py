@@ -118,21 +118,26 @@ def identify(
         rough = problem.estimated and len(problem.rows) > 1
         first = replace(settings, tolerance=max(tolerance, _ROUGH)) if rough else settings
         fits = best_first(_fits(problem, points, first, report, max_lanes))
-        best, evaluations, failures = fits[0], sum(x.evaluations for x in fits), sum(x.failures for x in fits)
+        best, at_first = fits[0], problem.deviations
         for _ in range(REFITS):
             if not problem.estimated or best.status != "converged":
                 break
-            before, problem = problem.deviations, problem.with_deviations(_estimated(problem, best, loss))
-            ratio = before / problem.deviations
+            old, problem = problem.deviations, problem.with_deviations(_estimated(problem, best, loss))
+            ratio = old / problem.deviations
             same_minimum = not len(problem.prior_rows) and loss == "linear" and np.ptp(ratio) <= _SAME * ratio.max()
             if not rough and (same_minimum or np.abs(ratio - 1.0).max() < _SETTLED):
-                best = _in_deviations(best, np.concatenate([ratio, np.ones(len(problem.prior_rows))]), settings)
+                best = _in_deviations(best, problem, ratio, settings)
                 break
-            best, rough = fit_start(problem.evaluate, best.x, settings, best.start, report), False
-            evaluations, failures = evaluations + best.evaluations, failures + best.failures
+            before, rough = best, False
+            best = fit_start(problem.evaluate, best.x, settings, best.start, report)
+            best.evaluations += before.evaluations
+            best.failures += before.failures
+        others = [_in_deviations(x, problem, at_first / problem.deviations, settings) for x in fits[1:]]
+        fits = best_first([best, *others])
     residuals = None
     if other is not None and np.isfinite(best.cost):
         [residuals] = other.evaluate(best.x[None], False)
+    evaluations, failures = sum(x.evaluations for x in fits), sum(x.failures for x in fits)
     return Identification(problem, settings, best, fits, evaluations, failures, other, residuals)
 
 
@@ -184,8 +189,11 @@ def _estimated(problem: FitProblem, fit: Fit, loss: str) -> np.ndarray:
     return result
 
 
-def _in_deviations(fit: Fit, ratio: np.ndarray, settings: FitSettings) -> Fit:
-    """The same fit with its residuals in other deviations; ratio: deviations before over those now [rows]."""
+def _in_deviations(fit: Fit, problem: FitProblem, ratio: np.ndarray, settings: FitSettings) -> Fit:
+    """The same fit with its residuals in other deviations; ratio: deviations before over those now [data]."""
+    if not np.isfinite(fit.cost):
+        return fit
+    ratio = np.concatenate([ratio, np.ones(len(problem.prior_rows))])
     values, jacobian = fit.residuals.values * ratio, fit.residuals.jacobian
     jacobian = None if jacobian is None else jacobian * ratio[:, None]
     residuals = replace(fit.residuals, values=values, jacobian=jacobian)

@@ -92,7 +92,7 @@ class Measurement:
     def within(self, limits: Limits, run: Run) -> Self:
         """The measurement without numbers for which the model has none, whatever its unknowns within limits.
 
-        run  of the model as it is, without unknowns
+        run  of the model where the search begins, without gradients
         """
         return self
 

@@ -28,14 +28,14 @@ from torchmbd.design.histories import Displacement, Position, Velocity
 from torchmbd.errors import DesignFailure, InputError, checked_signature, nearest
 from torchmbd.identification.measurement import Block, Limits, Measurement, Prediction
 from torchmbd.identification.run import Run
-from torchmbd.integrate import Equilibrium, equilibrium
-from torchmbd.integrate.eigenvalues import NATURAL, POLES
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.optimization.optimizer import require_range
 from torchmbd.results.motion_data import OK
 from torchmbd.results.time_rows import TensorSignals
+from torchmbd.vibrations import Equilibrium, equilibrium
+from torchmbd.vibrations.eigenvalues import NATURAL, POLES
+from torchmbd.vibrations.spectrum import SWINGS
 
 LEAST_MAC = 0.5  # below, two shapes are not taken for the same mode
 OPTIONS = ("times", "spin", "center", "observer", "follow", "unstable")  # of `equilibrium`
@@ -141,8 +141,8 @@ class ModalData(Measurement):
         return result
 
     def within(self, limits: Limits, run: Run) -> Self:
-        """Without measured modes that have no partner in the model as it is."""
-        rest = self._rest(replace(run, gradients=False))
+        """Without measured modes that have no partner in the model where the search begins."""
+        rest = self._rest(run)
         if self.shapes is None:
             self._pairing(rest, 0)  # InputError for more modes than the model has
             return self

@@ -148,14 +148,19 @@ def _read(file: Path, names: Sequence[str]) -> Table:
 
 
 def _is_regular(file: Path, separator: str, fields: int) -> bool:
-    """Whether all lines together have as many separators as their number asks for: pandas drops fields that are too many."""
-    separators = lines = 0
+    """Whether every line has the separators that its fields ask for: pandas drops fields that are too many, and takes those
+    that are missing for gaps. Lines that are empty, and those with quotes, are left to `_fault`."""
+    before = 0  # separators of a line that began in the chunk before
     with open(file, "rb") as data:
         while chunk := data.read(_CHUNK):
-            separators += chunk.count(separator.encode())
-            lines += chunk.count(b"\n")
+            array = np.frombuffer(chunk, dtype=np.uint8)
+            ends = np.flatnonzero(array == ord("\n"))
+            counts = np.searchsorted(np.flatnonzero(array == ord(separator)), ends)
+            if len(ends) and not (np.diff(counts, prepend=-before) == fields - 1).all():
+                return False
+            before = chunk.count(separator.encode()) + (before if not len(ends) else -int(counts[-1]))
             last = chunk[-1:]
-    return separators == (fields - 1) * (lines + (last != b"\n"))
+    return last == b"\n" or before == fields - 1
 
 
 def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[int]) -> str | None:
@@ -164,10 +169,11 @@ def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[in
         rows = csv.reader(text, delimiter=separator)
         next(rows)
         for row in rows:
-            if len(row) > len(texts):
-                return f"{file}, line {rows.line_num}: has {len(row)} fields; allowed: {len(texts)}"
+            if row and len(row) != len(texts):
+                more = " (an empty field is a gap)" if len(row) < len(texts) else ""
+                return f"{file}, line {rows.line_num}: has {len(row)} fields; allowed: {len(texts)}{more}"
             for place in places:
-                if place < len(row) and not _is_number(row[place].strip()):
+                if row and not _is_number(row[place].strip()):
                     return (
                         f"{file}, line {rows.line_num}: column {texts[place]!r} is {row[place]!r}; "
                         "allowed: a number, or an empty field for a gap"

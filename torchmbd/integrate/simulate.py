@@ -164,7 +164,8 @@ def simulate(
                 system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
             )
             outputs: Any = Motion.apply(integration, *_lanes_last(batch))
-            motion = trajectory_of(system, integration, outputs, integration.dynamics.data, batch, names)
+            whole = integration.system  # with the locks of its phases
+            motion = trajectory_of(whole, integration, outputs, integration.dynamics.data, batch, names)
             motion.actions = integration.actions
         else:
             length = duration if by_duration else seconds

@@ -27,14 +27,14 @@ from torchmbd.design.system_vibrations import (
     StabilityMargin,
     SystemFrequency,
 )
-from torchmbd.integrate.campbell_diagram import Campbell, campbell
-from torchmbd.integrate.eigenvalues import NATURAL, POLES
-from torchmbd.integrate.statics import Equilibrium
-from torchmbd.integrate.steady_states import SteadyStates, steady_states
-from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.vibrations.campbell_diagram import Campbell, campbell
+from torchmbd.vibrations.eigenvalues import NATURAL, POLES
+from torchmbd.vibrations.spectrum import SWINGS
+from torchmbd.vibrations.statics import Equilibrium
+from torchmbd.vibrations.steady_states import SteadyStates, steady_states
 
 _POINTS = 25  # speeds of a diagram
 _BEYOND = 1.1  # its largest speed over the largest that is asked for

@@ -18,17 +18,17 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.statics import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.spectrum import SWINGS, Spectrum
 from torchmbd.multibody.system.steady_rotation import ObserverAtRest
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.vibrations.spectrum import SWINGS, Spectrum
+from torchmbd.vibrations.statics import Equilibrium
 from torchmbd.viz.animation import page_path, require_lane, scene_of, write_scene
 
 _UNDAMPED = 1e-7  # damping [%] that is rounding

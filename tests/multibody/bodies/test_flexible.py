@@ -110,3 +110,18 @@ def test_a_node_that_does_not_exist_is_named():
     for index in (-1, 15):
         with pytest.raises(InputError, match=rf"node is {index}; allowed: a node name or 0 to 14"):
             body.at(index)
+
+
+@pytest.mark.parametrize("reduction", [{}, {"reduction": "craig-bampton", "interface": ["right"]}])
+def test_as_many_designs_as_freedoms_are_no_dense_mass(reduction):
+    """Masses [84, 84] of 84 designs with 84 freedoms were taken for one matrix, which is not symmetric."""
+    body = plate("rod", **reduction)
+    freedoms = 6 * (5 * 3 - 1)
+    angles = body.laminate.angles.detach() + torch.linspace(0.0, 0.1, freedoms, dtype=torch.float64)[:, None]
+    thickness = body.laminate.thickness.detach() * torch.linspace(1.0, 1.1, freedoms, dtype=torch.float64)[:, None]
+    system = mbd.System([body], truncation=None)
+    designs = {"rod.laminate.angles": angles, "rod.laminate.thickness": thickness}
+    every = system.stages(designs)[0].data["Kr"]
+    some = system.stages({name: x[5:7] for name, x in designs.items()})[0].data["Kr"]
+    assert every.shape[-1] == freedoms
+    assert_close(every[..., 5:7], some, rtol=1e-8, atol=1e-9 * float(some.abs().max()))

@@ -157,6 +157,7 @@ def test_a_torch_module_makes_the_matrices(numbers, kind):
     assert found == pytest.approx(richardson(f, 1.2, 2e-3), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_function_makes_the_matrices_for_many_designs(numbers):
     M, K = (torch.tensor(x.toarray()) for x in numbers)
     body = mbd.FlexibleBody.from_matrices(

@@ -17,6 +17,8 @@ import pytest
 import torchmbd as mbd
 from torchmbd.optimization import Evaluation
 
+pytestmark = pytest.mark.thorough
+
 
 class Overflow(Exception):
     """As a user may have it."""

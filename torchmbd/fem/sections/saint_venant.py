@@ -26,7 +26,8 @@ Checked in tests/fem/sections/test_section_gradients.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,7 @@ from torchmbd.process import one_thread
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
 
 _NUMBERS = 1_000_000  # entries of a field of the designs that are analyzed at once: 8 MB
+_NUMBERS_OF_DIRECTIONS = 4_000_000  # of its tangents: all share what is computed for the values
 
 #: J of the module header: growth of (N, T, M_y, M_z) along the beam for unit V_y, V_z.
 _GROWTH = torch.zeros(4, 2, dtype=torch.float64)
@@ -156,15 +158,15 @@ class _ByStiffness(FirstDerivative):
 
 
 @one_thread()
-def _for_distinct_designs(
-    f: Callable[[WarpingProblem, Tensor, Tensor], Tensor], problem: WarpingProblem, x: Tensor, D: Tensor
-) -> Tensor:
+def _for_distinct_designs(f: FunctionType, problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
     """Return f of all designs: equal designs are computed once, in groups whose fields fit into the cache."""
     designs, which = torch.unique(torch.cat([x, D.flatten(1)], 1), dim=0, return_inverse=True)
     parts = designs.split(max(1, _NUMBERS // problem.geometry.field_size))
-    return torch.cat([f(problem, y[:, : x.shape[1]], y[:, x.shape[1] :].unflatten(1, D.shape[1:])) for y in parts])[
-        which
-    ]
+
+    def of_designs() -> Tensor:
+        return torch.cat([f(problem, y[:, : x.shape[1]], y[:, x.shape[1] :].unflatten(1, D.shape[1:])) for y in parts])
+
+    return problem.result(f.__name__, designs, of_designs)[which]
 
 
 def _energy(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6"]:
@@ -174,8 +176,10 @@ def _energy(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lan
 
 
 def _by_dimensions(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 e"]:
-    directions = [unit.expand_as(x) for unit in torch.eye(x.shape[1], dtype=x.dtype, device=x.device)]
-    return torch.stack([torch.func.jvp(lambda x: _energy(problem, x, D), (x,), (e,))[1] for e in directions], -1)
+    units = torch.eye(x.shape[1], dtype=x.dtype, device=x.device)[:, None].expand(-1, len(x), -1)
+    energy = partial(_energy, problem, D=D)
+    many = max(1, _NUMBERS_OF_DIRECTIONS // (len(x) * problem.geometry.field_size))
+    return torch.vmap(lambda e: torch.func.jvp(energy, (x,), (e,))[1], out_dims=-1, chunk_size=many)(units)
 
 
 def _by_stiffness(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 layers 6 6"]:

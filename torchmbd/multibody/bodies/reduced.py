@@ -19,16 +19,24 @@ from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
 from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, with_whole_clusters
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.sparse import SparseMatrix
+from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
 def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
-    """Stiffness and mass of the free freedoms, with the same lanes; points: `assembly.masses()`, if it is known already."""
+    """Stiffness and mass of the free freedoms, with the same lanes; points: `assembly.masses()`, if it is known already.
+
+    A lumped mass is its diagonal [..., N]; of N designs a sparse matrix, as [N, N] would be a dense one.
+    """
     K, M = assembly.stiffness(), assembly.mass(points)
     values = M if isinstance(M, Tensor) else M.values
     lanes = np.broadcast_shapes(K.values.shape[:-1], values.shape[:-1])
     K = replace(K, values=K.values.expand(*lanes, -1))
-    return K, values.expand(*lanes, -1) if isinstance(M, Tensor) else M
+    if isinstance(M, Tensor):
+        M = values.expand(*lanes, -1)
+        if lanes[-1:] == M.shape[-1:]:
+            every = torch.arange(M.shape[-1])
+            M = SparseMatrix(Pattern(every, every, len(every)), M, symmetric=True)
+    return K, M
 
 
 def reduced(

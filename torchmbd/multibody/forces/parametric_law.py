@@ -57,10 +57,10 @@ class LawVariables:
         labels = {field: names.get(field, field) for field in data_fields(law)}
         numbers = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in labels.items()}
         rows = tuple((field, self._row(labels[field], x)) for field, x in numbers.items() if is_variable(x))
-        for sign in ("positive", "nonnegative"):
-            varying = tuple(labels[field] for field in getattr(law, sign, ()) if is_variable(numbers[field]))
-            setattr(self._numbers, sign, getattr(self._numbers, sign, ()) + varying)
-        if labels:
+        if labels:  # else `law` may be anything, a tensor with a method `positive` too
+            for sign in ("positive", "nonnegative"):
+                varying = tuple(labels[field] for field in getattr(law, sign, ()) if is_variable(numbers[field]))
+                setattr(self._numbers, sign, getattr(self._numbers, sign, ()) + varying)
             law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in numbers.items()})
         return ParametricLaw(law_key(self.name), rows, law) if rows else law
 

@@ -36,10 +36,10 @@ from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.steady_state import unsteady
 
 _STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
-_FORCE, _CLOSED = (
-    1e-10,
-    1e-11,
-)  # largest unbalanced force, as a share of the largest force of all steps; violation of a joint
+_SWEEP_STEPS = 8  # of all speeds together; those that need more are searched one after the other
+_NEAR = 0.1  # of the distance between the equilibria of neighboring speeds, that a first step between them may miss
+_FORCE = 1e-10  # largest unbalanced force, as a share of the largest force of all steps
+_CLOSED = 1e-11  # violation of a joint
 _ROUNDING = 1e-14  # of the terms that cancel in forces
 SPIN = "spin"  # name of the angular velocity [3, 1, lanes] of a steady rotation among the data
 _SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
@@ -88,7 +88,8 @@ def find_equilibria(
     start, balances = value(q).detach(), []
     with torch.no_grad():
         values = dynamics.values()
-        for lane in range(dynamics.lanes):
+        while len(balances) < dynamics.lanes:
+            lane = len(balances)
             follows = (follow and bool(balances)) or lane % sweep > 0
             near = balances[-1].q if follows else start[:, 0, min(lane, start.shape[-1] - 1)]
             of_lane = values.select_lanes([lane])
@@ -98,7 +99,42 @@ def find_equilibria(
             if balance.failure and sweep > 1:
                 balance = _find_equilibrium(*arguments, not lane % sweep, fastest)
             balances.append(balance)
+            if lane % sweep == 0 < sweep - 1 and not balance.failure:
+                others = values.select_lanes(list(range(lane + 1, lane + sweep)))
+                balances += _sweep(others, balance.q, t, _at_spin(rotation, others.data))
     return balances
+
+
+def _sweep(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None) -> list[Balance]:
+    """Equilibria of lanes at rising speeds, by Newton's method of all at once from start [n_q], that of the speed before.
+
+    They end before the first that is not surely the one to which a search from its neighbor leads: a step from there must
+    come near.
+    """
+    T, lanes, observer = dynamics.topology, range(dynamics.lanes), rotation and rotation.turning
+    of_lanes = [dynamics.select_lanes([lane]) for lane in lanes]
+    q, largest, balances = start[:, None, None].expand(-1, 1, len(lanes)), [0.0] * len(lanes), {}
+    for _ in range(_SWEEP_STEPS):
+        states = Linearization.each(dynamics, q, t, observer=observer)
+        moves = torch.zeros(T.n_v, 1, len(lanes), dtype=q.dtype)
+        for lane in [lane for lane in lanes if lane not in balances]:
+            rest, of_lane = states[lane], of_lanes[lane]
+            largest[lane] = max(largest[lane], float(rest.forces.abs().max()))
+            turning = _at_spin(rotation, of_lane.data)
+            balance, small = _balance(of_lane, rest, q[:, 0, lane], t, turning, largest[lane], lane == lanes[-1])
+            if balance is not None:
+                balances[lane] = balance
+            elif bool(torch.isfinite(rest.forces).all()):
+                moves[:, 0, lane] = _step(rest, True, small)
+        if len(balances) == len(lanes):
+            break
+        q = equations.advance(T, q, moves)
+    before = torch.cat([start[:, None, None], q[..., :-1]], -1)
+    steps = [_step(rest, True, 0.0) for rest in Linearization.each(dynamics, before, t, observer=observer)]
+    after = equations.advance(T, before, torch.stack(steps, -1)[:, None])
+    near = (after - q).abs().amax((0, 1)) <= _NEAR * (q - before).abs().amax((0, 1)) + _CLOSED
+    sure = [lane in balances and not balances[lane].failure and bool(near[lane]) for lane in lanes]
+    return [balances[lane] for lane in range([*sure, False].index(False))]
 
 
 def _at_spin(rotation: SteadyRotation | None, data: equations.Data) -> SteadyRotation | None:
@@ -174,17 +210,9 @@ def _find_equilibrium(
     rest, largest = Linearization.of(dynamics, q, t, observer=turning), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
-        small = _FORCE * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
-        if _balanced(rest, small):
-            if _mirrored(T, dynamics.values().data, q, t):
-                return _failed(T, start, _MIRRORED)
-            if rotation is not None:
-                same = _SAME * largest + _ROUNDING * _canceling(dynamics, rest, q, t)
-                if all_around and (why := unsteady(dynamics, rest, q, t, rotation, same)):
-                    return _failed(T, start, why)
-                if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
-                    return _failed(T, start, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}")
-            return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest))
+        balance, small = _balance(dynamics, rest, q, t, rotation, largest, all_around)
+        if balance is not None:
+            return balance if not balance.failure else _failed(T, start, balance.failure)
         if not bool(torch.isfinite(rest.forces).all()):
             break
         q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
@@ -196,6 +224,34 @@ def _find_equilibrium(
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
     return _failed(T, start, failure)
+
+
+def _balance(
+    dynamics: Any,
+    rest: Linearization,
+    q: Tensor,
+    t: Tensor,
+    rotation: SteadyRotation | None,
+    largest: float,
+    all_around: bool,
+) -> tuple[Balance | None, float]:
+    """The equilibrium at q, or None where forces do not balance, and the size of forces that count as none.
+
+    largest   of the forces of all steps; all_around: as of `_find_equilibrium`
+    """
+    T, canceling = dynamics.topology, _canceling(dynamics, rest, q, t)
+    small = _FORCE * largest + _ROUNDING * canceling
+    if not _balanced(rest, small):
+        return None, small
+    if _mirrored(T, dynamics.values().data, q, t):
+        return _failed(T, q, _MIRRORED), small
+    if rotation is not None:
+        same = _SAME * largest + _ROUNDING * canceling
+        if all_around and (why := unsteady(dynamics, rest, q, t, rotation, same)):
+            return _failed(T, q, why), small
+        if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
+            return _failed(T, q, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}"), small
+    return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest)), small
 
 
 def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
@@ -243,7 +299,7 @@ def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
     forces = rest.N.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
     if unstable:
-        slide = -torch.linalg.pinv(rest.reduced(rest.K), rtol=_NO_STIFFNESS) @ forces
+        slide = -_flexibility(rest.reduced(rest.K)) @ forces
     else:
         values, vectors = _stiffness(rest)
         largest = float(values.abs().max()) if len(values) else 0.0
@@ -268,17 +324,18 @@ def _inverse(rest: Linearization) -> Tensor:
     """`Balance.inverse`; freedoms without stiffness do not move."""
     active, n = rest.active, len(rest.forces)
     close = torch.linalg.pinv(rest.Phi_q[:, active], rtol=1e-9)
-    K = rest.reduced(rest.K)
-    flexibility = K
-    if len(K):
-        values, _ = _stiffness(rest)
-        free = bool(values.abs().min() <= _NO_STIFFNESS * values.abs().max())
-        flexibility = torch.linalg.pinv(K, rtol=_NO_STIFFNESS) if free else torch.linalg.inv(K)
-    slide = rest.N @ flexibility @ rest.N.T
+    slide = rest.N @ _flexibility(rest.reduced(rest.K)) @ rest.N.T
     inverse = rest.forces.new_zeros(n, n + len(rest.phi))
     inverse[active[:, None], active] = slide
     inverse[active, n:] = close - slide @ rest.K[active][:, active] @ close
     return inverse
+
+
+def _flexibility(K: Tensor) -> Tensor:
+    """Inverse of a stiffness; freedoms without stiffness do not move."""
+    inverse, singular = torch.linalg.inv_ex(K)
+    held = not int(singular) and float(K.norm() * inverse.norm()) < 1.0 / _NO_STIFFNESS
+    return inverse if held else torch.linalg.pinv(K, rtol=_NO_STIFFNESS)
 
 
 def _instability(T: Any, rest: Linearization) -> str:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import torch
@@ -47,6 +47,7 @@ class Linearization:
     Phi_q [rows, n_v], lam [rows]
     active                     rows of v but those that pad the modes of bodies with fewer modes than others
     N [active, freedoms]       null space of the active columns of Phi_q
+    along                      C by "rates", M by "accelerations"
     rotates                    whether the state rotates steadily
     """
 
@@ -78,7 +79,20 @@ class Linearization:
         observer: Observer | None = None,
         unstrained: Tensor | None = None,
     ) -> Linearization:
-        """Linearize `dynamics` of one design at q and time t.
+        """Linearize `dynamics` of one design at q and time t; arguments as of `each`."""
+        return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained)[0]
+
+    @classmethod
+    def each(
+        cls,
+        dynamics: Any,
+        q: Tensor,
+        t: Tensor,
+        offset: tuple[Tensor, Tensor] | None = None,
+        observer: Observer | None = None,
+        unstrained: Tensor | None = None,
+    ) -> list[Linearization]:
+        """Linearize all lanes of `dynamics` at q [n_q, 1, lanes] and time t; equations of all lanes are evaluated at once.
 
         observer     of the increments, with the rates of the state; None: a state at rest
         offset       forces with torques in ground axes [n_v] and violations [rows], to be subtracted from forces and phi
@@ -87,46 +101,64 @@ class Linearization:
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
         excitation = T.prescribed(t, data).values()
-        wide, none = q[:, None, None], q.new_zeros(T.rows, 1, 1)
-        still = q.new_zeros(T.n_v, 1, 1)
+        lanes = q.shape[-1]
+        none, still = q.new_zeros(T.rows, 1, lanes), q.new_zeros(T.n_v, 1, lanes)
         observer = observer or ObserverAtRest()
         coupling = T.coupling
-        unit = Pair.of(still, coupling.directions[..., None])
+        unit = Pair.of(still, coupling.directions[..., None].expand(-1, -1, lanes))
         zero = Pair.of(still, torch.zeros_like(unit.tangent))
-        near, *rates_moved = observer.perturbed(T, wide, unit, zero, zero)
+        near, *rates_moved = observer.perturbed(T, q, unit, zero, zero)
         rates = tuple(value(x) for x in rates_moved)
-        at, moved = (equations.placement(T, data, x, excitation) for x in (wide, near))
+        at, moved = (equations.placement(T, data, x, excitation) for x in (q, near))
 
         def residual(at: Any, rates: Sequence[Any], lam: Tensor) -> Any:
             v, a = rates
-            return observer.rows(T, wide, equations.dynamic_residual(T, data, at, v, a, lam))
+            return observer.rows(T, q, equations.dynamic_residual(T, data, at, v, a, lam))
 
-        forces = residual(at, rates, none)[:, 0, 0]
+        forces = residual(at, rates, none)[:, 0]
         subtracted = None if offset is None else _in_body_axes(T, moved, offset[0])
-        forces = forces if subtracted is None else forces - subtracted.value[:, 0, 0]
-        phi, Phi_q = q.new_zeros(0), q.new_zeros(0, T.n_v)
+        forces = forces if subtracted is None else forces - subtracted.value[:, 0]
+        phi, Phi_q = q.new_zeros(0, lanes), [q.new_zeros(0, T.n_v)] * lanes
         if T.rows:
             violation = equations.constraints(T, moved)
-            phi, Phi_q = violation.value[:, 0, 0], coupling.matrix(violation.tangent[..., 0], True)
-            phi = phi if offset is None else phi - offset[1]
+            phi, Phi_q = violation.value[:, 0], [coupling.matrix(x, True) for x in _tangents(violation)]
+            phi = phi if offset is None else phi - offset[1][:, None]
         active = unpadded_rates(T)
         balanced = forces
         if unstrained is not None:
             data = data | {"beam_rest": unstrained}
-            balanced = residual(at, rates, none)[:, 0, 0]
-            balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0, 0]
-        lam = -torch.linalg.pinv(Phi_q[:, active].T, rtol=RELATIVE) @ balanced[active]
-        force = residual(moved, rates_moved, lam[:, None, None])
-        K = coupling.matrix(_tangent(force if subtracted is None else force - subtracted))
+            balanced = residual(at, rates, none)[:, 0]
+            balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0]
+        held = zip(Phi_q, balanced.unbind(-1), strict=True)
+        lam = torch.stack([-torch.linalg.pinv(J[:, active].T, rtol=RELATIVE) @ f[active] for J, f in held], -1)
+        force = residual(moved, rates_moved, lam[:, None])
+        stiffness = _tangents(force if subtracted is None else force - subtracted)
 
-        def along(directions: str) -> Tensor:
+        @cache
+        def along(directions: str) -> list[Tensor]:
             xd, xdd = (unit, zero) if directions == "rates" else (zero, unit)
-            return coupling.matrix(
-                _tangent(residual(at, observer.perturbed(T, wide, zero, xd, xdd)[1:], lam[:, None, None]))
-            )
+            rates = observer.perturbed(T, q, zero, xd, xdd)[1:]
+            return [coupling.matrix(x) for x in _tangents(residual(at, rates, lam[:, None]))]
 
-        rotates = isinstance(observer, SteadyRotation) and bool(observer.spin.any())
-        return cls(forces, phi, K, Phi_q, lam, active, null_space(Phi_q[:, active]), along, rotates)
+        def of_lane(lane: int) -> Callable[[str], Tensor]:
+            return lambda directions: along(directions)[lane]
+
+        spin = observer.spin if isinstance(observer, SteadyRotation) else still[:3]
+        rotates = spin.expand(-1, -1, lanes).any(0)[0]
+        parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), strict=True)
+        return [
+            cls(f, p, coupling.matrix(K), J, x, active, null_space(J[:, active]), of_lane(i), bool(rotates[i]))
+            for i, (f, p, K, J, x) in enumerate(parts)
+        ]
+
+    @classmethod
+    def of_matrices(cls, M: Tensor, C: Tensor, K: Tensor) -> Linearization:
+        """Of M z'' + C z' + K z = 0 [n, n] in independent coordinates; K is taken as it is, also where it is unsymmetric."""
+        n, none = len(M), M.new_zeros(0)
+        matrices, unit = {"rates": C, "accelerations": M}, torch.eye(n, dtype=M.dtype)
+        return cls(
+            M.new_zeros(n), none, K, M.new_zeros(0, n), none, torch.arange(n), unit, matrices.__getitem__, rotates=True
+        )
 
     @property
     def unbalanced(self) -> Tensor:
@@ -146,22 +178,11 @@ class Linearization:
     @property
     def negative_mass(self) -> bool:
         """Whether an eigenvalue of the inertia is negative; those of parts without inertia are zero."""
-        masses = torch.linalg.eigvalsh(self.inertia)
-        return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
+        return negative_mass(self.inertia)
 
     def factored_inertia(self) -> Tensor:
-        """L with L L' = N' M N. DesignFailure where the inertia is not positive definite: vibrations do not exist."""
-        if self.negative_mass:
-            raise DesignFailure(
-                f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
-            )
-        L, singular = torch.linalg.cholesky_ex(self.inertia)
-        if int(singular):
-            raise DesignFailure(
-                "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
-                "allowed: masses and inertias > 0 of all that is free to move"
-            )
-        return L
+        """L with L L' = N' M N; DesignFailure where vibrations do not exist."""
+        return factored_inertia(self.inertia)
 
     @property
     def stiffness(self) -> Tensor:
@@ -187,6 +208,27 @@ class Linearization:
             return False
         noise = _UNBALANCED * self.unbalanced.abs().max() + _ROUNDING * K.abs().max()
         return bool((K - K.T).abs().max() > noise)
+
+
+def negative_mass(inertia: Tensor) -> bool:
+    """Whether an eigenvalue of N' M N is negative, beyond rounding."""
+    masses = torch.linalg.eigvalsh(inertia)
+    return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
+
+
+def factored_inertia(inertia: Tensor) -> Tensor:
+    """L with L L' = N' M N. DesignFailure where it is not positive definite: vibrations do not exist."""
+    if negative_mass(inertia):
+        raise DesignFailure(
+            f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
+        )
+    L, singular = torch.linalg.cholesky_ex(inertia)
+    if int(singular):
+        raise DesignFailure(
+            "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
+            "allowed: masses and inertias > 0 of all that is free to move"
+        )
+    return L
 
 
 @dataclass(frozen=True)
@@ -303,5 +345,6 @@ def null_space(J: Tensor) -> Tensor:
     return torch.cat([free, basis], 1)
 
 
-def _tangent(x: Any) -> Tensor:
-    return x.tangent[..., 0]
+def _tangents(x: Any) -> tuple[Tensor, ...]:
+    """Tangents [n, k] of each lane."""
+    return x.tangent.unbind(-1)

@@ -26,8 +26,8 @@ _ANGLES = (
 _SAME = 1e-6  # of joints; of the stiffness and the damping of a freedom
 _ROUNDING = 1e-13  # of the largest entry of stiffness, or of damping
 _ALLOWED = (
-    "allowed: supports that are alike across the axis, for a rotor that is alike across it observer='ground', or simulate(), "
-    "which follows the motion in time"
+    "allowed: supports that are alike across the axis; other supports of a rotor that is, with observer='ground'; or "
+    "simulate(), which follows the motion in time"
 )
 _OTHERS = (
     "no steady rotation: joints or forces are others after a turn by {} rad; allowed: gravity along the axis, and joints and "

@@ -229,7 +229,8 @@ class Topology:
         if row < 6 * self.bodies:
             kind = straight if row < 3 * self.bodies else about
             return f"{kind} {'xyz'[row // self.bodies % 3]} of {self.names[row % self.bodies]!r}"
-        return f"a mode of {self.names[(row - 6 * self.bodies) % self.flexible]!r}"
+        mode, body = divmod(row - 6 * self.bodies, self.flexible)
+        return f"mode {mode + 1} of {self.names[body]!r}"
 
 
 def _of_each_lane(x: Tensor) -> Tensor:

@@ -4,17 +4,19 @@
 
 P r is one derivative of the residual: along x = r, x' = s r, x'' = s^2 r and the multipliers of r. So l^H P r is written in the
 functions of the equations, once, and its gradient is that of the eigenvalue.
-Forward mode multiplies the same gradient, a row for each eigenvalue, by the directions.
+Each of them is a lane of its own: one pass backwards gives the gradients of all, which are multiplied by the cotangents or, in
+forward mode, by the directions.
 Eigenvalues that coincide have the mean of their derivatives. It is the derivative of every function that is symmetric in them;
 others are refused, in reverse mode by unequal cotangents, in forward mode where the derivatives along the direction differ.
-Checked in tests/sensitivity/test_system_eigenvalues.py.
+Checked in tests/vibrations/test_eigenvalues.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,11 +29,12 @@ from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.spectrum import Spectrum
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
+from torchmbd.vibrations.spectrum import Spectrum
 
 NATURAL, POLES = "natural", "poles"
 _NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
+_LANES = 64  # states, or terms, whose equations are evaluated at once: fewer take longer, more leave the cache
 _UNEQUAL = 1e-6  # of derivatives of eigenvalues that coincide: more than rounding
 _HELD = "allowed: functions of other eigenvalues, or drives, joints and springs that hold the mechanism"
 
@@ -52,37 +55,53 @@ def eigenvalues(
     modes       their numbers from 0, in the order of spectrum.py; None: all
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
-    problem = _Eigenproblem(replace(dynamics, data={}), tuple(dynamics.data), t, rotation, kind, modes, symmetric)
+    model, names = replace(dynamics, data={}), tuple(dynamics.data)
+    problem = _AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
 
 
-@dataclass(eq=False)
-class _Eigenproblem:
-    """`Integration`; inputs are q and the data, outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+class _Term(NamedTuple):
+    """A product l^H dP r: numbers of the two vectors in the spectrum of a lane."""
 
-    model: Dynamics
-    names: tuple[str, ...]
-    t: Tensor
-    rotation: SteadyRotation | None
+    left: int
+    right: int
+    lane: int
+
+
+class _Slope(NamedTuple):
+    """Gradients [..., m] of a part of the terms with these numbers [m], all of one lane, by an input."""
+
+    part: int
+    input: int
+    lane: int
+    numbers: list[int]
+    by: Tensor
+
+
+def poles_of_matrices(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
+    """Poles [2 n, lanes] of M z'' + C z' + K z = 0, matrices [n, n, lanes] by which they are differentiable."""
+    problem = _OfMatrices(kind=POLES, modes=None, symmetric=False)
+    real, imag = Motion.apply(problem, *(x[:, :, None] for x in (M, C, K)))  # pyright: ignore[reportGeneralTypeIssues]
+    return torch.complex(real[:, 0], imag[:, 0])
+
+
+@dataclass(eq=False, kw_only=True)
+class _Eigenproblem:
+    """`Integration`; inputs [..., lanes], outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
+
     kind: str
     modes: Sequence[int] | None
     symmetric: bool
     inputs: list[Tensor] = field(default_factory=list, init=False)
     spectra: list[Spectrum] = field(default_factory=list, init=False)
-    balance: list[Linearization] = field(default_factory=list, init=False)
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         lanes = max(x.shape[-1] for x in inputs)
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
-        for lane in range(lanes):
-            q, data = self._split([x[..., lane : lane + 1] for x in self.inputs])
-            rest = Linearization.of(replace(self.model, data=data), q[:, 0, 0], self.t, None, self._observer(data))
-            self.balance.append(rest)
-            few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
-            self.spectra.append(Spectrum.natural(rest, few) if self.kind == NATURAL else Spectrum.poles(rest))
-        sizes = {rest.N.shape[1] * (1 + (self.kind == POLES)) for rest in self.balance}
+        self.spectra = self._spectra()
+        sizes = {self._size(lane) for lane in range(lanes)}
         if len(sizes) > 1:
             raise InputError(
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
@@ -94,18 +113,29 @@ class _Eigenproblem:
         parts = torch.stack([x.values[list(self.modes)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
 
+    def _spectra(self) -> list[Spectrum]:
+        """Of all lanes."""
+        raise NotImplementedError(type(self).__name__)
+
+    def _size(self, lane: int) -> int:
+        """How many eigenvalues there are."""
+        return len(self.spectra[lane].values)
+
+    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+        """Inputs as leaves, a lane for each term, and -l^H P r [1, terms]: its real and, of poles, its imaginary part."""
+        raise NotImplementedError(type(self).__name__)
+
     def tangents(self, directions: Tensors) -> list[Tensor]:
         count, lanes = max(x.shape[-2] for x in directions if x is not None), len(self.spectra)
         modes, pairs = self._columns()
-        leaves, slopes = self._slopes(modes, pairs)
-        rows = []
-        for part, k in [(part, k) for part in range(len(slopes)) for k in range(len(pairs))]:
-            weights = [torch.zeros_like(y) for y in slopes]
-            weights[part][k] = 1.0
-            by = zip(_gradients(slopes, weights, leaves), directions, strict=True)
-            parts = [(g * x).flatten(0, -3).sum(0) for g, x in by if g is not None and x is not None]
-            rows.append(sum(parts, weights[part].new_zeros(count, lanes)))
-        blocks = torch.stack(rows).unflatten(0, (len(slopes), -1))  # [parts, pairs, tangents, lanes]
+        blocks = torch.zeros(self._parts, len(pairs), count, lanes, dtype=torch.float64)
+        terms = [_Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
+        for slope in self._gradients(terms):
+            x = directions[slope.input]
+            if x is not None:
+                along = x.expand(*x.shape[:-1], lanes)[..., slope.lane].flatten(0, -2)
+                places = [k % len(pairs) for k in slope.numbers]
+                blocks[slope.part, places, :, slope.lane] += slope.by.flatten(0, -2).T @ along
         if not self.symmetric:
             for lane, spectrum in enumerate(self.spectra):
                 self._refuse_split(spectrum, pairs, blocks[..., lane])
@@ -132,14 +162,17 @@ class _Eigenproblem:
             if not self.symmetric:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
-        needed = bars.flatten(2).abs().amax((0, 2)).nonzero()[:, 0].tolist()  # one of many eigenvalues has one column
-        leaves, slopes = self._slopes([modes[i] for i in needed], [(i, i) for i in range(len(needed))])
-        bars = bars[:, needed]
-        by_leaf: list[list[Tensor]] = [[] for _ in leaves]
-        for row in range(rows):
-            for parts, g, x in zip(by_leaf, _gradients(slopes, list(bars[:, :, row]), leaves), leaves, strict=True):
-                parts.append(torch.zeros_like(x) if g is None else g)
-        return [torch.cat(parts, -2) if needed else None for parts, needed in zip(by_leaf, needs_grad, strict=True)]
+        needed = bars.abs().amax((0, 2)).T.nonzero().flip(1).tolist()  # of many eigenvalues and lanes few may count
+        terms = [_Term(modes[i], modes[i], lane) for i, lane in needed]
+        result = [
+            x.new_zeros(*x.shape[:-2], rows, lanes) if y else None for x, y in zip(self.inputs, needs_grad, strict=True)
+        ]
+        for slope in self._gradients(terms):
+            total = result[slope.input]
+            if total is not None:
+                places = [needed[k][0] for k in slope.numbers]
+                total[..., slope.lane] += slope.by @ bars[slope.part, places, :, slope.lane]
+        return result
 
     def _columns(self) -> tuple[list[int], list[tuple[int, int]]]:
         """Numbers of the eigenvalues asked for, then of those that coincide with them; and pairs of positions that coincide."""
@@ -179,47 +212,106 @@ class _Eigenproblem:
             if bool(((block - unit * mean[:, None]).abs() > _UNEQUAL * block.abs().amax((0, 1))).any()):
                 raise _coincide(spectrum, [modes[i] for i in members])
 
+    @property
+    def _parts(self) -> int:
+        return 1 + (self.kind == POLES)
+
+    def _gradients(self, terms: Sequence[_Term]) -> Iterator[_Slope]:
+        """Gradients of the terms, sorted by lanes, by the inputs."""
+        for start in range(0, len(terms), _LANES):
+            some = terms[start : start + _LANES]
+            leaves, slopes = self._slopes(some)
+            for part, y in enumerate(slopes):
+                by = torch.autograd.grad(y, leaves, torch.ones_like(y), retain_graph=True, allow_unused=True)
+                for k, g in [(k, g) for k, g in enumerate(by) if g is not None]:
+                    for lane, of_lane in groupby(enumerate(some), lambda numbered: numbered[1].lane):
+                        places = [i for i, _ in of_lane]
+                        yield _Slope(part, k, lane, [start + i for i in places], g[..., 0, places])
+
+    def _vectors(self, terms: Sequence[_Term], side: str, *names: str) -> list[Tensor]:
+        """Columns [n, 1, terms] of the named tensors of the spectra."""
+        of = [(self.spectra[term.lane], getattr(term, side)) for term in terms]
+        return [torch.stack([getattr(x, name)[..., k] for x, k in of], -1).reshape(-1, 1, len(of)) for name in names]
+
+
+@dataclass(eq=False, kw_only=True)
+class _AboutState(_Eigenproblem):
+    """Of the equations of motion about a state at rest or in steady rotation; inputs are q and the data."""
+
+    model: Dynamics
+    names: tuple[str, ...]
+    t: Tensor
+    rotation: SteadyRotation | None
+    balance: list[Linearization] = field(default_factory=list, init=False)
+
+    def _spectra(self) -> list[Spectrum]:
+        for some in torch.arange(self.inputs[0].shape[-1]).split(_LANES):
+            q, data = self._split([x[..., some] for x in self.inputs])
+            self.balance += Linearization.each(replace(self.model, data=data), q, self.t, None, self._observer(data))
+        few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+        return [Spectrum.natural(x, few) if self.kind == NATURAL else Spectrum.poles(x) for x in self.balance]
+
+    def _size(self, lane: int) -> int:
+        return self.balance[lane].N.shape[1] * (1 + (self.kind == POLES))
+
     def _split(self, inputs: Sequence[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         return inputs[0], dict(zip(self.names, inputs[1:], strict=True))
 
     def _observer(self, data: dict[str, Tensor]) -> Observer:
         return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
-    def _slopes(self, modes: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[Tensor], list[Tensor]]:
-        """Inputs as leaves, and -l_i^H P r_j [pairs, lanes] as their functions: its real and, of poles, its imaginary part."""
-        T, leaves = self.model.topology, [leaf(x) for x in self.inputs]
+    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+        """Inputs as leaves, a lane for each term, and -l^H P r [terms]: its real and, of poles, its imaginary part."""
+        lanes = [term.lane for term in terms]
+        T, leaves = self.model.topology, [leaf(x[..., lanes]) for x in self.inputs]
         q, data = self._split(leaves)
         observer = self._observer(data)
-        columns = [modes[j] for _, j in pairs]
-        s = torch.stack([x.roots[columns] for x in self.spectra], -1)
-        right, force = (torch.stack([y[:, columns] for y in x], -1) for x in self._vectors("right", "force"))
-        rows = [modes[i] for i, _ in pairs]
-        left, slip = (torch.stack([y[:, rows] for y in x], -1) for x in self._vectors("left", "slip"))
+        s, right, force = self._vectors(terms, "right", "roots", "right", "force")
+        left, slip = self._vectors(terms, "left", "left", "slip")
         with torch.enable_grad():
             excitation = T.prescribed(self.t, data)
             zero = q.new_zeros(T.n_v, 1, q.shape[-1])
             at, *rates = observer.perturbed(T, q, zero, zero, zero)
-            lam = self._multipliers(data, equations.placement(T, data, at, excitation), rates, observer, q)
-            x, xd, xdd = (Pair.of(zero, _parts(y)) for y in (right, s * right, s * s * right))
+            lam = self._multipliers(data, equations.placement(T, data, at, excitation), rates, observer, q, lanes)
+            x, xd, xdd = (Pair.of(zero, _real_and_imaginary(y)) for y in (right, s * right, s * s * right))
             near, v, a = observer.perturbed(T, q, x, xd, xdd)
             moved = equations.placement(T, data, near, excitation)
-            z = equations.dynamic_residual(T, data, moved, v, a, Pair.of(lam, _parts(force)))
+            z = equations.dynamic_residual(T, data, moved, v, a, Pair.of(lam, _real_and_imaginary(force)))
             products = _inner(left, observer.rows(T, q, z).tangent)
             if T.rows:
                 more = _inner(slip, equations.constraints(T, moved).tangent)
                 products = [x + y for x, y in zip(products, more, strict=True)]
-            return leaves, [-x for x in (products if self.kind == POLES else products[:1])]
+            return leaves, [-x for x in products[: self._parts]]
 
-    def _vectors(self, *names: str) -> list[list[Tensor]]:
-        return [[getattr(x, name) for x in self.spectra] for name in names]
-
-    def _multipliers(self, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor) -> Tensor:
+    def _multipliers(
+        self, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor, lanes: Sequence[int]
+    ) -> Tensor:
         """Multipliers [rows, 1, lanes] that balance the state: the known ones, by a Newton step that carries derivatives."""
         T, active = self.model.topology, self.balance[0].active
-        lam = torch.stack([rest.lam for rest in self.balance], -1)[:, None]
+        lam = torch.stack([self.balance[lane].lam for lane in lanes], -1)[:, None]
         forces = observer.rows(T, q, equations.dynamic_residual(T, data, at, rates[0], rates[1], lam))[active, 0]
-        back = [torch.linalg.pinv(rest.Phi_q[:, active].T, rtol=RELATIVE) for rest in self.balance]
-        return lam - torch.einsum("rvl,vl->rl", torch.stack(back, -1), forces)[:, None]
+        of_lane = {i: torch.linalg.pinv(self.balance[i].Phi_q[:, active].T, rtol=RELATIVE) for i in sorted(set(lanes))}
+        back = torch.stack([of_lane[lane] for lane in lanes], -1)
+        return lam - torch.einsum("rvl,vl->rl", back, forces)[:, None]
+
+
+@dataclass(eq=False, kw_only=True)
+class _OfMatrices(_Eigenproblem):
+    """Of M z'' + C z' + K z = 0; inputs are M, C and K [n, n, 1, lanes]."""
+
+    def _spectra(self) -> list[Spectrum]:
+        lanes = range(self.inputs[0].shape[-1])
+        return [Spectrum.poles(Linearization.of_matrices(*(x[:, :, 0, i] for x in self.inputs))) for i in lanes]
+
+    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+        leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
+        s, right = self._vectors(terms, "right", "roots", "right")
+        [left] = self._vectors(terms, "left", "left")
+        with torch.enable_grad():
+            M, C, K = (x[:, :, 0].to(s.dtype) for x in leaves)
+            P = sum(torch.einsum("ijl,jkl->ikl", X, f * right) for X, f in ((M, s * s), (C, s), (K, s**0)))
+            product = -(left.conj() * P).sum(0)
+            return leaves, [product.real, product.imag]
 
 
 def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
@@ -231,19 +323,12 @@ def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
     )
 
 
-def _parts(x: Tensor) -> Tensor:
-    """Real parts, then imaginary ones [n, 2 k, lanes]."""
+def _real_and_imaginary(x: Tensor) -> Tensor:
+    """Both parts [n, 2, terms] of x [n, 1, terms]."""
     return torch.cat([x.real, x.imag], 1)
 
 
 def _inner(left: Tensor, z: Tensor) -> list[Tensor]:
-    """Real and imaginary part [k, lanes] of l^H z for z [n, 2 k, lanes] as of `_parts`."""
+    """Real and imaginary part [1, terms] of l^H z for z [n, 2, terms] as of `_real_and_imaginary`."""
     real, imag = z.chunk(2, 1)
     return [(left.real * real + left.imag * imag).sum(0), (left.real * imag - left.imag * real).sum(0)]
-
-
-def _gradients(
-    slopes: Sequence[Tensor], weights: Sequence[Tensor], leaves: Sequence[Tensor]
-) -> Sequence[Tensor | None]:
-    """Gradients of sum(weights * slopes); None where there is none."""
-    return torch.autograd.grad(slopes, leaves, weights, retain_graph=True, allow_unused=True)

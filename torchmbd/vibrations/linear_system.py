@@ -4,15 +4,16 @@
     A = [0, 1; -m^-1 N'K N, -m^-1 N'C N],  m = N'M N        B = [0; m^-1 N'F]        C = [dy/dq N, dy/dq' N],  D = 0
 
 F: generalized forces of unit inputs. Inputs are the actuators and outputs the signals of controllers (mbd.signals).
+About a state of a motion z are independent coordinates, and N moves (moving_state.py); A(t) at one time is frozen: x' = A(t) x.
 Numbers, without derivatives: frequencies, poles and measures of them have these.
-Checked in tests/integrate/test_linear_system.py.
+Checked in tests/vibrations/test_linear_system.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.signal
@@ -21,18 +22,24 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.statics import Equilibrium, equilibrium
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.signals import Actuator, Signal, Time
 from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.equilibrium import SPIN
-from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.system.linearized import Linearization, factored_inertia
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
+from torchmbd.results.trajectory import Trajectory
+from torchmbd.vibrations.moving_state import MovingLinearization, time_index
+from torchmbd.vibrations.statics import Equilibrium, equilibrium
 
 _PORTS = "ports of linearize"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
+_KEPT, _SAME = (
+    1e-3,
+    0.05,
+)  # of a motion: violation of joints [m], [m/s]; share of the accelerations that steps may be off
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
 
@@ -94,16 +101,24 @@ def linearize(
     system: System,
     inputs: Sequence[Actuator],
     outputs: Sequence[Signal],
-    state: Equilibrium | None = None,
+    state: Trajectory | None = None,
     lane: int = 0,
+    time: float | None = None,
+    coordinates: Sequence[str] | None = None,
 ) -> LinearSystem:
     """Linearize a system about a state: matrices A, B, C, D with names.
 
     inputs    actuators, such as mbd.signals.JointTorque(joint); outputs: signals, such as mbd.signals.JointAngle(joint)
-    state     an equilibrium, at its last time, or a steady rotation; None: the equilibrium near the initial position
+    state     an equilibrium, a steady rotation, or a motion of the system; None: the equilibrium near the initial position
     lane      which design of the state
+    time      one of the times of the state [s]; None: the last one
+    coordinates   of a motion: names of increments that are independent, "rotation z of 'bob'", as `states` has them; None:
+                  rotations and modes as far as they are independent, then displacements
 
-    Controllers of the system stay closed. Raises InputError for a state that is none.
+    Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
+    displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
+    but the eigenvalues of A at one time depend on them, if their relation turns with the motion; `states` has their names.
+    Raises InputError for a state that is none, and for a motion in phases.
 
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> bob = hinge.b.body
@@ -121,25 +136,29 @@ def linearize(
     if any(isinstance(signal, Time) for signal in outputs):
         raise InputError("outputs has the time; allowed: signals of the motion")
     state = equilibrium(system) if state is None else state
-    if not isinstance(state, Equilibrium):
+    if not isinstance(state, Trajectory):
         raise InputError(
-            f"state is {state!r}; allowed: an equilibrium or a steady rotation, as mbd.equilibrium makes it"
+            f"state is {state!r}; allowed: a motion, or an equilibrium or steady rotation of mbd.equilibrium"
         )
     if not is_whole(lane) or not 0 <= lane < state.lanes:
         raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
     ports = _Ports(len(inputs))
     with torch.no_grad():
         dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)
-        q = state.q[lane, -1].detach()[:, None, None]
+        k = time_index(state, time)
+        q = state.q[lane, k].detach()[:, None, None]
         if q.shape[0] != dynamics.topology.n_q:
             raise InputError(f"state has coordinates {list(q.shape[:1])} that are not those of the system")
-        observer: Observer = ObserverAtRest()
-        if state.rotation is not None:
-            observer = state.rotation.of_spin(state.dynamics.values().select_lanes([lane]).data[SPIN].detach())
-        return _matrices(dynamics, ports, links, q, state.t[-1].detach(), observer, _names(inputs), _names(outputs))
+        if isinstance(state, Equilibrium):
+            if coordinates is not None:
+                raise InputError(f"coordinates is {coordinates!r} with an equilibrium; allowed: with a motion")
+            small = _about_rest(dynamics, q, state, lane, k)
+        else:
+            small = _about_motion(dynamics, q, state, lane, k, coordinates)
+        return _matrices(dynamics, ports, links, q, state.t[k].detach(), small, _names(inputs), _names(outputs))
 
 
-def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, state: Equilibrium, lane: int) -> tuple:
+def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, state: Trajectory, lane: int) -> tuple:
     """The equations of one design of the system with inputs and outputs, and their link."""
     if not inputs:
         raise InputError("inputs is empty; allowed: at least one actuator")
@@ -152,33 +171,68 @@ def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, stat
     return dynamics.values(), link
 
 
+class _Coefficients(NamedTuple):
+    """M z'' + C z' + K z = forces, x = N z, x' = N z' + N1 z as an observer measures x; names of z."""
+
+    M: Tensor
+    C: Tensor
+    K: Tensor
+    N: Tensor
+    N1: Tensor
+    observer: Observer
+    names: list[str]
+
+
+def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int) -> _Coefficients:
+    observer: Observer = ObserverAtRest()
+    if state.rotation is not None:
+        observer = state.rotation.of_spin(state.dynamics.values().select_lanes([lane]).data[SPIN].detach())
+    rest = Linearization.of(dynamics, q[:, 0, 0], state.t[k].detach(), None, observer)
+    size = max(float(rest.forces.abs().max()), float(rest.K.abs().max()))
+    if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
+        rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
+    ):
+        raise InputError("state is no equilibrium of the system; allowed: one of mbd.equilibrium of the same system")
+    factored_inertia(rest.inertia)
+    N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
+    N[rest.active] = rest.N
+    C, names = rest.reduced(rest.C), _freedoms(dynamics.topology, N)
+    return _Coefficients(rest.inertia, C, rest.stiffness, N, torch.zeros_like(N), observer, names)
+
+
+def _about_motion(
+    dynamics: Any, q: Tensor, state: Trajectory, lane: int, k: int, coordinates: Sequence[str] | None
+) -> _Coefficients:
+    v, a = (x[lane, k].detach() for x in (state.v, state.a))
+    moving = MovingLinearization.of(dynamics, q, v[:, None, None], state.t[k].detach(), coordinates)
+    change = (moving.observer.a[:, 0, 0] - a).abs().max()
+    if not (moving.violation <= _KEPT and float(change) <= _SAME * float(a.abs().max()) + _KEPT):
+        raise InputError(
+            f"state is no motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its accelerations "
+            f"differ by {float(change):.2g} m/s2 or rad/s2; allowed: one of mbd.simulate of the same system, with small steps"
+        )
+    names = [dynamics.topology.rate_name(row) for row in moving.rows]
+    factored_inertia(moving.M)  # refuses what moves without a mass
+    return _Coefficients(moving.M, moving.C, moving.K, moving.N, moving.N1, moving.observer, names)
+
+
 def _matrices(
     dynamics: Any,
     ports: _Ports,
     link: Any,
     q: Tensor,
     t: Tensor,
-    observer: Observer,
+    small: _Coefficients,
     inputs: list[str],
     outputs: list[str],
 ) -> LinearSystem:
     T, data = dynamics.topology, dynamics.data
-    rest = Linearization.of(dynamics, q[:, 0, 0], t, None, observer)
-    size = max(float(rest.forces.abs().max()), float(rest.K.abs().max()))
-    if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
-        rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
-    ):
-        raise InputError("state is no equilibrium of the system; allowed: one of mbd.equilibrium of the same system")
-    M, n = rest.inertia, rest.N.shape[1]
-    rest.factored_inertia()  # refuses what moves without a mass
-    zero = q.new_zeros(T.n_v, 1, 1)
-    N = torch.zeros(T.n_v, n, dtype=q.dtype)
-    N[rest.active] = rest.N
-    along, nothing = Pair.of(zero, N[..., None]), Pair.of(zero, torch.zeros_like(N)[..., None])
+    N, observer, n = small.N, small.observer, small.N.shape[1]
+    zero, still = q.new_zeros(T.n_v, 1, 1), torch.zeros_like(N)
     excitation = T.prescribed(t, data)
 
-    def signals(x: Pair, xd: Pair) -> Tensor:
-        near, v, _ = observer.perturbed(T, q, x, xd, nothing)
+    def signals(x: Tensor, xd: Tensor) -> Tensor:
+        near, v, _ = observer.perturbed(T, q, *(Pair.of(zero, y[..., None]) for y in (x, xd, still)))
         at = equations.placement(T, data, near, excitation)
         y = T.links.signals(equations.action_states(T, data, at, v), t)
         return y.index_select(0, link.read).tangent[..., 0]
@@ -195,12 +249,11 @@ def _matrices(
     ports.u = none
     A, B = q.new_zeros(2 * n, 2 * n), q.new_zeros(2 * n, len(none))
     A[:n, n:] = torch.eye(n, dtype=q.dtype)
-    A[n:, :n], A[n:, n:] = (0.0 - torch.linalg.solve(M, x) for x in (rest.stiffness, rest.reduced(rest.C)))
-    B[n:] = torch.linalg.solve(M, N.T @ unit)
-    C = torch.cat([signals(along, nothing), signals(nothing, along)], 1)
+    A[n:, :n], A[n:, n:] = (0.0 - torch.linalg.solve(small.M, x) for x in (small.K, small.C))
+    B[n:] = torch.linalg.solve(small.M, N.T @ unit)
+    C = torch.cat([signals(N, small.N1), signals(still, N)], 1)
     D = np.zeros((len(C), len(none)))
-    names = _freedoms(T, N)
-    states = [*names, *(f"rate of {name}" for name in names)]
+    states = [*small.names, *(f"rate of {name}" for name in small.names)]
     return LinearSystem(A.numpy(), B.numpy(), C.numpy(), D, states, inputs, outputs, N.numpy())
 
 

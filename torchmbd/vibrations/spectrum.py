@@ -9,7 +9,7 @@ antisymmetric one of C (Coriolis). There l is a multiple of r, dw is real, and t
 l^H dP r, so that one formula holds for both. Forces that turn with a body make K unsymmetric: all of K counts then.
 Where eigenvalues coincide, vectors are orthonormal in this sense; a pair with one vector only (defective) has no derivative.
 Source: Lancaster, Numer. Math. 6 (1964) 377-387; Tisseur and Meerbergen, SIAM Rev. 43 (2001) 235-286.
-Checked in tests/sensitivity/test_system_eigenvalues.py.
+Checked in tests/vibrations/test_eigenvalues.py.
 """
 
 from __future__ import annotations
@@ -25,10 +25,8 @@ from torchmbd.fem.reduction.basis import CLUSTER
 from torchmbd.multibody.system.linearized import GROWS, Linearization, Vibrations, rounding_of_squares
 from torchmbd.multibody.system.rank import RELATIVE
 
-_GUARD, _FEW = (
-    4,
-    6,
-)  # vibrations beyond those asked for, so that those that coincide are complete; a share: most by `_lowest_whirl`
+_GUARD = 4  # vibrations beyond those asked for, so that those that coincide are complete
+_FEW = 6  # the reciprocal of the largest share of all vibrations that `_lowest_whirl` is for
 _SINGLE_SHAPE = "one of several that coincide and have a single shape (defective)"
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
 _FLUTTER = "that of a vibration that grows"

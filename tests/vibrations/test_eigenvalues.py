@@ -13,11 +13,12 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.mechanisms import SOFT, laminate, plate, turned
 from tests.multibody.system.test_ground_observer import rotor
 from tests.sensitivity.number_cases import differences
 from tests.sensitivity.test_rest import NAMES, hanging
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.spectrum import Spectrum
+from torchmbd.vibrations.spectrum import Spectrum
 
 V, GROUND = mbd.variable, mbd.Ground()
 Values = Callable[[mbd.System, dict[str, Tensor]], Tensor]
@@ -179,19 +180,53 @@ def test_poles_without_a_mass_are_refused_by_name():
 def test_vibrations_that_grow_in_rotation_have_no_derivative():
     """A mass on negative springs, seen by a turning observer: s = +-i speed +- sqrt(-k), of which i speed is no eigenvalue."""
     speed, k = 3.0, -1.0
-    eye, none = torch.eye(2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
-    matrices = {"rates": 2.0 * speed * torch.tensor([[0.0, -1.0], [1.0, 0.0]]).double(), "accelerations": eye}
-    rest = Linearization(
-        none.new_zeros(2),
-        none,
-        (k - speed**2) * eye,
-        none.new_zeros(0, 2),
-        none,
-        torch.arange(2),
-        eye,
-        matrices.__getitem__,
-        True,
-    )
+    eye = torch.eye(2, dtype=torch.float64)
+    C = 2.0 * speed * torch.tensor([[0.0, -1.0], [1.0, 0.0]]).double()
+    rest = Linearization.of_matrices(eye, C, (k - speed**2) * eye)
     spectrum = Spectrum.natural(rest)
     assert spectrum.values[1].item() == pytest.approx(speed)
     assert spectrum.fault == ("not a number: vibrations grow", "that of a vibration that grows")
+
+
+def servo_arm() -> mbd.System:
+    """A laminated arm that a servo holds against its weight: a network of the hinge and of the tip's velocity."""
+    law = torch.nn.Sequential(torch.nn.Linear(5, 2), torch.nn.Tanh(), torch.nn.Linear(2, 1)).double()
+    make = torch.Generator().manual_seed(7)
+    with torch.no_grad():
+        for x in law.parameters():
+            x.copy_(0.1 * torch.randn(x.shape, generator=make, dtype=torch.float64))
+        law[0].weight[0, :2] = torch.tensor([1.0, 0.05])
+        law[2].weight[:] = torch.tensor([[-3.0, 0.4]])
+    arm = plate("arm", made_of=laminate((20.0, -50.0), 3e-3, SOFT), damping=1e-4, position=(0.15, 0.0, 0.0))
+    hinge = mbd.Revolute(GROUND.at(axes=turned(0.2, 0.5, -0.4)), arm.at("left"), axis="y", name="hinge")
+    joint = [mbd.signals.JointAngle(hinge), mbd.signals.JointRate(hinge)]
+    servo = mbd.Controller(
+        law, [*joint, mbd.signals.PointVelocity(arm.at("right"))], [mbd.signals.JointTorque(hinge)], name="servo"
+    )
+    return mbd.System([arm], [hinge], [servo], gravity=(0.5, -3.0, 1.0), truncation=None)
+
+
+@pytest.mark.thorough
+def test_under_control():
+    """By the weights of a small network and by ply angles; the equilibrium moves with all of them."""
+    system = servo_arm()
+    check(system, ["servo.0.weight", "servo.2.weight", "arm.laminate.angles"], some_poles)
+
+
+def test_by_gains_in_closed_form():
+    """s = (-k_d +- sqrt(k_d^2 - 4 m k_p)) / (2 m) of a mass on a rail under a force -k_p x - k_d x'."""
+    mass, gains = torch.tensor([2.0]).double(), torch.tensor([[[-50.0, -3.0]]]).double()
+    body = mbd.RigidBody("mass", V(2.0), (1.0, 1.0, 1.0))
+    rail = mbd.Prismatic(GROUND.at(), body.at(), axis="y")
+    law = torch.nn.Linear(2, 1, bias=False).double()
+    read = [mbd.signals.JointTravel(rail), mbd.signals.JointSpeed(rail)]
+    system = mbd.System([body], [rail], [mbd.Controller(law, read, [mbd.signals.JointForce(rail)], name="servo")])
+    for x in (mass, gains):
+        x.requires_grad_()
+    s = mbd.equilibrium(system, designs={"mass.mass": mass, "servo.weight": gains}).poles[0, 1]
+    wanted = (gains[0, 0, 1] + torch.sqrt(gains[0, 0, 1] ** 2 + 4.0 * mass[0] * gains[0, 0, 0] + 0j)) / (2.0 * mass[0])
+    assert_close(s, wanted, rtol=1e-12, atol=0.0)
+    for part in (lambda z: z.real, lambda z: z.imag):
+        slopes = [torch.autograd.grad(part(z), [mass, gains], retain_graph=True) for z in (s, wanted)]
+        for x, y in zip(*slopes, strict=True):
+            assert_close(x, y, rtol=1e-10, atol=1e-14)

@@ -1,7 +1,7 @@
 """States of designs at rest or at several speeds of rotation, and the eigenvalues of vibrations about them.
 
 Drives that turn the whole at a constant speed turn at each of the speeds: a speed is one of the machine, not of its drives.
-Checked in tests/design/test_system_vibrations.py, tests/design/test_critical_values.py.
+Checked in tests/vibrations/test_steady_states.py, tests/design/test_system_vibrations.py, tests/design/test_critical_values.py.
 """
 
 from __future__ import annotations
@@ -15,10 +15,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.arguments import checked_designs, start_of
-from torchmbd.integrate.eigenvalues import eigenvalues
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.simulate import lanes_of_batch, variable_names
-from torchmbd.integrate.statics import StaticIntegration
 from torchmbd.math.checked_numbers import differentiable_reals, reals
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import exclusive
@@ -27,6 +25,8 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
+from torchmbd.vibrations.eigenvalues import eigenvalues
+from torchmbd.vibrations.statics import StaticIntegration
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ class Shaft:
     center    a point of it [m]
     observer  "turning" with the machine, or in the "ground", as of mbd.equilibrium
 
-    >>> mbd.Shaft("x", observer="ground").direction.tolist()
+    >>> from torchmbd.vibrations.steady_states import Shaft
+    >>> Shaft("x", observer="ground").direction.tolist()
     [1.0, 0.0, 0.0]
     """
 
@@ -85,7 +86,7 @@ class SteadyStates:
     speeds: int
 
     def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
-        """Eigenvalues [designs, speeds, k], as of integrate/eigenvalues.py."""
+        """Eigenvalues [designs, speeds, k], as of eigenvalues.py."""
         values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric)
         return values.T.unflatten(0, (-1, self.speeds))
 

@@ -4,7 +4,7 @@
 
 At each time drives and loads have the values of their laws at that time, and all forces on the mechanism balance: quasi-static
 steps, each from the equilibrium before. Rates and accelerations are zero, or those of a steady rotation of the whole.
-Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
+Checked in tests/vibrations/test_statics.py, tests/sensitivity/test_rest.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
-from torchmbd.integrate.eigenvalues import NATURAL, POLES, eigenvalues
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.pullback import leaf
@@ -32,7 +31,6 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import SPIN, Balance, equilibrium_coordinates, find_equilibria, reactions
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
-from torchmbd.multibody.system.spectrum import SWINGS
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.results.displacement import warn_of_displacements
@@ -41,6 +39,8 @@ from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.motion_data import OK, Switch
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.vibrations.eigenvalues import NATURAL, POLES, eigenvalues
+from torchmbd.vibrations.spectrum import SWINGS
 
 
 @dataclass(eq=False, repr=False)
@@ -95,7 +95,7 @@ class Equilibrium(Trajectory):
         return self._known_eigenvalues[key]
 
     def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
-        """Eigenvalues [k, lanes] at the last time, as of `eigenvalues` of integrate/eigenvalues.py."""
+        """Eigenvalues [k, lanes] at the last time, as of eigenvalues.py."""
         h = self.signals.history  # pyright: ignore[reportAttributeAccessIssue]
         return eigenvalues(self.dynamics, h.q[-1], self.t[-1], self.rotation, kind, modes, symmetric)
 

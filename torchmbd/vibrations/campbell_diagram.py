@@ -9,7 +9,7 @@ exchange gradually: numbers follow the curves by small steps, and shapes by step
 likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or it has become a
 part of several.
 Source: Allemang and Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116 (MAC). Checked in
-tests/integrate/test_campbell_diagram.py.
+tests/vibrations/test_campbell_diagram.py.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from jaxtyping import Complex, Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.eigenvalues import POLES
-from torchmbd.integrate.steady_states import Shaft, SteadyStates, steady_states
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.spectrum import SWINGS, Spectrum
 from torchmbd.multibody.system.steady_rotation import TURNING
+from torchmbd.vibrations.eigenvalues import POLES
+from torchmbd.vibrations.spectrum import SWINGS, Spectrum
+from torchmbd.vibrations.steady_states import Shaft, SteadyStates, steady_states
 
 TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
 LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5

@@ -1,0 +1,78 @@
+"""Poles at a time of a motion and their derivatives: closed form, forward = reverse = differences, what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+from tests.sensitivity.number_cases import differences
+
+V, GROUND = mbd.variable, mbd.Ground()
+
+
+def swinging(J: float = 0.1, gravity: float = 9.81) -> mbd.System:
+    bob = mbd.RigidBody("bob", V(1.5), (J, J, J), position=(0, -2.0, 0), angular_velocity=(0, 0, 3.0))
+    hinge = mbd.Revolute(GROUND.at(), bob.at(0, 2.0, 0), axis="z", name="hinge")
+    return mbd.System([bob], [hinge], gravity=(0, -gravity, 0))
+
+
+def test_of_a_pendulum_by_its_mass():
+    """s^2 = -m g L cos(angle) / (m L^2 + J), through the angle as well."""
+    mass = torch.tensor([1.5, 2.0], dtype=torch.float64, requires_grad=True)
+    motion = mbd.simulate(swinging(), 0.6, steps=200, designs={"bob.mass": mass})
+    s, angle = mbd.frozen_poles(motion, 0.3), mbd.Angle("bob", "z")(motion)[:, 100]
+    wanted = torch.sqrt(mass * 9.81 * 2.0 * torch.cos(angle) / (4.0 * mass + 0.1))
+    assert_close(s[:, 1].imag, wanted, rtol=1e-6, atol=0.0)
+    slopes = [torch.autograd.grad(x.sum(), mass, retain_graph=True)[0] for x in (s[:, 1].imag, wanted)]
+    assert_close(slopes[0], slopes[1], rtol=1e-4, atol=0.0)
+    assert float(slopes[1].abs().min()) > 1e-3
+
+
+@pytest.mark.thorough
+def test_of_a_flexible_double_pendulum():
+    """By ply angles and thickness: reverse, torch.func in both modes, and differences."""
+    system, names = pendulum(damping=1e-4), ["rod.laminate.angles", "rod.laminate.thickness"]
+
+    def value(designs: dict[str, Tensor]) -> Tensor:
+        s = mbd.frozen_poles(mbd.simulate(system, 0.05, steps=50, designs=designs))
+        return (s.real + 0.3 * s.imag.abs()).square().sum(1)
+
+    start = {name: system.get_parameter(name).detach().clone() for name in names}
+    single = lambda b: value({name: y[None] for name, y in b.items()})[0]  # noqa: E731
+    x = {name: y[None].clone().requires_grad_() for name, y in start.items()}
+    value(x).sum().backward()
+    forward, reverse = torch.func.jacfwd(single)(start), torch.func.jacrev(single)(start)
+    wanted = differences(value, system, names)
+    for name, y in x.items():
+        assert y.grad is not None
+        size = float(y.grad.abs().max())
+        for other, bound in ((forward, 1e-9), (reverse, 1e-9), (wanted, 1e-6)):
+            assert_close(other[name], y.grad[0], rtol=0.0, atol=bound * size, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def test_what_has_no_derivative_is_named():
+    """The poles of a free turn, which are zero; values are there."""
+    mass = torch.tensor([1.5], dtype=torch.float64, requires_grad=True)
+    s = mbd.frozen_poles(mbd.simulate(swinging(gravity=0.0), 0.1, steps=20, designs={"bob.mass": mass}))
+    assert s.abs().max().item() < 1e-6
+    with pytest.raises(mbd.DesignFailure, match="eigenvalue 1 has no derivative: it is "):
+        s.imag.sum().backward()
+
+
+def test_bad_arguments_are_named():
+    motion = mbd.simulate(swinging(), 0.1, steps=10)
+    for call, words in (
+        (lambda: mbd.frozen_poles(3), "motion is 3"),
+        (lambda: mbd.frozen_poles(motion, 0.1001), "time is 0.1001; allowed: one of the 11 times"),
+        (lambda: mbd.frozen_poles(motion, coordinates=["angle"]), "coordinates 'angle' does not exist"),
+        (lambda: mbd.frozen_poles(motion, coordinates=[]), r"coordinates is \[\]; allowed: 1 that are independent"),
+    ):
+        with pytest.raises(mbd.InputError, match=words):
+            call()
+    assert mbd.frozen_poles(motion).imag[0, 1].item() == pytest.approx(math.sqrt(9.81 * 3.0 / 6.1), rel=0.2)

@@ -1,0 +1,54 @@
+"""Poles about the states of a motion at a time, with the coefficients of that time: differentiable as the motion is.
+
+Checked in tests/vibrations/test_frozen_poles.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Complex
+from torch import Tensor
+
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.math.module_call import exclusive
+from torchmbd.multibody.system.linearized import factored_inertia
+from torchmbd.results.trajectory import Trajectory
+from torchmbd.vibrations.eigenvalues import poles_of_matrices
+from torchmbd.vibrations.moving_state import MovingLinearization, time_index
+
+
+@checked_signature
+@exclusive
+def frozen_poles(
+    motion: Trajectory, time: float | None = None, coordinates: Sequence[str] | None = None
+) -> Complex[Tensor, "lanes poles"]:
+    """Poles [lanes, 2 freedoms] [1/s] of the equations linearized along a motion, their coefficients frozen at a time.
+
+    motion        of `simulate`, without phases
+    time          one of its times [s]; None: the last one
+    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: rotations and modes as
+                  far as they are independent, then displacements, those of the first lane for all
+
+    In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.
+    A single pole of several that coincide has no derivative, nor has one of a defective pair: InputError, by name. Lanes that
+    failed raise SimulationFailure.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.5, steps=50)
+    >>> angle = mbd.Angle("bob", "z")(motion)[0, -1]
+    >>> s = mbd.frozen_poles(motion)[0, 1]
+    >>> round((s.imag**2 / torch.cos(angle)).item(), 3)  # g / L
+    4.905
+    """
+    if not isinstance(motion, Trajectory):
+        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate makes it")
+    k, states = time_index(motion, time), []
+    for lane in range(motion.require_ok().lanes):
+        dynamics = motion.dynamics.select_lanes([lane])
+        q, v = (x[lane, k][:, None, None] for x in (motion.q, motion.v))
+        states.append(MovingLinearization.of(dynamics, q, v, motion.t[k].detach(), coordinates))
+        factored_inertia(states[-1].M.detach())
+        coordinates = [dynamics.topology.rate_name(row) for row in states[0].rows]
+    M, C, K = (torch.stack([getattr(x, name) for x in states], -1) for name in "MCK")
+    return poles_of_matrices(M, C, K).T
