@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
+from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import validity
@@ -26,7 +26,6 @@ from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import SeveralSegments
 from torchmbd.integrate.retries import LaneResults, integrate_by_chosen_steps, integrate_lanes
 from torchmbd.integrate.segment import segments_of
 from torchmbd.math.pair import Pair

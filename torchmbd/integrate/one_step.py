@@ -34,6 +34,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.contacts import ContactWatch
+from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
 from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.native import steps
@@ -44,7 +45,6 @@ from torchmbd.integrate.segment import DURATION
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
-from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.integrate.variable_step import step_of_size
 from torchmbd.math.checked_numbers import is_whole

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
-from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
+from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import memory_check
@@ -32,7 +32,6 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import SeveralSegments
 from torchmbd.integrate.phases.pullback import SegmentsPullback
 from torchmbd.integrate.prepared import differentiable
 from torchmbd.integrate.retries import LaneResults, integrate_again, integrate_by_chosen_steps, integrate_lanes

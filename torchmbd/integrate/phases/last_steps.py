@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.lanes import lanes_of, pick_states, put_states
 from torchmbd.integrate.phases.events import Event, Views
-from torchmbd.integrate.phases.lanes import lanes_of, pick_states, put_states
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.variable_step import narrowed, widened, widened_data
 from torchmbd.math.pair import Pair, value

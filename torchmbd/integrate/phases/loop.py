@@ -23,10 +23,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import Stepper
-from torchmbd.integrate.moving_steps import MovingSteps
-from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.lanes import (
+from torchmbd.integrate.lanes import (
     lane_numbers,
     lanes_of,
     pick_lanes,
@@ -34,13 +33,14 @@ from torchmbd.integrate.phases.lanes import (
     put_lanes,
     put_states,
 )
+from torchmbd.integrate.moving_steps import MovingSteps
+from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch, near_zero
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.condensation import Condensation
@@ -58,7 +58,7 @@ def integrate(multiphase: MultiphaseRun, estimates: StepEstimates | None = None)
     estimates   take the states and the errors of regular steps
     """
     phase_exit, largest = multiphase.start(), Statistics()
-    for number in range(len(multiphase.phase_models)):
+    for number in range(len(multiphase.segments)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, estimates).run()
         largest = largest.maximum(of_phase)
     return largest
@@ -69,15 +69,15 @@ class _PhaseLoop:
 
     def __init__(self, multiphase: MultiphaseRun, number: int, entry: PhaseExit, estimates: StepEstimates | None):
         self.multiphase, self.number, self.estimates = multiphase, number, estimates
-        self.integrator, self.phase_model = multiphase.integrator, multiphase.phase_models[number]
+        self.integrator, self.segment = multiphase.integrator, multiphase.segments[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(self.integrator.shortest_step, _SAME)
         self.dynamics, self.condensed, x = multiphase.enter(number, entry)
-        self.ends = multiphase.end_times(self.phase_model, entry.t, self.dynamics.data)
+        self.ends = multiphase.end_times(self.segment, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
-        self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
+        self.event = self.segment.phase.until if isinstance(self.segment.phase.until, Event) else None
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
         self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
         self.search = None
@@ -121,7 +121,7 @@ class _PhaseLoop:
             i = j
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
-        self.multiphase.never_left(self.phase_model, self.alive)
+        self.multiphase.never_left(self.segment, self.alive)
         if bool(record.has_exit.any()):
             self._leave(lane_numbers(record.has_exit))
         return record.exit, stepper.statistics()
@@ -199,7 +199,7 @@ class _PhaseLoop:
 
         stepped   lanes that have these states;  errors: of the iterations of the steps between them
         """
-        c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
+        c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.segment.rows
         q, v, vd, lam = states.states
         if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
             points = [State(*(Pair(x[k]) for x in (q, v, vd, vd, lam))) for k in range(len(times))]
@@ -269,7 +269,7 @@ class _PhaseLoop:
     def _fail(self, failed: Tensor, lanes: list[int], which: str, start: PhaseExit, end: Tensor) -> None:
         """Note that the first or the last step of a phase, from `start` to times `end`, does not converge in some lanes."""
         for i in lane_numbers(failed):
-            begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.phase_model.name!r}"
+            begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.segment.name!r}"
             reason = f"{step}, from t = {begin:.6g} s to t = {float(end[i]):.6g} s, does not converge; more steps help"
             if not bool(finite_lanes(start.x)[i]):
                 reason = f"the motion is not finite where {step} begins, at t = {begin:.6g} s"
@@ -284,7 +284,7 @@ class _PhaseLoop:
             h = self._time(k) - self.entry.t
             x = shortly_after(self.dynamics.topology, self.entry.x, h)
             states = History.of([x]).states
-            self.multiphase.record(self.number, k, between[k][None], states, self.phase_model.rows)
+            self.multiphase.record(self.number, k, between[k][None], states, self.segment.rows)
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""
@@ -317,7 +317,7 @@ class _PhaseLoop:
     def _occurred(self, short: ShortEvents, lanes: Tensor, t: Tensor) -> Tensor:
         """Which of some lanes (a mask) pass an event in a step from t [lanes]; those of which this is not clear are noted."""
         for lane in lane_numbers(short.unclear & lanes):
-            self.multiphase.doubt(lane, self.phase_model, float(t[lane]))
+            self.multiphase.doubt(lane, self.segment, float(t[lane]))
         return short.mask & lanes
 
     def _note_bases(

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import AdjointSolver, Grid, of_kept_states
+from torchmbd.integrate.initial_value import SeveralSegments
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
 from torchmbd.integrate.phases.lane_leaves import Key
-from torchmbd.integrate.phases.multiphase import SeveralSegments
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.retries import LaneResults
 from torchmbd.results.mode_shapes import DesignShapes

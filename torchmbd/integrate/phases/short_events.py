@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.lanes import join_states, lanes_of, pick_lanes, pick_states
 from torchmbd.integrate.phases.events import DIRECTIONS, ROUNDING, Event, Views
-from torchmbd.integrate.phases.lanes import join_states, lanes_of, pick_lanes, pick_states
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.multibody.system import equations
