@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,7 +17,7 @@ from torchmbd.integrate.adjoint import AdjointSolver, Grid, of_kept_states
 from torchmbd.integrate.initial_value import SeveralSegments
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
-from torchmbd.integrate.phases.lane_leaves import Key
+from torchmbd.integrate.phases.lane_leaves import Key, pulled_back
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.retries import LaneResults
 from torchmbd.results.mode_shapes import DesignShapes
@@ -111,17 +111,10 @@ class SegmentsPullback:
             shapes = DesignShapes(whole.system, designs, count)
             outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
         cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
-        for key in kinds:
-            cotangents[key][:, lanes] += by[key]
-        used = [key for key in kinds if outputs[key].requires_grad]
-        result = {name: x.new_zeros(rows, *x.shape) for name, x in designs.items()}
-        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-        for row in range(rows) if used else ():
-            of, weights = [outputs[key] for key in used], [cotangents[key][row] for key in used]
-            slopes = torch.autograd.grad(of, list(designs.values()), weights, **options)
-            for name, x in zip(designs, slopes, strict=True):
-                result[name][row] = x
-        return {name: x.movedim((0, 1), (-2, -1)) for name, x in result.items()}
+        for key, x in cotangents.items():
+            x[:, lanes] += by[key]
+        by_designs = pulled_back(list(outputs.values()), list(cotangents.values()), list(designs.values()), rows)
+        return {name: x.movedim((0, 1), (-2, -1)) for name, x in zip(designs, by_designs, strict=True)}
 
 
 def _joined(parts: Sequence[dict[Key, Tensor]]) -> dict[Key, Tensor]:
