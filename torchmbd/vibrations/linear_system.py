@@ -113,7 +113,7 @@ def linearize(
     lane      which design of the state
     time      one of the times of the state [s]; None: the last one
     coordinates   of a motion: names of increments that are independent, "rotation z of 'bob'", as `states` has them; None:
-                  rotations and modes as far as they are independent, then displacements
+                  modes and rotations as far as they are independent, then displacements
 
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
