@@ -10,7 +10,7 @@ import torch
 import torchmbd as mbd
 
 LENGTH, WIDTH, HEIGHT = 1.2, 0.06, 0.02  # [m]
-PLY, TIP = 1e-3, 0.4  # thickness of a layer at the start [m], mass at the tip [kg]
+PLY, TIP = 1e-3, 5.0  # thickness of a layer at the start [m], mass at the tip [kg]
 
 
 def build(speed: float = 60.0, elements: int = 8) -> mbd.System:

@@ -9,7 +9,7 @@ import torch
 import torchmbd as mbd
 from tests.vibrations.test_linear_system import carriage as two_masses
 from torchmbd.vibrations.frequency_response import frequency_response
-from torchmbd.vibrations.linear_system import Ports, with_ports
+from torchmbd.vibrations.linear_system import Ports, system_with_ports
 
 HERTZ = torch.tensor([1.5, 7.0, 40.0], dtype=torch.float64)  # between vibrations at 1.1, 3.0, 10.9, 17.8 and 31.8 Hz
 
@@ -53,7 +53,7 @@ NAMES = [
 def ported() -> tuple[mbd.System, Ports]:
     system, inputs, outputs = crane()
     ports = Ports(len(inputs))
-    return with_ports(system, ports, inputs, outputs), ports
+    return system_with_ports(system, ports, inputs, outputs), ports
 
 
 def response(
@@ -74,7 +74,7 @@ def test_numbers_are_those_of_the_matrices(model, share):
     """About the same state."""
     system, inputs, outputs = model()
     ports = Ports(len(inputs))
-    rest = mbd.equilibrium(with_ports(system, ports, inputs, outputs))
+    rest = mbd.equilibrium(system_with_ports(system, ports, inputs, outputs))
     G = frequency_response(rest, ports, HERTZ).detach()
     expected = mbd.linearize(system, inputs, outputs, rest).response(HERTZ.numpy())
     np.testing.assert_allclose(G[0].numpy(), expected, rtol=0.0, atol=share * float(G.abs().max()))
@@ -121,7 +121,7 @@ def test_a_pole_without_damping_is_refused():
     car = rails[0].b.body
     spring = mbd.AxialSpringDamper(mbd.Ground().at(), car.at(), axis="x", stiffness=(2.0 * np.pi * 7.0) ** 2)
     ports = Ports(1)
-    system = with_ports(
+    system = system_with_ports(
         mbd.System([car], rails, [spring]),
         ports,
         [mbd.signals.JointForce(rails[0])],

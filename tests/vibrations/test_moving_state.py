@@ -115,3 +115,13 @@ def test_perturbed_states_in_general_position(build):
     gyroscopic = rest.observer.perturbed(T, q, *(y[:, None, None] for y in (x, xd, 0.0 * x)))[2] - rest.observer.a
     second = change - gyroscopic[:, 0, 0]
     assert_close(second[rest.rows], rest.A[n:] @ torch.cat([z, zd]), rtol=1e-6, atol=1e-6 * float(second.abs().max()))
+
+
+def test_coordinates_are_modes_then_rotations_then_displacements():
+    motion = mbd.simulate(pendulum(), 0.01, steps=10)
+    q, v = (x[0, -1, :, None, None].detach() for x in (motion.q, motion.v))
+    dynamics = motion.detach().dynamics.values()
+    rows = MovingLinearization.of(dynamics, q, v, motion.t[-1]).rows
+    names = [dynamics.topology.rate_name(row) for row in rows]
+    assert [name.split()[0] for name in names] == ["rotation"] * 3 + ["mode"] * 2
+    assert names[3:] == ["mode 1 of 'rod'", "mode 2 of 'rod'"]

@@ -26,7 +26,7 @@ from torchmbd.multibody.forces.signals import Actuator, Signal
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 from torchmbd.vibrations.frequency_response import frequency_response
-from torchmbd.vibrations.linear_system import Ports, checked_ports, with_ports
+from torchmbd.vibrations.linear_system import Ports, checked_ports, system_with_ports
 
 PARTS = {"complex": ("real", "imaginary"), "polar": ("magnitude", "phase")}
 
@@ -92,7 +92,7 @@ class FrequencyResponseData(Measurement):
             self.deviation[name] = np.broadcast_to(values, self.f.shape)[self.present[name]]
 
     def check(self, system: System) -> None:
-        with_ports(system, Ports(1), self.input, list(self.outputs.values()))
+        system_with_ports(system, Ports(1), self.input, list(self.outputs.values()))
 
     @property
     def blocks(self) -> list[Block]:
@@ -107,7 +107,7 @@ class FrequencyResponseData(Measurement):
 
     def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:
         ports = Ports(1)
-        system = with_ports(run.system, ports, self.input, list(self.outputs.values()))
+        system = system_with_ports(run.system, ports, self.input, list(self.outputs.values()))
         f = torch.from_numpy(self.f)
         places = {name: torch.from_numpy(np.flatnonzero(present)) for name, present in self.present.items()}
 

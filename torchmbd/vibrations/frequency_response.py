@@ -5,15 +5,15 @@
 
     dG = -l^H dP r + dc x + l^H df              dP, dc and df by the state, the data and the multipliers that balance them
 
-l^H P r is that of the eigenvalues (eigenvalues.py), of which this is one family more: each number of G is a term.
-Inputs and outputs are those of `linearize`, the actuators and signals of controllers, in a system `with_ports`.
+Numbers of G are derived as eigenvalues are (eigenvalues.py), of which this is one family more: each is a term.
+Inputs and outputs are those of `linearize`, the actuators and signals of controllers, in a system with ports.
 Checked in tests/vibrations/test_frequency_response.py.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,12 +23,12 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.pullback import leaf
-from torchmbd.math.pair import Pair
-from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.vibrations.eigenvalues import POLES, AboutState, Term, inner, real_and_imaginary
+from torchmbd.vibrations.eigenvalues import POLES, AboutState, Term
+from torchmbd.vibrations.inner_products import Vectors, inner, inner_products, real_and_imaginary
 from torchmbd.vibrations.linear_system import Ports, link_of_ports
+from torchmbd.vibrations.port_functions import PortFunctions
 from torchmbd.vibrations.spectrum import Spectrum
 from torchmbd.vibrations.statics import Equilibrium
 
@@ -36,10 +36,10 @@ from torchmbd.vibrations.statics import Equilibrium
 def frequency_response(rest: Equilibrium, ports: Ports, frequencies: Tensor) -> Tensor:
     """G [lanes, frequencies, outputs, inputs], complex, at frequencies [Hz]; differentiable as the state is.
 
-    rest   a state of a system `with_ports`, which are `ports`
+    rest   a state of a system with these ports
     """
     dynamics, h = rest.dynamics, rest.signals.history  # pyright: ignore[reportAttributeAccessIssue]
-    link, s = link_of_ports(dynamics.topology), 2j * math.pi * frequencies
+    read, s = link_of_ports(dynamics).read, 2j * math.pi * frequencies
     problem = _Responses(
         kind=POLES,
         modes=None,
@@ -48,12 +48,11 @@ def frequency_response(rest: Equilibrium, ports: Ports, frequencies: Tensor) -> 
         names=tuple(dynamics.data),
         t=rest.t[-1],
         rotation=rest.rotation,
-        ports=ports,
-        outputs=link.read,
+        functions=PortFunctions(dynamics.topology, rest.t[-1], ports, read),
         roots=s,
     )
     real, imag = Motion.apply(problem, h.q[-1], *dynamics.data.values())  # pyright: ignore[reportGeneralTypeIssues]
-    shape = len(s), len(link.read), ports.u.shape[-1]
+    shape = len(s), len(read), ports.u.shape[-1]
     return torch.complex(real[:, 0], imag[:, 0]).T.unflatten(1, shape)
 
 
@@ -72,11 +71,10 @@ class _Vectors(Spectrum):
 class _Responses(AboutState):
     """Numbers of G in the place of eigenvalues.
 
-    outputs   which signals of the links are read;  roots: s [frequencies]
+    functions   inputs and outputs;  roots: s [frequencies]
     """
 
-    ports: Ports
-    outputs: Tensor
+    functions: PortFunctions
     roots: Tensor
 
     def _spectra(self) -> list[Any]:
@@ -94,8 +92,9 @@ class _Responses(AboutState):
     def _vectors_of(self, rest: Linearization, q: Tensor, data: dict[str, Tensor]) -> _Vectors:
         """Solve for all inputs and outputs of one design."""
         active, s = rest.active, self.roots[:, None, None]
-        f = torch.cat([self._forces(q, data, k)[active][..., 0] for k in range(len(self.ports.u))], 1)
-        c, rates = self._signal_matrices(q, data)
+        at, ports = (q, data, self._observer(data)), self.functions
+        f = torch.cat([ports.forces(*at, k)[active][..., 0] for k in range(len(ports.ports.u))], 1)
+        c, rates = (x[..., 0] for x in ports.output_rows(*at))
         N, M, C, K = (x.to(s.dtype) for x in (rest.N, rest.M, rest.C, rest.K))
         P = s * s * M[active][:, active] + s * C[active][:, active] + K[active][:, active]
         Z = s * s * rest.inertia + s * rest.reduced(rest.C) + rest.stiffness
@@ -129,52 +128,21 @@ class _Responses(AboutState):
         leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
         with torch.enable_grad():
             q, data = self._split(leaves)
-            products = self._products(terms, q, data)
-            s, right = self._vectors(terms, "right", "roots", "right")
-            [left] = self._vectors(terms, "left", "left")
+            at = q, data, self._observer(data)
+            s, right, force = self._vectors(terms, "right", "roots", "right", "force")
+            left, slip = self._vectors(terms, "left", "left", "slip")
+            vectors = Vectors(left, slip, right, force)
+            balance = [self.balance[term.lane] for term in terms]
+            products = inner_products(self.model.topology, data, q, self.t, at[2], balance, s, vectors)
             outputs, inputs = (torch.tensor(x) for x in zip(*map(self._place, terms), strict=True))
-            y = self._signals(q, data, real_and_imaginary(right), real_and_imaginary(s * right))
-            read = y.gather(0, outputs.expand(1, 2, -1))[0]  # [2, terms]
-            each = [self._forces(q, data, k) * (inputs == k) for k in set(inputs.tolist())]
-            f = torch.stack(each).sum(0)
-            work = inner(left, torch.cat([f, torch.zeros_like(f)], 1))
-            return leaves, [a + b - c for a, b, c in zip(read[:, None], work, products, strict=True)]
+            y = self.functions.outputs(*at, real_and_imaginary(right), real_and_imaginary(s * right))
+            output = y.gather(0, outputs.expand(1, 2, -1))[0]  # [2, terms]
+            forces = [self.functions.forces(*at, k) * (inputs == k) for k in set(inputs.tolist())]
+            f = torch.stack(forces).sum(0)
+            work = inner(vectors.left, torch.cat([f, torch.zeros_like(f)], 1))
+            return leaves, [a + b - c for a, b, c in zip(output[:, None], work, products, strict=True)]
 
     def _place(self, term: Term) -> tuple[int, int]:
         """Output and input of a number of G."""
-        inputs = len(self.ports.u)
-        return term.right // inputs % len(self.outputs), term.right % inputs
-
-    def _signals(self, q: Tensor, data: dict[str, Tensor], x: Tensor, xd: Tensor) -> Tensor:
-        """Outputs [outputs, k, lanes] along increments and their rates [n_v, k, lanes]."""
-        T, observer = self.model.topology, self._observer(data)
-        zero = q.new_zeros(T.n_v, 1, q.shape[-1])
-        near, v, _ = observer.perturbed(T, q, *(Pair.of(zero, y) for y in (x, xd, torch.zeros_like(x))))
-        at = equations.placement(T, data, near, T.prescribed(self.t, data))
-        y = T.links.signals(equations.action_states(T, data, at, v), self.t)
-        return y.index_select(0, self.outputs).tangent
-
-    def _signal_matrices(self, q: Tensor, data: dict[str, Tensor]) -> Iterator[Tensor]:
-        """Outputs by increments, and by rates [outputs, n_v]."""
-        unit = torch.eye(self.model.topology.n_v, dtype=q.dtype)[..., None]
-        none = torch.zeros_like(unit)
-        return (self._signals(q, data, *pair)[..., 0] for pair in ((unit, none), (none, unit)))
-
-    def _forces(self, q: Tensor, data: dict[str, Tensor], k: int) -> Tensor:
-        """Forces [n_v, 1, lanes] of input k alone, of one."""
-        T, observer = self.model.topology, self._observer(data)
-        zero, excitation = q.new_zeros(T.n_v, 1, q.shape[-1]), T.prescribed(self.t, data)
-        near, v, a = observer.perturbed(T, q, zero, zero, zero)
-        at = equations.placement(T, data, near, excitation)
-
-        def rows(u: Tensor) -> Tensor:
-            none, self.ports.u = self.ports.u, u
-            try:
-                residual = equations.dynamic_residual(T, data, at, v, a, q.new_zeros(T.rows, 1, q.shape[-1]))
-            finally:
-                self.ports.u = none
-            return observer.rows(T, q, residual)
-
-        unit = torch.zeros_like(self.ports.u)
-        unit[k] = 1.0
-        return rows(torch.zeros_like(unit)) - rows(unit)
+        inputs = len(self.functions.ports.u)
+        return term.right // inputs % len(self.functions.read), term.right % inputs

@@ -34,7 +34,7 @@ from torchmbd.results.trajectory import Trajectory
 from torchmbd.vibrations.moving_state import MovingLinearization, time_index
 from torchmbd.vibrations.statics import Equilibrium, equilibrium
 
-PORTS = "ports of linearize"
+_PORTS = "ports of linearize"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
 _KEPT, _SAME = (
     1e-3,
@@ -86,7 +86,7 @@ class LinearSystem:
 
 
 class Ports(nn.Module):
-    """Inputs u [inputs], or [lanes, inputs], that do not depend on the outputs."""
+    """Inputs that do not depend on the outputs."""
 
     def __init__(self, inputs: int):
         super().__init__()
@@ -113,7 +113,7 @@ def linearize(
     lane      which design of the state
     time      one of the times of the state [s]; None: the last one
     coordinates   of a motion: names of increments that are independent, "rotation z of 'bob'", as `states` has them; None:
-                  rotations and modes as far as they are independent, then displacements
+                  modes and rotations as far as they are independent, then displacements
 
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
@@ -139,8 +139,7 @@ def linearize(
         raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
     ports = Ports(len(inputs))
     with torch.no_grad():
-        designs = {name: x[lane : lane + 1].detach() for name, x in state.designs.items()}
-        dynamics = with_ports(system, ports, inputs, outputs).stages(designs)[0].values()
+        dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)
         k = time_index(state, time)
         q = state.q[lane, k].detach()[:, None, None]
         if q.shape[0] != dynamics.topology.n_q:
@@ -151,16 +150,14 @@ def linearize(
             small = _about_rest(dynamics, q, state, lane, k)
         else:
             small = _about_motion(dynamics, q, state, lane, k, coordinates)
-        return _matrices(
-            dynamics,
-            ports,
-            link_of_ports(dynamics.topology),
-            q,
-            state.t[k].detach(),
-            small,
-            port_names(inputs),
-            port_names(outputs),
-        )
+        return _matrices(dynamics, ports, links, q, state.t[k].detach(), small, _names(inputs), _names(outputs))
+
+
+def _with_ports(system: System, ports: Ports, inputs: list, outputs: list, state: Trajectory, lane: int) -> tuple:
+    """The equations of one design of the system with inputs and outputs, and their link."""
+    with_ports = system_with_ports(system, ports, inputs, outputs)
+    dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
+    return dynamics.values(), link_of_ports(dynamics)
 
 
 def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signal]]:
@@ -176,17 +173,17 @@ def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signa
     return inputs, outputs
 
 
-def with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
-    """The system with inputs and outputs; its links have one for them, `link_of_ports`."""
-    probe = Controller(ports, outputs, inputs, name=PORTS)
+def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
+    """The system with actuators that `ports` sets and signals that `link_of_ports` reads."""
+    probe = Controller(ports, outputs, inputs, name=_PORTS)
     nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
     names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
     return System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
 
 
-def link_of_ports(topology: Any) -> Any:
-    """The link of inputs and outputs of a system `with_ports`."""
-    return next(link for link in topology.links.each if link.control.name == PORTS)
+def link_of_ports(dynamics: Any) -> Any:
+    """The link of a system with ports."""
+    return next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
 
 
 class _Coefficients(NamedTuple):
@@ -284,7 +281,7 @@ def _freedoms(T: Any, N: Tensor) -> list[str]:
     return names
 
 
-def port_names(ports: Sequence[Any]) -> list[str]:
+def _names(ports: Sequence[Any]) -> list[str]:
     """A name for each number: its kind, the place in the list, and the axis of vectors."""
     names = []
     for k, port in enumerate(ports, 1):

@@ -208,12 +208,11 @@ def _accelerations(dynamics: Any, q: Tensor, v: Tensor, t: Tensor) -> tuple[Tens
 
 
 def independent_rows(T: Topology, active: Tensor, basis: Tensor) -> list[int]:
-    """Rows of v that are independent coordinates of a null space [active, n]: rotations and modes before displacements, of
+    """Rows of v that are independent coordinates of a null space [active, n]: modes, then rotations, then displacements, of
     each kind the row with the largest part of its own first."""
     n = basis.shape[1]
-    straight = active < 3 * T.bodies
     rest, rows = basis.clone(), []
-    for kind in (~straight, torch.ones_like(straight)):
+    for kind in (active >= 6 * T.bodies, active >= 3 * T.bodies, active >= 0):
         while len(rows) < n:
             parts = torch.where(kind, rest.norm(dim=1), -1.0)
             best = int(parts.argmax())

@@ -400,3 +400,17 @@ def test_steps_that_are_too_long_are_unresolved_with_phases_as_without():
     phased = mbd.simulate(mbd.examples.arm(modes=4), 0.5, steps=3, gradients="none", phases=[mbd.Phase()])
     assert plain.status[0].startswith("unresolved: ")
     assert phased.status == plain.status
+
+
+@pytest.mark.parametrize("speed", [0.625, 1.0, 1.25, 2.0, 4.0])
+def test_an_event_at_the_end_of_a_step_is_found(speed):
+    """Where rounding leaves the function at -1e-16 after a step, the next one does not count it as the begin of a phase."""
+    drum = mbd.RigidBody("drum", 1.0, (1.0, 1.0, 1.0))
+    joints = [mbd.Revolute(mbd.Ground().at(), drum.at(), axis="z")]
+    joints.append(mbd.Drive(mbd.Ground(), drum, axis="z", speed=speed))
+    turned_by_one = mbd.Event(mbd.Angle("drum", "z") - 1.0, "rising")
+    phases = [mbd.Phase(until=turned_by_one), mbd.Phase()]
+    for steps in (40, 80):
+        motion = mbd.simulate(mbd.System([drum], joints), 2.0, steps=steps, phases=phases)
+        assert motion.status == ["ok"]
+        assert motion.switches[0].t.item() == pytest.approx(1.0 / speed, rel=1e-12)

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.phases.lanes import expanded, join_lanes, lanes_of, pick_lanes
+from torchmbd.integrate.lanes import expanded, join_lanes, lanes_of, pick_lanes
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
@@ -75,9 +75,12 @@ class Event:
         return g
 
     def passed(self, before: Tensor, after: Tensor) -> Tensor:
-        """Whether the function passed zero between two values [lanes]; not if the first one is a rounding error."""
-        sign = DIRECTIONS[self.direction]
-        falls, rises = (before > 0) & (after <= 0), (before < 0) & (after >= 0)
+        """Whether the function passed zero between two values [lanes]; not if the first one is a rounding error.
+
+        A second one that is a rounding error is zero: an event at the end of a step is not left to the next step.
+        """
+        sign, zero = DIRECTIONS[self.direction], ROUNDING * before.abs()
+        falls, rises = (before > 0) & (after <= zero), (before < 0) & (after >= -zero)
         passed = (falls & (sign <= 0)) | (rises & (sign >= 0))
         return passed & (before.abs() > ROUNDING * after.abs())
 
