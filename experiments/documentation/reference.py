@@ -37,8 +37,8 @@ GROUPS: dict[str, str] = {
     "BucklingIndex PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
     "BucklingFactor SystemFrequency DampingRatio StabilityMargin CriticalSpeed CampbellClearance StabilityLimit "
-    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
-    "Measure measure",
+    "FrequencyResponse WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence "
+    "LaminationRegion Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
