@@ -25,7 +25,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
-from torchmbd.vibrations.eigenvalues import eigenvalues
+from torchmbd.vibrations.eigenvalues import Choice, eigenvalues
 from torchmbd.vibrations.statics import StaticIntegration
 
 
@@ -85,7 +85,7 @@ class SteadyStates:
     t: Tensor
     speeds: int
 
-    def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
+    def eigenvalues(self, kind: str, modes: Sequence[int] | Choice | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [designs, speeds, k], as of eigenvalues.py."""
         values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric)
         return values.T.unflatten(0, (-1, self.speeds))
