@@ -1,15 +1,12 @@
 """Vibrations of a machine over speeds of rotation, each followed by its shape: the numbers of a Campbell diagram.
 
-    MAC = |a^H M b|^2 / (a^H M a)(b^H M b)         likeness of two shapes, at most 1
-
-Vibrations are poles that oscillate at the first speed, the slowest first. From speed to speed those pairs go together whose MAC
-have the largest sum, among poles of either sign of the imaginary part: seen by a turning observer a whirl may pass through
-zero, and turns the other way behind it. So a vibration keeps its number where it crosses another. Where two veer the shapes
-exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A vibration whose
-likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or it has become a
-part of several.
-Source: Allemang and Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116 (MAC). Checked in
-tests/vibrations/test_campbell_diagram.py.
+Vibrations are poles that oscillate at the first speed, the slowest first. From speed to speed those pairs go together whose
+likeness (likeness.py) has the largest sum, among poles of either sign of the imaginary part: seen by a turning observer a whirl
+may pass through zero, and turns the other way behind it. So a vibration keeps its number where it crosses another. Where two
+veer the shapes exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A
+vibration whose likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or
+it has become a part of several.
+Checked in tests/vibrations/test_campbell_diagram.py.
 """
 
 from __future__ import annotations
@@ -31,6 +28,7 @@ from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import TURNING
 from torchmbd.vibrations.eigenvalues import POLES
+from torchmbd.vibrations.likeness import Shapes
 from torchmbd.vibrations.spectrum import SWINGS, Spectrum
 from torchmbd.vibrations.steady_states import Shaft, SteadyStates, steady_states
 
@@ -121,7 +119,7 @@ class _Follower:
         self.status: list[str] = []
 
     def __call__(self, spectra: Sequence[Spectrum], states: Sequence[Linearization]) -> list[int]:
-        shapes = [_Shapes.of(x, rest) for x, rest in zip(spectra, states, strict=True)]
+        shapes = [Shapes.of(x, rest) for x, rest in zip(spectra, states, strict=True)]
         count = len(self.speeds)
         followed = [self._of_design(shapes[k : k + count]) for k in range(0, len(shapes), count)]
         n = min(numbers.shape[1] for numbers, _ in followed)
@@ -130,7 +128,7 @@ class _Follower:
         self.status = [self._status(lost) for _, lost in followed]
         return self.chosen.tolist()
 
-    def _of_design(self, states: Sequence[_Shapes]) -> tuple[Tensor, dict[int, int]]:
+    def _of_design(self, states: Sequence[Shapes]) -> tuple[Tensor, dict[int, int]]:
         """Numbers [speeds, n], and from which speed on a vibration is lost."""
         here = states[0]
         chosen = (here.poles.imag > SWINGS * here.poles.abs()).nonzero()[: self.modes, 0]
@@ -149,21 +147,3 @@ class _Follower:
     def _status(self, lost: dict[int, int]) -> str:
         gone = ", ".join(f"vibration {i + 1} from {self.speeds[k]:.4g} rad/s on" for i, k in lost.items())
         return f"lost: {gone}: no shape is like it; allowed: smaller steps between speeds" if lost else "ok"
-
-
-class _Shapes(NamedTuple):
-    """Poles [n], shapes [n_v, n] of unit size in the mass M [n_v, n_v]."""
-
-    poles: Tensor
-    shapes: Tensor
-    M: Tensor
-
-    @classmethod
-    def of(cls, spectrum: Spectrum, rest: Linearization) -> _Shapes:
-        M = 0.5 * (rest.M + rest.M.T).to(torch.complex128)
-        size = (spectrum.right.conj() * (M @ spectrum.right)).sum(0).real.clamp_min(0.0).sqrt()
-        return cls(spectrum.values, spectrum.right / torch.where(size > 0.0, size, 1.0), M)
-
-    def likeness(self, known: Tensor) -> Tensor:
-        """MAC [known, n] with shapes [n_v, known] of unit size."""
-        return (known.mH @ (self.M @ self.shapes)).abs().square()
