@@ -66,7 +66,16 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
+from torchmbd.identification import (
+    Channel,
+    Experiment,
+    FrequencyResponseData,
+    Identification,
+    ModalData,
+    StaticCurve,
+    TimeSeries,
+    identify,
+)
 from torchmbd.integrate import Event, Phase, Trajectory, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -220,6 +229,7 @@ __all__ = [
     "Frequencies",
     "Frequency",
     "FrequencyResponse",
+    "FrequencyResponseData",
     "GivenSection",
     "Ground",
     "History",

@@ -55,13 +55,13 @@ def eigenvalues(
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
     model, names = replace(dynamics, data={}), tuple(dynamics.data)
-    problem = _AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
+    problem = AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
 
 
-class _Term(NamedTuple):
+class Term(NamedTuple):
     """A product l^H dP r: numbers of the two vectors in the spectrum of a lane."""
 
     left: int
@@ -125,7 +125,7 @@ class _Eigenproblem:
         """How many eigenvalues there are."""
         return len(self.spectra[lane].values)
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [1, terms]: its real and, of poles, its imaginary part."""
         raise NotImplementedError(type(self).__name__)
 
@@ -133,7 +133,7 @@ class _Eigenproblem:
         count, lanes = max(x.shape[-2] for x in directions if x is not None), len(self.spectra)
         modes, pairs = self._columns()
         blocks = torch.zeros(self._parts, len(pairs), count, lanes, dtype=torch.float64)
-        terms = [_Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
+        terms = [Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
         for slope in self._gradients(terms):
             x = directions[slope.input]
             if x is not None:
@@ -167,7 +167,7 @@ class _Eigenproblem:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
         needed = bars.abs().amax((0, 2)).T.nonzero().flip(1).tolist()  # of many eigenvalues and lanes few may count
-        terms = [_Term(modes[i], modes[i], lane) for i, lane in needed]
+        terms = [Term(modes[i], modes[i], lane) for i, lane in needed]
         result = [
             x.new_zeros(*x.shape[:-2], rows, lanes) if y else None for x, y in zip(self.inputs, needs_grad, strict=True)
         ]
@@ -220,7 +220,7 @@ class _Eigenproblem:
     def _parts(self) -> int:
         return 1 + (self.kind == POLES)
 
-    def _gradients(self, terms: Sequence[_Term]) -> Iterator[_Slope]:
+    def _gradients(self, terms: Sequence[Term]) -> Iterator[_Slope]:
         """Gradients of the terms, sorted by lanes, by the inputs."""
         for start in range(0, len(terms), _LANES):
             some = terms[start : start + _LANES]
@@ -232,14 +232,14 @@ class _Eigenproblem:
                         places = [i for i, _ in of_lane]
                         yield _Slope(part, k, lane, [start + i for i in places], g[..., 0, places])
 
-    def _vectors(self, terms: Sequence[_Term], side: str, *names: str) -> list[Tensor]:
+    def _vectors(self, terms: Sequence[Term], side: str, *names: str) -> list[Tensor]:
         """Columns [n, 1, terms] of the named tensors of the spectra."""
         of = [(self.spectra[term.lane], getattr(term, side)) for term in terms]
         return [torch.stack([getattr(x, name)[..., k] for x, k in of], -1).reshape(-1, 1, len(of)) for name in names]
 
 
 @dataclass(eq=False, kw_only=True)
-class _AboutState(_Eigenproblem):
+class AboutState(_Eigenproblem):
     """Of the equations of motion about a state at rest or in steady rotation; inputs are q and the data."""
 
     model: Dynamics
@@ -268,7 +268,7 @@ class _AboutState(_Eigenproblem):
     def _observer(self, data: dict[str, Tensor]) -> Observer:
         return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [terms]: its real and, of poles, its imaginary part."""
         lanes = [term.lane for term in terms]
         leaves = [leaf(x[..., lanes]) for x in self.inputs]
@@ -290,7 +290,7 @@ class _OfMatrices(_Eigenproblem):
         lanes = range(self.inputs[0].shape[-1])
         return [Spectrum.poles(Linearization.of_matrices(*(x[:, :, 0, i] for x in self.inputs))) for i in lanes]
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
         s, right = self._vectors(terms, "right", "roots", "right")
         [left] = self._vectors(terms, "left", "left")

@@ -26,14 +26,14 @@ from torch import Tensor
 from torchmbd.errors import DesignFailure
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
-from torchmbd.math.pair import Pair
-from torchmbd.multibody.system import Dynamics, equations
+from torchmbd.multibody.system import Dynamics
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.steady_rotation import Observer, SteadyRotation
 from torchmbd.vibrations.inner_products import Vectors, inner, inner_products, real_and_imaginary
 from torchmbd.vibrations.linear_system import Ports, link_of_ports
+from torchmbd.vibrations.port_functions import PortFunctions
 from torchmbd.vibrations.spectrum import Spectrum
 from torchmbd.vibrations.steady_states import SteadyStates
 
@@ -97,8 +97,8 @@ class _Harmonic:
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
         q, data, observer = self._split(self.inputs)
         self.states = Linearization.each(replace(self.model, data=data), q, self.t, None, observer)
-        by_x, by_xd = self._output_rows(q, data, observer)
-        forces = self._unit_forces(q, data, observer)[:, 0]
+        by_x, by_xd = (x[0] for x in self._functions.output_rows(q, data, observer))
+        forces = self._functions.forces(q, data, observer)[:, 0]
         for lane, rest in enumerate(self.states):
             active, N = rest.active, rest.N
             F, c, c1 = (N.T @ x[active, lane] for x in (forces, by_x, by_xd))
@@ -136,13 +136,13 @@ class _Harmonic:
         q, data, observer = self._split(leaves)
         s = torch.tensor([1j * x.frequency for x in self.points], dtype=torch.complex128)[None, None]
         plain = self._split(self.inputs)
-        c = [x[:, None] for x in self._output_rows(*plain)]
-        vectors = self._vectors(s, self._unit_forces(*plain), c[0] + s * c[1])
+        c, c1 = (x[0][:, None] for x in self._functions.output_rows(*plain))
+        vectors = self._vectors(s, self._functions.forces(*plain), c + s * c1)
         with torch.enable_grad():
             products = inner_products(self.model.topology, data, q, self.t, observer, self.states, s, vectors)
             x, xd = (real_and_imaginary(s**k * vectors.right) for k in range(2))
-            output = self._output(q, data, observer, x, xd)
-            F = self._unit_forces(q, data, observer)
+            output = self._functions.outputs(q, data, observer, x, xd).unbind(1)
+            F = self._functions.forces(q, data, observer)
             work = inner(vectors.left, torch.cat([F, torch.zeros_like(F)], 1))
             G = torch.tensor([x.G for x in self.points], dtype=torch.complex128)
             unit = self._factor() * G / G.abs()
@@ -169,37 +169,10 @@ class _Harmonic:
             columns.append(Vectors(full[:, 1], slip, full[:, 0], force))
         return Vectors(*(torch.stack(x, -1)[:, None] for x in zip(*columns, strict=True)))
 
-    def _unit_forces(self, q: Tensor, data: Any, observer: Observer) -> Tensor:
-        """F: generalized forces [n_v, 1, lanes] of a unit input."""
+    @property
+    def _functions(self) -> PortFunctions:
         T = self.model.topology
-        zero = q.new_zeros(T.n_v, 1, q.shape[-1])
-        near, v, a = observer.perturbed(T, q, zero, zero, zero)
-        at = equations.placement(T, data, near, T.prescribed(self.t, data))
-        off, on = torch.zeros_like(self.ports.u), torch.ones_like(self.ports.u)
-        residuals = []
-        try:
-            for self.ports.u in (off, on):
-                none = q.new_zeros(T.rows, 1, q.shape[-1])
-                residuals.append(observer.rows(T, q, equations.dynamic_residual(T, data, at, v, a, none)))
-        finally:
-            self.ports.u = off
-        return residuals[0] - residuals[1]
-
-    def _output(self, q: Tensor, data: Any, observer: Observer, x: Tensor, xd: Tensor) -> list[Tensor]:
-        """The output along increments x, x' [n_v, k, lanes]: k of [1, lanes]."""
-        T = self.model.topology
-        zero = q.new_zeros(T.n_v, 1, q.shape[-1])
-        near, v, _ = observer.perturbed(T, q, *(Pair.of(zero, y) for y in (x, xd, torch.zeros_like(x))))
-        at = equations.placement(T, data, near, T.prescribed(self.t, data))
-        y = T.links.signals(equations.action_states(T, data, at, v), self.t)
-        read = link_of_ports(self.model).read[self.row]
-        return list(y.index_select(0, read[None]).tangent.unbind(1))
-
-    def _output_rows(self, q: Tensor, data: Any, observer: Observer) -> list[Tensor]:
-        """c: the output by increments and by rates, each [n_v, lanes]."""
-        unit = torch.eye(self.model.topology.n_v, dtype=q.dtype)[..., None].expand(-1, -1, q.shape[-1])
-        still = torch.zeros_like(unit)
-        return [torch.cat(self._output(q, data, observer, *x)) for x in ((unit, still), (still, unit))]
+        return PortFunctions(T, self.t, self.ports, link_of_ports(self.model).read[self.row][None])
 
 
 @dataclass(frozen=True)

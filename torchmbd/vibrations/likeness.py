@@ -71,19 +71,22 @@ class MostAlike:
 
     def __call__(self, spectra: Sequence[Spectrum], states: Sequence[Linearization]) -> list[int]:
         shapes = self.shapes.expand(-1, len(spectra)).T
-        numbers = [self._of_lane(i, Shapes.of(spectra[i], rest), shapes[i]) for i, rest in enumerate(states)]
+        numbers = []
+        for lane, (spectrum, rest) in enumerate(zip(spectra, states, strict=True)):
+            where = f" (lane {lane})" * (len(spectra) > 1)
+            numbers.append(self._of_lane(Shapes.of(spectrum, rest), shapes[lane], where))
         self.numbers = torch.tensor(numbers)
         self.chosen = self.numbers.unique()
         return self.chosen.tolist()
 
-    def _of_lane(self, lane: int, here: Shapes, shape: Tensor) -> int:
+    def _of_lane(self, here: Shapes, shape: Tensor, where: str) -> int:
         likeness = here.likeness(shape[:, None])[0]
         # A pole and its conjugate at rest are as like: the later one has the positive imaginary part.
         best = len(likeness) - 1 - int((likeness > 0.99 * likeness.max()).flip(0).to(torch.int8).argmax())
         if not float(likeness[best]) > SURE:
             raise DesignFailure(
                 f"{self.name} is lost: the vibration most like it has a likeness (MAC) of {float(likeness[best]):.2f}, it has "
-                f"become a part of several; allowed: follow=False, a cluster, or designs nearer to the start (lane {lane})"
+                f"become a part of several; allowed: follow=False, a cluster, or designs nearer to the start{where}"
             )
         return best
 

@@ -129,12 +129,7 @@ def linearize(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
-    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
-    if not outputs:
-        raise InputError("outputs is empty; allowed: at least one signal")
-    if any(isinstance(signal, Time) for signal in outputs):
-        raise InputError("outputs has the time; allowed: signals of the motion")
+    inputs, outputs = checked_ports(inputs, outputs)
     state = equilibrium(system) if state is None else state
     if not isinstance(state, Trajectory):
         raise InputError(
@@ -165,10 +160,21 @@ def _with_ports(system: System, ports: Ports, inputs: list, outputs: list, state
     return dynamics.values(), link_of_ports(dynamics)
 
 
-def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
-    """The system with actuators that `ports` sets and signals that `link_of_ports` reads."""
+def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signal]]:
+    """Actuators and signals; InputError for anything else, and for none."""
+    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
     if not inputs:
         raise InputError("inputs is empty; allowed: at least one actuator")
+    if not outputs:
+        raise InputError("outputs is empty; allowed: at least one signal")
+    if any(isinstance(signal, Time) for signal in outputs):
+        raise InputError("outputs has the time; allowed: signals of the motion")
+    return inputs, outputs
+
+
+def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
+    """The system with actuators that `ports` sets and signals that `link_of_ports` reads."""
     probe = Controller(ports, outputs, inputs, name=_PORTS)
     nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
     names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
