@@ -153,15 +153,15 @@ def differentiable_motion(
     model = replace(dynamics, data={})
     integrator = GeneralizedAlpha().with_defaults(dynamics.topology)
     made = ReverseIntegration(
-        None,
-        None,
-        model,
-        tuple(data),
-        (),
-        duration,
-        steps,
-        integrator,
+        names=tuple(data),
+        designs=(),
         differentiated=tuple(moving),
+        duration=duration,
+        steps=steps,
+        system=None,
+        segments=None,
+        model=model,
+        integrator=integrator,
     )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]

@@ -25,9 +25,9 @@ class Falling(mbd.System):
         super().__init__([mbd.RigidBody("mass", mass=2.0, inertia=(0.1, 0.2, 0.2), position=(0.0, 0.0, HEIGHT))])
         self.g = nn.Parameter(tensor(9.81))
 
-    def _data(self, phase_models):
+    def _data(self, segments):
         pull = torch.stack([torch.zeros_like(self.g), torch.zeros_like(self.g), -self.g])
-        return super()._data(phase_models) | {"gravity": pull.reshape(3, 1, 1, -1)}
+        return super()._data(segments) | {"gravity": pull.reshape(3, 1, 1, -1)}
 
 
 def bounces(g: Tensor) -> tuple[Tensor, Tensor]:

@@ -167,10 +167,10 @@ def test_a_lane_that_never_gets_there_adds_nothing():
 def test_forces_of_a_phase_act_where_those_of_the_whole_do():
     """Locks attach vectors of their own, and move the places of those of the forces among all."""
     system = driven()
-    whole, phase_models = segments_of(system, DRIVEN, 0.075)
+    whole, segments = segments_of(system, DRIVEN, 0.075)
     assert len(whole.topology.attached) > len(system.topology.attached)
-    for phase_model in phase_models:
-        for kind, own in zip(phase_model.topology.actions, whole.topology.actions, strict=True):
+    for segment in segments:
+        for kind, own in zip(segment.topology.actions, whole.topology.actions, strict=True):
             assert [x.tolist() for x in kind.members] == [x.tolist() for x in own.members]
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -128,13 +128,18 @@ class Position(History):
 
     def vector(self, motion: Trajectory) -> Tensor:
         """The vector [lanes, times, 3] in the axes of the observer."""
+        if self.observer == GROUND:  # rates are not needed
+            return getattr(self._point(motion), ("position", "velocity", "acceleration")[self.order])
         return self._seen(motion)[self.order]
+
+    def _point(self, motion: Trajectory) -> Any:
+        """The point in this motion (results/body_motion.py)."""
+        return motion.body(self.body).at(self.point if self.node is None else self.node)
 
     def _seen(self, motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
         """Position, velocity and acceleration of the point relative to the observer, in its axes [lanes, times, 3]."""
-        view = motion.body(self.body)
-        point = view.at(self.point if self.node is None else self.node)
-        if self.observer == self.body and not isinstance(view, BeamMotion):
+        point = self._point(motion)
+        if self.observer == self.body and not isinstance(motion.body(self.body), BeamMotion):
             return point.rho, point.rho_rate, point.rho_acceleration
         jets = point.position, point.velocity, point.acceleration
         if self.observer == GROUND:

@@ -1,7 +1,12 @@
-"""Estimates of the errors of the steps of a motion: truncation errors, alternating accelerations, rotations in one step.
+"""Estimates of the errors of equal steps, of one segment or of several, from their states as they come.
+
+    StepErrors        truncation errors
+    IterationErrors   what the iterations leave
+    alternations      accelerations that change their sign from step to step
+    turns             rotations in one step
 
 Source: Zienkiewicz and Xie, Earthq. Eng. Struct. Dyn. 20 (1991) 871-887.
-Checked in tests/integrate/test_simulate.py.
+Checked in tests/integrate/test_simulate.py, tests/integrate/phases/test_phase.py.
 """
 
 from __future__ import annotations
@@ -10,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.statistics import Statistics
+from torchmbd.integrate.stepper import ITERATION_ERROR, ROUNDING, TURN
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import split_v
@@ -17,7 +23,61 @@ from torchmbd.results.history import History
 
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
-_ROUNDING = 100.0 * torch.finfo(torch.float64).eps  # of coordinates
+_OF_PLACES = 100.0 * torch.finfo(torch.float64).eps  # of coordinates
+
+
+class StepEstimates:
+    """Of steps of size duration / steps [s].
+
+    dynamics   of the states;  constant: of the error of a step, as of StepErrors
+    """
+
+    def __init__(self, dynamics: Dynamics, constant: float, duration: float, steps: int):
+        self.dynamics, self.duration, self.steps, self.h = dynamics, duration, steps, duration / steps
+        self.errors = StepErrors(dynamics, constant, self.h)
+        self.iterations = IterationErrors(dynamics.lanes, duration, self.h)
+        self.turn = torch.zeros(steps + 1, dynamics.lanes, dtype=torch.float64)
+        self.alternation: Tensor | None = None
+        if dynamics.topology.beams is not None:
+            self.alternation = torch.zeros(2, steps + 1, dynamics.lanes, dtype=torch.float64)
+
+    def update(self, first: int, states: History, errors: Tensor, counted: Tensor | None = None) -> None:
+        """Go on with states at the times of number `first` and those after it, and the errors of the iterations between these.
+
+        states    the first was the last before, but where a segment begins
+        errors    [lanes, times - 1]
+        counted   which lanes have states [times, lanes]; None: all
+        """
+        smooth = None
+        if counted is not None:
+            q, v, vd, lam = (torch.where(counted[:, None, None], x[:, :, :1], 0.0) for x in states.states)
+            states, smooth = History(q, v, vd, lam), counted[1:] & counted[:-1]
+        end = first + len(states.q)
+        self.iterations.update(first, states, errors)
+        self.errors.update(states, smooth)
+        turn = turns(self.dynamics, states, self.h)
+        self.turn[first:end] = turn if counted is None else torch.where(counted, turn, self.turn[first:end])
+        if self.alternation is not None and len(states.q) > 2:
+            inner, share = slice(first + 1, end - 1), alternations(self.dynamics, states)
+            if smooth is not None:
+                share = torch.where(smooth[1:] & smooth[:-1], share, self.alternation[:, inner])
+            self.alternation[:, inner] = share
+
+    def put_into(self, statistics: Statistics, segment: Tensor | None = None, every: int = 1) -> None:
+        """Of all lanes.
+
+        segment  number of that of each time [times, lanes], None: there is one
+        every    steps between two states that are kept
+        """
+        statistics.steps, statistics.step_size, statistics.turn = self.steps, self.h, self.turn.amax(0)
+        self.errors.put_into(statistics, self.steps)
+        self.iterations.put_into(statistics, self.steps + 1)
+        if self.alternation is not None:
+            number = torch.zeros(self.steps + 1, 1, dtype=torch.long) if segment is None else segment
+            statistics.alternation = alternating_share(self.alternation[:, 1:-1], second_halves(number))
+        assert statistics.valid_times is not None
+        valid = statistics.valid_times.minimum(first_true(self.turn > TURN).clamp_min(1))
+        statistics.valid_times = (valid + every - 1) // every
 
 
 class StepErrors:
@@ -53,6 +113,41 @@ class StepErrors:
         statistics.suggested_steps = (steps * ratio.pow(0.5).maximum(ratio.pow(1 / 3).clamp_max(1.0))).ceil()
 
 
+class IterationErrors:
+    """Estimated errors of the iterations of steps of size h [s], and the first time of which they did not converge [lanes].
+
+    The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the motion, or to
+    the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what the rounding of
+    coordinates at the start makes of them: a system at rest has nothing else.
+    """
+
+    def __init__(self, lanes: int, duration: float, h: float):
+        self.duration, self.h = duration, h
+        self.scale: Tensor | None = None  # so far
+        self.largest = torch.zeros(lanes, dtype=torch.float64)
+        self.first_bad = torch.full((lanes,), torch.iinfo(torch.long).max)
+
+    def update(self, first: int, history: History, errors: Tensor) -> None:
+        """Go on with states from the time of number `first` on, and errors of the steps between them [lanes, steps]."""
+        if self.scale is None:
+            self.scale = ROUNDING * history.q[0, :, 0].abs().amax(0) / (self.h * self.h)
+        largest = (x[:, :, 0].abs().amax(1) for x in (history.vd, history.v))
+        reached, speed = (x.cummax(0).values for x in largest)
+        # Up to every time: what comes after a failure is no measure of it.
+        scale = self.scale.maximum(reached.maximum(speed / self.duration))
+        bad = ~(ITERATION_ERROR * scale[1:] >= errors.T)
+        times = first + 1 + first_true(bad)
+        self.first_bad = torch.where(bad.any(0), self.first_bad.minimum(times), self.first_bad)
+        self.scale, self.largest = scale[-1], self.largest.maximum(errors.amax(-1))
+
+    def put_into(self, statistics: Statistics, times: int) -> None:
+        """Relative errors, and how many of so many times are before the first bad one."""
+        scale = torch.ones_like(self.largest) if self.scale is None else self.scale
+        tiny = torch.finfo(scale.dtype).tiny
+        statistics.iteration_error = self.largest / scale.clamp_min(tiny)
+        statistics.valid_times = self.first_bad.clamp_max(times)
+
+
 def alternations(dynamics: Dynamics, history: History) -> Tensor:
     """Of the accelerations of points, what changes its sign from step to step, and all of it [2, times - 2, lanes] [m/s2].
 
@@ -72,7 +167,7 @@ def _acceleration_by_rounding(dynamics: Dynamics, history: History) -> Tensor:
     mass = value(data["mass"])[:, 0]
     rates = [stiffness[k % len(stiffness)] / mass[body] for k, body in enumerate(T.beams.bodies) if body < T.bodies]
     far = history.q[:, : 3 * T.bodies, 0].abs().amax((0, 1))
-    return _ROUNDING * far * torch.stack(torch.broadcast_tensors(0.0 * far, *rates)).amax(0)
+    return _OF_PLACES * far * torch.stack(torch.broadcast_tensors(0.0 * far, *rates)).amax(0)
 
 
 def alternating_share(parts: Tensor, counted: Tensor) -> Tensor:
@@ -102,3 +197,8 @@ def turns(dynamics: Dynamics, history: History, h: float) -> Tensor:
     """Largest rotation of a body in a step from each time [times, lanes] [rad]."""
     omega = split_v(dynamics.topology, history.v[:, :, 0].transpose(0, 1))[1]
     return h * omega.square().sum(0).sqrt().amax(0)
+
+
+def first_true(mask: Tensor) -> Tensor:
+    """The first time at which a mask [times, lanes] is true, the number of times where it never is [lanes]."""
+    return torch.where(mask.any(0), mask.int().argmax(0), len(mask))

@@ -17,11 +17,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Stepper
+from torchmbd.integrate.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.integrate.ode import flow
-from torchmbd.integrate.phases.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.phases.switch import accelerations, at_time
-from torchmbd.integrate.statistics import Statistics
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -35,9 +34,8 @@ class FlowStepper(Stepper):
     """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint. Each lane has steps of its own in them."""
 
     def __init__(self, dynamics: Dynamics, h: float, arguments: dict[str, Any]):
-        self.dynamics, self.h, self.arguments = dynamics, h, arguments
-        self.failed: dict[int, str] = {}
-        self.counts = torch.ones(dynamics.lanes, dtype=torch.bool)
+        super().__init__(dynamics)
+        self.h, self.arguments = h, arguments
         self._rates: dict[int, RightHandSide] = {}
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
@@ -70,17 +68,6 @@ class FlowStepper(Stepper):
             return [y * torch.nan for y in state]
         a, lam = f.accelerations(times[-1], y)
         return [*y.split([len(state[0]), len(state[1])]), a, a, lam]
-
-    def restart(self, lanes: Tensor | None = None) -> None:
-        """See Stepper. Nothing is kept."""
-
-    def take_errors(self, counted: Tensor | None = None) -> Tensor:
-        """See Stepper. Zero: these steps are not iterated."""
-        return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
-
-    def statistics(self) -> Statistics:
-        """See Stepper. There are none."""
-        return Statistics()
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:

@@ -16,50 +16,32 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
+from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
 from torchmbd.integrate.integrated_motion import IntegratedMotion
-from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.lane_status import validity
-from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import SeveralSegments
-from torchmbd.integrate.retries import LaneResults, integrate_by_chosen_steps, integrate_lanes
 from torchmbd.integrate.segment import segments_of
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
-from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system import System
 from torchmbd.multibody.system.design_tangents import unit_directions
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, kw_only=True)
 class ForwardIntegration(IntegratedMotion):
-    """Any integrator over a duration [s].
+    """By any integrator.
 
-    names      of the inputs;  variables: those among them whose tangents are integrated
-    labels     one for each entry of the variables
-    steps      their number; None: chosen from the data
-    system     with the locks of its phases
-
-    Results: dynamics with tangents; results, status, stats, actions, outputs.
+    variables  names of the inputs whose tangents are integrated;  labels: one for each of their entries
+    phases     as of `simulate`;  actions: of each of them
     """
 
-    system: System
-    names: tuple[str, ...]
+    system: System  # pyright: ignore[reportIncompatibleVariableOverride]
     variables: tuple[str, ...]
     labels: tuple[str, ...]
-    duration: float
-    steps: int | None
-    integrator: Integrator
     phases: Sequence[Phase] | None
-    backend: str
-    dynamics: Dynamics = field(init=False)
-    results: LaneResults = field(init=False)
-    validity: Tensor = field(init=False)
-    outputs: Outputs = field(init=False)
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
     _tangents: list[Tensor] = field(default_factory=list, init=False)
 
@@ -68,18 +50,10 @@ class ForwardIntegration(IntegratedMotion):
         lanes = max((len(x) for x in designs.values()), default=1)
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
         problem = self._problem(designs)
-        if self.steps is None:
-            check_memory = memory_check(self.system, problem.dynamics.lanes, len(self.labels), self.integrator)
-            self.steps, self.results = integrate_by_chosen_steps(self.integrator, problem, check_memory)
-        else:
-            self.results = integrate_lanes(self.integrator, problem, self.steps)
-        self.dynamics = problem.dynamics
-        if self.results.data is None:
+        self.integrate(problem, len(self.labels))
+        if self.phases is None:
             self.dynamics.evaluate_rank()
-        else:
-            self.dynamics = self.dynamics.with_data(self.results.data)
         data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}
-        self.validity = validity(self.history, self.status, self.results.statistics)
         self.outputs = Outputs.of(self.results, self.validity, data)
         self._tangents = self.outputs.tangents(len(self.labels))
         return self.outputs.values()
@@ -109,7 +83,7 @@ class ForwardIntegration(IntegratedMotion):
         lanes = max(x.shape[-1] for x in flat)
         db = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
         products = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), db) for dx in self._tangents)
-        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in products]
+        return [self.of_sound_lanes(x) for x in products]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         parts = [
@@ -119,8 +93,7 @@ class ForwardIntegration(IntegratedMotion):
         ]
         lanes = len(self.status)
         total = torch.stack([x.expand(*x.shape[:-1], lanes) for x in parts]).sum(0)
-        total = torch.where(self.validity[1] > 0.0, total, 0.0)
-        split = total.split([self._size(name) for name in self.variables])
+        split = self.of_sound_lanes(total).split([self._size(name) for name in self.variables])
         by_name = dict(zip(self.variables, split, strict=True))
         parameters = dict(self.system.named_parameters())
         return [

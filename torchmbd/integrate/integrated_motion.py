@@ -1,31 +1,66 @@
-"""What an integration of `Motion` has once it has run, in forward and in reverse mode.
+"""What integrations of `Motion` share, in forward and in reverse mode: how a motion is integrated, and what it has then.
 
 Checked in tests/integrate/test_motion.py.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 
-from torchmbd.integrate.retries import LaneResults
-from torchmbd.multibody.system import Dynamics
+from torchmbd.integrate.initial_value import InitialValueProblem
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.lane_status import validity
+from torchmbd.integrate.memory import memory_check
+from torchmbd.integrate.outputs import Outputs
+from torchmbd.integrate.retries import LaneResults, integrate_by_chosen_steps, integrate_lanes
+from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import Switch
 
 
+@dataclass(eq=False, kw_only=True)
 class IntegratedMotion:
-    """Results of the lanes, and what leads from them to the whole system.
+    """A motion over a duration [s] by an integrator.
 
-    dynamics   of the whole system;  results: of all lanes;  duration [s]
+    names      of the inputs
+    steps      their number; None: chosen from the data
+    system     the mechanism, with the locks of its phases, or None where steps are given
+    backend    of the steps, as of `simulate`
+
+    Once it has run: dynamics of the whole system, results and validity of all lanes, outputs.
     """
 
-    dynamics: Dynamics
-    results: LaneResults
+    names: tuple[str, ...]
     duration: float
+    steps: int | None
+    system: System | None
+    integrator: Integrator
+    backend: str = "auto"
+    dynamics: Dynamics = field(init=False)
+    results: LaneResults = field(init=False)
+    validity: Tensor = field(init=False)
+    outputs: Outputs = field(init=False)
+
+    def integrate(self, problem: InitialValueProblem, tangents: int) -> None:
+        """Integrate all lanes, with so many tangents."""
+        if self.steps is None:
+            assert self.system is not None
+            check_memory = memory_check(self.system, problem.dynamics.lanes, tangents, self.integrator)
+            self.steps, self.results = integrate_by_chosen_steps(self.integrator, problem, check_memory)
+        else:
+            self.results = integrate_lanes(self.integrator, problem, self.steps)
+        self.dynamics = problem.dynamics if self.results.data is None else problem.dynamics.with_data(self.results.data)
+        self.validity = validity(self.history, self.status, self.results.statistics)
+
+    def of_sound_lanes(self, x: Tensor) -> Tensor:
+        """Derivatives [..., lanes], zero of lanes that have failed."""
+        return torch.where(self.validity[1] > 0.0, x, 0.0)
 
     @property
     def history(self) -> History:

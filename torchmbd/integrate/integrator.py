@@ -18,8 +18,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
+from typing import Any, ClassVar, NamedTuple, get_type_hints
 
+import torch
 from torch import Tensor
 
 from torchmbd.integrate.contacts import UnresolvedContact
@@ -62,42 +63,49 @@ class Retry(NamedTuple):
     substeps: int
 
 
-class Stepper(Protocol):
-    """Regular steps of the lanes of one system; keeps factors and estimates from step to step.
+class Stepper(ABC):
+    """Regular steps of the lanes of one system.
 
     failed   lanes that cannot be integrated, with the reason
     counts   mask of the lanes that have a motion; the others come out with any numbers
+    steps    number of those that were made last
+
+    Steps that keep nothing from one to the next, and are not iterated or to rounding, need no other methods than the first two.
     """
 
-    failed: dict[int, str]
-    counts: Tensor
+    steps: int
 
+    def __init__(self, dynamics: Dynamics):
+        self.dynamics = dynamics
+        self.failed: dict[int, str] = {}
+        self.counts = torch.ones(dynamics.lanes, dtype=torch.bool)
+
+    @abstractmethod
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """The last state of many steps, the first of number `first`; with tangents, the exact derivative of the steps.
 
         schedule   drives and bodies of known motion at the ends of the steps
         record     takes all states, from time `start` on
         """
-        ...
 
+    @abstractmethod
     def algorithmic(self, a: Any, vd: Tensor) -> Any:
         """The algorithmic acceleration after steps, from a before them and true ones vd [1 + steps, n_v, pair, lanes]."""
-        ...
 
     def restart(self, lanes: Tensor | None = None) -> None:
         """Discard what is kept: the state of all lanes, or of those of a mask, has jumped."""
-        ...
+        del lanes  # nothing is
 
     def take_errors(self, counted: Tensor | None = None) -> Tensor:
         """Estimated sizes [lanes, steps] of what the iterations of the last steps left; they are forgotten.
 
         counted   the steps of which lanes count [steps, lanes]; None: all
         """
-        ...
+        return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
 
     def statistics(self) -> Statistics:
         """Of all steps: errors of tangents, if there were any, and further corrections."""
-        ...
+        return Statistics()
 
 
 @dataclass(frozen=True)

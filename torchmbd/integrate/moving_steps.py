@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Stepper
-from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -25,9 +23,8 @@ class MovingSteps(Stepper):
     """Steps whose sizes depend on the design; time(i): the time [1 + n, lanes] at the end of step i."""
 
     def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
-        self.integrator, self.dynamics, self.time = integrator, dynamics, time
-        self.failed: dict[int, str] = {}
-        self.counts = torch.ones(dynamics.lanes, dtype=torch.bool)
+        super().__init__(dynamics)
+        self.integrator, self.time = integrator, time
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """See Stepper. The schedule counts steps only: laws are evaluated at times that depend on the design."""
@@ -40,14 +37,3 @@ class MovingSteps(Stepper):
 
     def algorithmic(self, a: Any, vd: Tensor) -> Any:
         return algorithmic(self.integrator.weights(1.0), a, vd)
-
-    def restart(self, lanes: Tensor | None = None) -> None:
-        """See Stepper. Nothing is kept."""
-
-    def take_errors(self, counted: Tensor | None = None) -> Tensor:
-        """See Stepper. Zero: every step is iterated to rounding."""
-        return torch.zeros(self.dynamics.lanes, self.steps, dtype=torch.float64)
-
-    def statistics(self) -> Statistics:
-        """See Stepper. There are none."""
-        return Statistics()

@@ -34,6 +34,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.contacts import ContactWatch
+from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
 from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.native import steps
@@ -44,7 +45,6 @@ from torchmbd.integrate.segment import DURATION
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
-from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.integrate.variable_step import step_of_size
 from torchmbd.math.checked_numbers import is_whole
@@ -166,7 +166,7 @@ class OneStep(Integrator):
     def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
         """See Integrator. Alternations are measured in the second half of each phase."""
         estimates = self.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
-        statistics = loop.integrate(multiphase, self, estimates)
+        statistics = loop.integrate(multiphase, estimates)
         estimates.put_into(statistics, multiphase.phase_number, self.checkpoint)
         return statistics
 

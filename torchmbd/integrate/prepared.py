@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.native.simd_layout import in_all_lanes
+from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.pullback import leaf
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -42,7 +42,7 @@ def prepare(dynamics: Dynamics) -> Prepared:
 
 def differentiable(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
     """The dynamics as a function of leaves [component..., 1, lanes] of these names, the initial state included."""
-    leaves = {name: leaf(in_all_lanes(dynamics.data[name], dynamics.lanes)) for name in names}
+    leaves = {name: leaf(expanded(dynamics.data[name], dynamics.lanes)) for name in names}
     of_leaves = replace(dynamics, data={**dynamics.data, **leaves})
     with torch.enable_grad():
         prepare(of_leaves)

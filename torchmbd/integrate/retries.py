@@ -33,7 +33,7 @@ from torchmbd.integrate.lane_status import (
     validity,
     warn_unresolved,
 )
-from torchmbd.integrate.phases.lanes import pick_lanes, put_lanes
+from torchmbd.integrate.lanes import pick_lanes, put_lanes
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_count import Trial, choose_steps
 from torchmbd.multibody.system.dynamics import Dynamics

@@ -21,10 +21,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
-from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment
+from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
 from torchmbd.integrate.integrated_motion import IntegratedMotion
-from torchmbd.integrate.lane_status import validity
-from torchmbd.integrate.memory import memory_check
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import with_backend
@@ -32,46 +30,30 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import SeveralSegments
 from torchmbd.integrate.phases.pullback import SegmentsPullback
 from torchmbd.integrate.prepared import differentiable
-from torchmbd.integrate.retries import LaneResults, integrate_again, integrate_by_chosen_steps, integrate_lanes
+from torchmbd.integrate.retries import LaneResults, integrate_again
 from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.pair import Pair, linear
-from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system import Dynamics
 from torchmbd.results.motion_data import has_failed
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, kw_only=True)
 class ReverseIntegration(IntegratedMotion):
-    """Equal steps over a duration [s], and steps of other sizes at switches.
+    """By equal steps that have a pullback, and by steps of other sizes at switches.
 
-    system           the mechanism, with the locks of its phases, or None where steps are given
+    names            of the data;  designs: of the designs
     segments         of a motion through phases; None: there is one segment, that of the model
     model            topology and options of its equations; its data are not used
-    names            of the data;  designs: of the designs
-    steps            their number; None: chosen from the data
-    integrator       with a pullback of its steps
-    backend          of the steps, as of `simulate`
     differentiated   names of data that are, as far as known before the integration: the initial state is then made once
-
-    Results: dynamics, history, status, stats, outputs.
     """
 
-    system: System | None
+    integrator: OneStep  # pyright: ignore[reportIncompatibleVariableOverride]
     segments: list[Segment] | None
     model: Dynamics
-    names: tuple[str, ...]
     designs: tuple[str, ...]
-    duration: float
-    steps: int | None
-    integrator: OneStep
-    backend: str = "auto"
     differentiated: tuple[str, ...] = ()
-    dynamics: Dynamics = field(init=False)
-    outputs: Outputs = field(init=False)
-    results: LaneResults = field(init=False)
-    validity: Tensor = field(init=False)
     variables: tuple[str, ...] = ()  # none carries tangents along
     _problem: InitialValueProblem = field(init=False, repr=False)
     _of_leaves: Dynamics | None = field(default=None, init=False, repr=False)  # the dynamics as a function of leaves
@@ -86,27 +68,16 @@ class ReverseIntegration(IntegratedMotion):
         moves = zip(self.designs, inputs[len(self.names) :], strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
         kind, also = ("step", ["adjoint"]) if self.segments is None else (None, [])
-        self.dynamics = with_backend(replace(self.model, data=data), self.backend, kind, also)
+        dynamics = with_backend(replace(self.model, data=data), self.backend, kind, also)
         if self.differentiated and self.segments is None:
-            self._of_leaves = differentiable(self.dynamics, self.differentiated)
-        lanes = self.dynamics.lanes  # of torch.vmap; what has no part in it has one
+            self._of_leaves = differentiable(dynamics, self.differentiated)
+        lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
-        self._problem = self._problem_of(self.dynamics, designs)
-        problem = self._problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration)
-        if self.steps is None:
-            assert self.system is not None
-            check_memory = memory_check(self.system, self.dynamics.lanes, 0, self.integrator)
-            args = self.integrator, problem, check_memory
-            self.steps, self.results = integrate_by_chosen_steps(*args)
-        else:
-            self.results = integrate_lanes(self.integrator, problem, self.steps)
+        self._problem = self._problem_of(dynamics, designs)
+        self.integrate(self._problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration), 0)
         if self.segments is None:
-            self.dynamics.share_rank(problem.dynamics)
+            self.dynamics = dynamics.share_rank(self.dynamics)  # without the graph of the leaves
             self.dynamics.evaluate_rank()
-        else:
-            assert self.results.data is not None
-            self.dynamics = self.dynamics.with_data(self.results.data)
-        self.validity = validity(self.history, self.status, self.results.statistics)
         self.outputs = self._outputs(self.results)
         return self.outputs.values()
 
@@ -119,8 +90,8 @@ class ReverseIntegration(IntegratedMotion):
         by_duration = along.get(DURATION)
         if by_duration is not None:
             parts.append([x * by_duration for x in self._by_duration])
-        sums = (x[0] if len(x) == 1 else sum(x) for x in zip(*parts, strict=True))
-        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in sums]
+        total = parts[0] if len(parts) == 1 else [x + y for x, y in zip(*parts, strict=True)]
+        return [self.of_sound_lanes(x) for x in total]
 
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
@@ -147,7 +118,7 @@ class ReverseIntegration(IntegratedMotion):
         """Tangents of all outputs by the duration, by operators of torch."""
         self.stats["gradient by the duration"] = "eager"
         tangents = self._integrated({DURATION: torch.ones(1, 1, dtype=torch.float64)}, {})
-        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in tangents]
+        return [self.of_sound_lanes(x) for x in tangents]
 
     @cached_property
     def adjoint(self) -> Adjoint:

@@ -161,7 +161,15 @@ def simulate(
         if gradients == "forward" or not isinstance(integrator, OneStep):
             labels = entry_labels(system, names)
             integration = ForwardIntegration(
-                system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
+                names=tuple(batch),
+                variables=tuple(names),
+                labels=labels,
+                duration=seconds,
+                steps=steps,
+                system=system,
+                phases=phases,
+                integrator=integrator,
+                backend=backend,
             )
             outputs: Any = Motion.apply(integration, *_lanes_last(batch))
             whole = integration.system  # with the locks of its phases
@@ -256,16 +264,16 @@ def _reverse(
     if isinstance(duration, Tensor):
         data[DURATION] = duration[None, None]
     integration = ReverseIntegration(
-        system,
-        segments,
-        replace(dynamics, data={}),
-        tuple(data),
-        tuple(batch) if segments else (),
-        seconds,
-        steps,
-        integrator,
-        backend,
-        tuple(name for name, x in data.items() if x.requires_grad and name != DURATION),
+        names=tuple(data),
+        designs=tuple(batch) if segments else (),
+        differentiated=tuple(name for name, x in data.items() if x.requires_grad and name != DURATION),
+        duration=seconds,
+        steps=steps,
+        system=system,
+        segments=segments,
+        model=replace(dynamics, data={}),
+        integrator=integrator,
+        backend=backend,
     )
     designs = _lanes_last(batch) if segments else []
     outputs: Any = Motion.apply(integration, *data.values(), *designs)

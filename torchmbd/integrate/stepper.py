@@ -39,7 +39,7 @@ _EVEN = 1e-9  # of a correction: rounding
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
 ITERATION_ERROR = 1e-2
 TURN = 1.0  # [rad] of a body in one step
-_ROUNDING = 1e-10  # of coordinates, with what equations and factors add to it
+ROUNDING = 1e-10  # of coordinates, with what equations and factors add to it
 
 
 def negligible(dynamics: Dynamics) -> Tensor:
@@ -60,16 +60,12 @@ def check_intervals(count: int, first: int, tangents: int) -> Iterator[slice]:
         done = end
 
 
-def first_true(mask: Tensor) -> Tensor:
-    """The first time at which a mask [times, lanes] is true, the number of times where it never is [lanes]."""
-    return torch.where(mask.any(0), mask.int().argmax(0), len(mask))
-
-
 class EagerStepper(Stepper):
     """Steps of one simulation; keeps the factors and what the iterations leave."""
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
-        self.dynamics, self.model, self.refresh = dynamics, model, refresh
+        super().__init__(dynamics)
+        self.model, self.refresh = model, refresh
         self.corrections, self.least = iterations
         passes = self.least
         if any(p.varies for p in dynamics.topology.primitives):
@@ -82,7 +78,6 @@ class EagerStepper(Stepper):
         # A node of a beam that is let go accelerates for much less than a step; other accelerations are good estimates.
         self.begins_uniformly = refresh == 0 and dynamics.topology.beams is not None
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
-        self.failed: dict[int, str] = {}  # none: a lane that fails is nan
         self.H: Any = None
         self.K = mass.new_zeros(0)  # the matrices of which H are factors
         self.scale: Tensor | None = None  # largest accelerations so far [lanes]
@@ -90,7 +85,6 @@ class EagerStepper(Stepper):
         self.further = mass.new_zeros(dynamics.lanes)  # corrections of values in one step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each check
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
-        self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes that have a motion
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         for i, prescribed in enumerate(schedule):
@@ -152,7 +146,7 @@ class EagerStepper(Stepper):
         """Accelerations of the first state are those of before; and what the rounding of coordinates makes of them."""
         if self.scale is None or bool(self.scale.isnan().any()):
             largest = value(x.vd).abs().amax((0, 1)).nan_to_num(0.0, 0.0)
-            rounding = _ROUNDING * value(x.q).abs().amax((0, 1)).nan_to_num(0.0, 0.0) * self.model.plain.inverse_scale
+            rounding = ROUNDING * value(x.q).abs().amax((0, 1)).nan_to_num(0.0, 0.0) * self.model.plain.inverse_scale
             start = largest.maximum(rounding).expand(self.dynamics.lanes).contiguous()
             self.scale = start if self.scale is None else torch.where(self.scale.isnan(), start, self.scale)
 
@@ -222,38 +216,3 @@ def resume(stepper: Stepper, x: State, schedule: Schedule, number: int) -> tuple
     record.put(0, x)
     stepper.restart()
     return stepper.run(x, schedule, record, number), record.history()
-
-
-class IterationErrors:
-    """Estimated errors of the iterations of steps of size h [s], and the first time of which they did not converge [lanes].
-
-    The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the motion, or to
-    the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what the rounding of
-    coordinates at the start makes of them: a system at rest has nothing else.
-    """
-
-    def __init__(self, lanes: int, duration: float, h: float):
-        self.duration, self.h = duration, h
-        self.scale: Tensor | None = None  # so far
-        self.largest = torch.zeros(lanes, dtype=torch.float64)
-        self.first_bad = torch.full((lanes,), torch.iinfo(torch.long).max)
-
-    def update(self, first: int, history: History, errors: Tensor) -> None:
-        """Go on with states from the time of number `first` on, and errors of the steps between them [lanes, steps]."""
-        if self.scale is None:
-            self.scale = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (self.h * self.h)
-        largest = (x[:, :, 0].abs().amax(1) for x in (history.vd, history.v))
-        reached, speed = (x.cummax(0).values for x in largest)
-        # Up to every time: what comes after a failure is no measure of it.
-        scale = self.scale.maximum(reached.maximum(speed / self.duration))
-        bad = ~(ITERATION_ERROR * scale[1:] >= errors.T)
-        times = first + 1 + first_true(bad)
-        self.first_bad = torch.where(bad.any(0), self.first_bad.minimum(times), self.first_bad)
-        self.scale, self.largest = scale[-1], self.largest.maximum(errors.amax(-1))
-
-    def put_into(self, statistics: Statistics, times: int) -> None:
-        """Relative errors, and how many of so many times are before the first bad one."""
-        scale = torch.ones_like(self.largest) if self.scale is None else self.scale
-        tiny = torch.finfo(scale.dtype).tiny
-        statistics.iteration_error = self.largest / scale.clamp_min(tiny)
-        statistics.valid_times = self.first_bad.clamp_max(times)

@@ -94,7 +94,7 @@ class Torchdiffeq(Integrator):
     def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
         """See Integrator. The statistics are those of `integrate`."""
         before = multiphase.whole.statistics["evaluations"]
-        loop.integrate(multiphase, self)
+        loop.integrate(multiphase)
         return Statistics(evaluations=multiphase.whole.statistics["evaluations"] - before)
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:

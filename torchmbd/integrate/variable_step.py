@@ -184,6 +184,4 @@ def widened_data(dynamics: Dynamics) -> Dynamics:
 
 def narrowed(x: Any, slope: Tensor) -> Any:
     """The number as a function of the design alone, with the last direction's variable a function of slope [n, lanes] of it."""
-    if not len(slope):
-        return x.value
     return Pair.of(x.value, x.tangent[..., :-1, :] + x.tangent[..., -1:, :] * slope)

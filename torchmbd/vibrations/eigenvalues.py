@@ -2,10 +2,8 @@
 
     ds = -l^H dP r          dP by the state, the data and the multipliers that balance them; l, r constant (spectrum.py)
 
-P r is one derivative of the residual: along x = r, x' = s r, x'' = s^2 r and the multipliers of r. So l^H P r is written in the
-functions of the equations, once, and its gradient is that of the eigenvalue.
-Each of them is a lane of its own: one pass backwards gives the gradients of all, which are multiplied by the cotangents or, in
-forward mode, by the directions.
+The gradient of l^H P r (inner_products.py) is that of the eigenvalue. Each eigenvalue is a lane of its own: one pass backwards
+gives the gradients of all, which are multiplied by the cotangents or, in forward mode, by the directions.
 Eigenvalues that coincide have the mean of their derivatives. It is the derivative of every function that is symmetric in them;
 others are refused, in reverse mode by unequal cotangents, in forward mode where the derivatives along the direction differ.
 Checked in tests/vibrations/test_eigenvalues.py.
@@ -13,7 +11,7 @@ Checked in tests/vibrations/test_eigenvalues.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -24,15 +22,16 @@ from torch import Tensor
 from torchmbd.errors import DesignFailure, InputError
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
-from torchmbd.math.pair import Pair
-from torchmbd.multibody.system import Dynamics, equations
+from torchmbd.multibody.system import Dynamics
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
+from torchmbd.vibrations.inner_products import Vectors, inner_products
 from torchmbd.vibrations.spectrum import Spectrum
 
 NATURAL, POLES = "natural", "poles"
+#: Chooses numbers by the spectra and the states of all lanes, such as those of vibrations that are followed by their shapes.
+Choice = Callable[[Sequence[Spectrum], Sequence[Linearization]], Sequence[int]]
 _NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
 _LANES = 64  # states, or terms, whose equations are evaluated at once: fewer take longer, more leave the cache
 _UNEQUAL = 1e-6  # of derivatives of eigenvalues that coincide: more than rounding
@@ -45,24 +44,24 @@ def eigenvalues(
     t: Tensor,
     rotation: SteadyRotation | None,
     kind: str,
-    modes: Sequence[int] | None = None,
+    modes: Sequence[int] | Choice | None = None,
     symmetric: bool = False,
 ) -> Tensor:
     """Eigenvalues [k, lanes] of small vibrations about q [n_q, 1, lanes], at rest or in steady rotation; differentiable by q
     and the data of the dynamics.
 
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
-    modes       their numbers from 0, in the order of spectrum.py; None: all
+    modes       their numbers from 0, in the order of spectrum.py; None: all; or a function that chooses them
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
     model, names = replace(dynamics, data={}), tuple(dynamics.data)
-    problem = _AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
+    problem = AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
 
 
-class _Term(NamedTuple):
+class Term(NamedTuple):
     """A product l^H dP r: numbers of the two vectors in the spectrum of a lane."""
 
     left: int
@@ -92,8 +91,9 @@ class _Eigenproblem:
     """`Integration`; inputs [..., lanes], outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
 
     kind: str
-    modes: Sequence[int] | None
+    modes: Sequence[int] | Choice | None
     symmetric: bool
+    numbers: Sequence[int] = field(default=(), init=False)
     inputs: list[Tensor] = field(default_factory=list, init=False)
     spectra: list[Spectrum] = field(default_factory=list, init=False)
 
@@ -107,21 +107,25 @@ class _Eigenproblem:
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
             )
         (size,) = sizes
-        if wrong := [k for k in self.modes or () if not 0 <= k < size]:
+        self.numbers = range(size) if self.modes is None else self._chosen()
+        if wrong := [k for k in self.numbers if not 0 <= k < size]:
             raise InputError(f"number is {wrong[0] + 1}; allowed: 1 to {size}, the vibrations of the system")
-        self.modes = range(size) if self.modes is None else self.modes
-        parts = torch.stack([x.values[list(self.modes)] for x in self.spectra], -1)[:, None]
+        parts = torch.stack([x.values[list(self.numbers)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
 
     def _spectra(self) -> list[Spectrum]:
         """Of all lanes."""
         raise NotImplementedError(type(self).__name__)
 
+    def _chosen(self) -> Sequence[int]:
+        """The numbers that `modes` has or chooses."""
+        raise NotImplementedError(type(self).__name__)
+
     def _size(self, lane: int) -> int:
         """How many eigenvalues there are."""
         return len(self.spectra[lane].values)
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [1, terms]: its real and, of poles, its imaginary part."""
         raise NotImplementedError(type(self).__name__)
 
@@ -129,7 +133,7 @@ class _Eigenproblem:
         count, lanes = max(x.shape[-2] for x in directions if x is not None), len(self.spectra)
         modes, pairs = self._columns()
         blocks = torch.zeros(self._parts, len(pairs), count, lanes, dtype=torch.float64)
-        terms = [_Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
+        terms = [Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
         for slope in self._gradients(terms):
             x = directions[slope.input]
             if x is not None:
@@ -140,9 +144,9 @@ class _Eigenproblem:
             for lane, spectrum in enumerate(self.spectra):
                 self._refuse_split(spectrum, pairs, blocks[..., lane])
         single = [k for k, (i, j) in enumerate(pairs) if i == j]
-        tangents = self._shared(blocks[:, single], modes)[:, : len(self.modes or ())]
+        tangents = self._shared(blocks[:, single], modes)[:, : len(self.numbers)]
         for lane, spectrum in enumerate(self.spectra):
-            faulty = [bool(spectrum.fault[k]) for k in self.modes or ()]
+            faulty = [bool(spectrum.fault[k]) for k in self.numbers]
             tangents[:, faulty, :, lane] = torch.nan
         return list(tangents)
 
@@ -152,7 +156,7 @@ class _Eigenproblem:
         bars = torch.zeros(len(outputs), len(modes), rows, lanes, dtype=torch.float64)
         for bar, x in zip(bars, outputs, strict=True):
             if x is not None:
-                bar[: len(self.modes or ())] = x
+                bar[: len(self.numbers)] = x
         for lane, spectrum in enumerate(self.spectra):
             for i, mode in enumerate(modes):
                 if spectrum.fault[mode] and bool(bars[:, i, :, lane].any()):
@@ -163,7 +167,7 @@ class _Eigenproblem:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
         needed = bars.abs().amax((0, 2)).T.nonzero().flip(1).tolist()  # of many eigenvalues and lanes few may count
-        terms = [_Term(modes[i], modes[i], lane) for i, lane in needed]
+        terms = [Term(modes[i], modes[i], lane) for i, lane in needed]
         result = [
             x.new_zeros(*x.shape[:-2], rows, lanes) if y else None for x, y in zip(self.inputs, needs_grad, strict=True)
         ]
@@ -176,7 +180,7 @@ class _Eigenproblem:
 
     def _columns(self) -> tuple[list[int], list[tuple[int, int]]]:
         """Numbers of the eigenvalues asked for, then of those that coincide with them; and pairs of positions that coincide."""
-        modes = list(self.modes or ())
+        modes = list(self.numbers)
         for spectrum in self.spectra:
             numbers = spectrum.cluster[modes]
             modes += [k for k in torch.isin(spectrum.cluster, numbers).nonzero()[:, 0].tolist() if k not in modes]
@@ -216,7 +220,7 @@ class _Eigenproblem:
     def _parts(self) -> int:
         return 1 + (self.kind == POLES)
 
-    def _gradients(self, terms: Sequence[_Term]) -> Iterator[_Slope]:
+    def _gradients(self, terms: Sequence[Term]) -> Iterator[_Slope]:
         """Gradients of the terms, sorted by lanes, by the inputs."""
         for start in range(0, len(terms), _LANES):
             some = terms[start : start + _LANES]
@@ -228,14 +232,14 @@ class _Eigenproblem:
                         places = [i for i, _ in of_lane]
                         yield _Slope(part, k, lane, [start + i for i in places], g[..., 0, places])
 
-    def _vectors(self, terms: Sequence[_Term], side: str, *names: str) -> list[Tensor]:
+    def _vectors(self, terms: Sequence[Term], side: str, *names: str) -> list[Tensor]:
         """Columns [n, 1, terms] of the named tensors of the spectra."""
         of = [(self.spectra[term.lane], getattr(term, side)) for term in terms]
         return [torch.stack([getattr(x, name)[..., k] for x, k in of], -1).reshape(-1, 1, len(of)) for name in names]
 
 
 @dataclass(eq=False, kw_only=True)
-class _AboutState(_Eigenproblem):
+class AboutState(_Eigenproblem):
     """Of the equations of motion about a state at rest or in steady rotation; inputs are q and the data."""
 
     model: Dynamics
@@ -248,8 +252,12 @@ class _AboutState(_Eigenproblem):
         for some in torch.arange(self.inputs[0].shape[-1]).split(_LANES):
             q, data = self._split([x[..., some] for x in self.inputs])
             self.balance += Linearization.each(replace(self.model, data=data), q, self.t, None, self._observer(data))
-        few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+        few = 1 + max(self.modes) + _NEIGHBORS if isinstance(self.modes, Sequence) else None
         return [Spectrum.natural(x, few) if self.kind == NATURAL else Spectrum.poles(x) for x in self.balance]
+
+    def _chosen(self) -> Sequence[int]:
+        assert self.modes is not None
+        return self.modes if isinstance(self.modes, Sequence) else self.modes(self.spectra, self.balance)
 
     def _size(self, lane: int) -> int:
         return self.balance[lane].N.shape[1] * (1 + (self.kind == POLES))
@@ -260,39 +268,18 @@ class _AboutState(_Eigenproblem):
     def _observer(self, data: dict[str, Tensor]) -> Observer:
         return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [terms]: its real and, of poles, its imaginary part."""
         lanes = [term.lane for term in terms]
-        T, leaves = self.model.topology, [leaf(x[..., lanes]) for x in self.inputs]
+        leaves = [leaf(x[..., lanes]) for x in self.inputs]
         q, data = self._split(leaves)
-        observer = self._observer(data)
         s, right, force = self._vectors(terms, "right", "roots", "right", "force")
         left, slip = self._vectors(terms, "left", "left", "slip")
+        vectors = Vectors(left, slip, right, force)
+        balance = [self.balance[lane] for lane in lanes]
         with torch.enable_grad():
-            excitation = T.prescribed(self.t, data)
-            zero = q.new_zeros(T.n_v, 1, q.shape[-1])
-            at, *rates = observer.perturbed(T, q, zero, zero, zero)
-            lam = self._multipliers(data, equations.placement(T, data, at, excitation), rates, observer, q, lanes)
-            x, xd, xdd = (Pair.of(zero, _real_and_imaginary(y)) for y in (right, s * right, s * s * right))
-            near, v, a = observer.perturbed(T, q, x, xd, xdd)
-            moved = equations.placement(T, data, near, excitation)
-            z = equations.dynamic_residual(T, data, moved, v, a, Pair.of(lam, _real_and_imaginary(force)))
-            products = _inner(left, observer.rows(T, q, z).tangent)
-            if T.rows:
-                more = _inner(slip, equations.constraints(T, moved).tangent)
-                products = [x + y for x, y in zip(products, more, strict=True)]
+            products = inner_products(self.model.topology, data, q, self.t, self._observer(data), balance, s, vectors)
             return leaves, [-x for x in products[: self._parts]]
-
-    def _multipliers(
-        self, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor, lanes: Sequence[int]
-    ) -> Tensor:
-        """Multipliers [rows, 1, lanes] that balance the state: the known ones, by a Newton step that carries derivatives."""
-        T, active = self.model.topology, self.balance[0].active
-        lam = torch.stack([self.balance[lane].lam for lane in lanes], -1)[:, None]
-        forces = observer.rows(T, q, equations.dynamic_residual(T, data, at, rates[0], rates[1], lam))[active, 0]
-        of_lane = {i: torch.linalg.pinv(self.balance[i].Phi_q[:, active].T, rtol=RELATIVE) for i in sorted(set(lanes))}
-        back = torch.stack([of_lane[lane] for lane in lanes], -1)
-        return lam - torch.einsum("rvl,vl->rl", back, forces)[:, None]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -303,7 +290,7 @@ class _OfMatrices(_Eigenproblem):
         lanes = range(self.inputs[0].shape[-1])
         return [Spectrum.poles(Linearization.of_matrices(*(x[:, :, 0, i] for x in self.inputs))) for i in lanes]
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
         s, right = self._vectors(terms, "right", "roots", "right")
         [left] = self._vectors(terms, "left", "left")
@@ -321,14 +308,3 @@ def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
         f"eigenvalues {numbers} coincide at {value:.6g}: a single one has no derivative; allowed: functions symmetric in them, "
         "such as SystemFrequency(cluster=...)"
     )
-
-
-def _real_and_imaginary(x: Tensor) -> Tensor:
-    """Both parts [n, 2, terms] of x [n, 1, terms]."""
-    return torch.cat([x.real, x.imag], 1)
-
-
-def _inner(left: Tensor, z: Tensor) -> list[Tensor]:
-    """Real and imaginary part [1, terms] of l^H z for z [n, 2, terms] as of `_real_and_imaginary`."""
-    real, imag = z.chunk(2, 1)
-    return [(left.real * real + left.imag * imag).sum(0), (left.real * imag - left.imag * real).sum(0)]

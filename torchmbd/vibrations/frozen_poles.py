@@ -17,6 +17,7 @@ from torchmbd.multibody.system.linearized import factored_inertia
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.vibrations.eigenvalues import poles_of_matrices
 from torchmbd.vibrations.moving_state import MovingLinearization, time_index
+from torchmbd.vibrations.statics import Equilibrium
 
 
 @checked_signature
@@ -28,7 +29,7 @@ def frozen_poles(
 
     motion        of `simulate`, without phases
     time          one of its times [s]; None: the last one
-    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: rotations and modes as
+    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: modes and rotations as
                   far as they are independent, then displacements, those of the first lane for all
 
     In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.
@@ -41,13 +42,13 @@ def frozen_poles(
     >>> round((s.imag**2 / torch.cos(angle)).item(), 3)  # g / L
     4.905
     """
-    if not isinstance(motion, Trajectory):
-        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate makes it")
-    k, states = time_index(motion, time), []
+    if not isinstance(motion, Trajectory) or isinstance(motion, Equilibrium):
+        raise InputError(f"motion is {motion!r}; allowed: one of mbd.simulate; an equilibrium has `poles`")
+    k, states = time_index(motion, time, "motion"), []
     for lane in range(motion.require_ok().lanes):
         dynamics = motion.dynamics.select_lanes([lane])
         q, v = (x[lane, k][:, None, None] for x in (motion.q, motion.v))
-        states.append(MovingLinearization.of(dynamics, q, v, motion.t[k].detach(), coordinates))
+        states.append(MovingLinearization.of(dynamics, q, v, motion.t[k], coordinates))
         factored_inertia(states[-1].M.detach())
         coordinates = [dynamics.topology.rate_name(row) for row in states[0].rows]
     M, C, K = (torch.stack([getattr(x, name) for x in states], -1) for name in "MCK")

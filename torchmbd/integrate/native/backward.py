@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
+from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.native.feedback import FeedbackAdjoint
 from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import (
     LANES,
     addresses,
     blocks,
-    in_all_lanes,
     lanes_out,
     prescribed_blocks,
     varied_blocks,
@@ -61,8 +61,8 @@ class NativeAdjointSolver(AdjointSolver):
         code, self.library = library.code, library
         code.adjoint_scratch.restype = code.adjoint.restype = ctypes.c_long
         code.adjoint_scratch.argtypes = [ctypes.c_void_p, ctypes.c_long, ctypes.c_long]
-        self.values, _ = library.data_blocks(grid.dynamics.values())
-        self.negligible = blocks(in_all_lanes(self.stepper.negligible[None, None], len(grid.lanes)))
+        self.values = library.value_blocks(grid.dynamics)
+        self.negligible = blocks(expanded(self.stepper.negligible[None, None], len(grid.lanes)))
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
 
     @cached_property
@@ -88,13 +88,13 @@ class NativeAdjointSolver(AdjointSolver):
         count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
         new = self.values.new_zeros
         slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
-        state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, LANES)
+        state_slopes, error = blocks(torch.cat([expanded(x, lanes) for x in y])), new(count, LANES)
         scratch = torch.empty(
             self.code.adjoint_scratch(self.library.address, rows, len(steps)) // 8, dtype=torch.float64
         )
         arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
         arrays += [x if x is None else _spaced(x, steps, self.grid) for x in of_motion]
-        arrays += [blocks(in_all_lanes(a, lanes)), self.values, moved]
+        arrays += [blocks(expanded(a, lanes)), self.values, moved]
         arrays += [
             *(self.stepper.diagonal or (None, None)),
             self.negligible,

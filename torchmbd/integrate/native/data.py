@@ -20,22 +20,30 @@ def kind_of(dynamics: Dynamics) -> Kind:
     return Kind.of(dynamics.topology, dynamics.data, dynamics.saddle.blocks)
 
 
-def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-    """Values [n, 1, lanes] and tangents [n, n_b, lanes] of all data.
+def flat_values(dynamics: Dynamics) -> Tensor:
+    """Values [n, 1, lanes] of all data.
 
     Behind them zeros for what laws with design variables prescribe (simd_layout.varied_numbers): it changes from step to step.
     """
+    return torch.cat([value(x).expand(-1, 1, dynamics.lanes) for x in _flat_parts(dynamics)])
+
+
+def flat_tangents(dynamics: Dynamics) -> Tensor:
+    """Their tangents [n, n_b, lanes]."""
     lanes, n_b = dynamics.lanes, dynamics.tangents
-    parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]
-    T = dynamics.topology
-    varied = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varying_primitives)
-    parts.append(value(parts[0]).new_zeros(varied, 1, 1))
 
     def tangents(x: Any) -> Tensor:
         tangent = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), n_b, 1)
         return tangent.expand(-1, -1, lanes)
 
-    return torch.cat([value(x).expand(-1, 1, lanes) for x in parts]), torch.cat([tangents(x) for x in parts])
+    return torch.cat([tangents(x) for x in _flat_parts(dynamics)])
+
+
+def _flat_parts(dynamics: Dynamics) -> list[Any]:
+    parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]
+    T = dynamics.topology
+    varied = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varying_primitives)
+    return [*parts, value(parts[0]).new_zeros(varied, 1, 1)]
 
 
 def _in_memory(dynamics: Dynamics) -> dict[str, Any]:

@@ -131,8 +131,14 @@ class Library:
 
     def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
         """Data in the layout of the code: values [block, 1, n, LANES] and tangents [block, n_b, n, LANES]."""
-        values, tangents = data.flat_data(with_traced_laws(dynamics))
-        return simd_layout.blocks(values), simd_layout.blocks(tangents)
+        return self.value_blocks(dynamics), simd_layout.blocks(data.flat_tangents(with_traced_laws(dynamics)))
+
+    @staticmethod
+    def value_blocks(dynamics: Dynamics) -> Tensor:
+        """The values alone, which are kept with the dynamics: steps at switches and the adjoint take them again."""
+        if dynamics not in _value_blocks:
+            _value_blocks[dynamics] = simd_layout.blocks(data.flat_values(with_traced_laws(dynamics))).detach()
+        return _value_blocks[dynamics]
 
     def unflattened(self, dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
         """Cotangents of the data [component..., rows, lanes] out of those of the numbers of the code."""
@@ -145,20 +151,22 @@ def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
         return None
     known = with_traced_laws(dynamics)
     name = key(known, kind)
-    _load(known, [kind])
+    if name not in _loaded:
+        _load(known, [kind])
     if name in _failed and name not in _warned:
         _warned.add(name)
         warn(f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}")
     code = _loaded.get(name)
-    return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, code))
+    return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, name, code))
 
 
 _mechanisms: WeakKeyDictionary[Topology, dict[str, Any]] = WeakKeyDictionary()
+_value_blocks: WeakKeyDictionary[Dynamics, Tensor] = WeakKeyDictionary()
 
 
-def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> Any:
+def _mechanism(T: Topology, known: Dynamics, kind: str, name: str, code: ctypes.CDLL) -> Any:
     """Counts and tables of a system, made once for its topology."""
-    mechanisms, name = _mechanisms.setdefault(T, {}), key(known, kind)
+    mechanisms = _mechanisms.setdefault(T, {})
     if name not in mechanisms:
         mechanisms[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
     return mechanisms[name]

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.lanes import expanded
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.topology import Schedule, Topology
 
@@ -37,11 +38,6 @@ def addresses(arrays: Sequence[Tensor | None]) -> list[int | None]:
     return [None if x is None else x.data_ptr() for x in arrays]
 
 
-def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
-    """A number [..., 1] or [..., lanes] with all lanes."""
-    return x.expand(*x.shape[:-1], lanes)
-
-
 def varied_blocks(T: Topology, schedule: Schedule, lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, block, 1 + n_b, n, LANES]."""
     if not T.varying_primitives:
@@ -55,7 +51,7 @@ def varied_numbers(T: Topology, schedule: Schedule, lanes: int, n_b: int) -> Ten
         return schedule.A.new_zeros(len(schedule), 0, 1 + n_b, lanes)
     parts = [x.full if isinstance(x, Pair) else x for i in T.varying_primitives for x in schedule.laws[i] or ()]
     wide = [torch.nn.functional.pad(x, (0, 0, 0, 1 + n_b - x.shape[-2])) for x in parts]
-    return torch.cat([in_all_lanes(x, lanes) for x in wide], 1)
+    return torch.cat([expanded(x, lanes) for x in wide], 1)
 
 
 def in_blocks(x: Tensor) -> Tensor:

@@ -14,11 +14,11 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import (
     addresses,
     blocks,
-    in_all_lanes,
     lanes_out,
     prescribed_blocks,
     varied_blocks,
@@ -85,7 +85,7 @@ class NativeStepper(EagerStepper):
         if self.code is None:
             return super().run(x, schedule, record, first, start)
         self._begin(x)
-        state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
+        state = blocks(torch.cat([expanded(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
         table = prescribed_blocks(self.dynamics.topology, self.weights, schedule)
         for part in check_intervals(len(schedule), first, self.n_b):

@@ -12,8 +12,9 @@ import ctypes
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.native.library import library
-from torchmbd.integrate.native.simd_layout import LANES, addresses, blocks, in_all_lanes, lanes_out
+from torchmbd.integrate.native.simd_layout import LANES, addresses, blocks, lanes_out
 from torchmbd.integrate.native.steps import Job
 from torchmbd.integrate.step import Step
 from torchmbd.math.pair import value
@@ -28,8 +29,8 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     if code is None or code.called.actions:
         return None
     T, lanes, new = dynamics.topology, step.x.q.shape[-1], torch.zeros
-    state = blocks(torch.cat([in_all_lanes(x, lanes) for x in step.x.values()]).detach())
-    values = code.data_blocks(dynamics.values())[0].detach()
+    state = blocks(torch.cat([expanded(x, lanes) for x in step.x.values()]).detach())
+    values = code.value_blocks(dynamics)
     values = values if len(values) == len(state) else values.expand(len(state), -1, -1, -1).contiguous()  # of one lane
     prescribed, moved = (blocks(x) for x in _prescribed(step, lanes))
     numbers = {"lanes": lanes, "data": values.shape[2], "prescribed": prescribed.shape[2], "first": 1, "steps": 1}
@@ -71,7 +72,7 @@ def _prescribed(step: Step, lanes: int) -> tuple[Tensor, Tensor]:
         varied, shared = (varied + of_law, shared) if i in T.varying_primitives else (varied, shared + of_law)
     poses = [at.A.reshape(-1, at.A.shape[-1]), at.r.reshape(-1, at.r.shape[-1]), at.t.reshape(1, -1)]
     numbers, moved = (
-        torch.cat([in_all_lanes(x, lanes) for x in parts])[:, None].detach()
+        torch.cat([expanded(x, lanes) for x in parts])[:, None].detach()
         for parts in ([*weights, *poses, *shared], varied)
     )
     return numbers, moved

@@ -28,10 +28,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import AdjointSolver, Grid, MotionCotangents, warn_inaccurate
+from torchmbd.integrate.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
-from torchmbd.integrate.phases.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.switch import data_with_marks
@@ -108,7 +108,7 @@ class PhaseAdjoint:
         self.integrator: OneStep = self.multiphase.integrator
         self.weights: Weights = self.integrator.weights(self.h)
         self.error = torch.zeros(self.multiphase.whole.lanes, dtype=torch.float64)
-        locks = any(phase_model.locks for phase_model in self.multiphase.phase_models)
+        locks = any(segment.locks for segment in self.multiphase.segments)
         marks = [name for name in MARKED if locks and name in self.multiphase.data_without_marks]
         self._leaf_names = [*self.wanted, *(name for name in marks if name not in self.wanted)]
 
@@ -137,7 +137,7 @@ class PhaseAdjoint:
         if not indices:
             return
         lanes = [so_far.lanes[i] for i in indices]
-        phase_model = self.multiphase.phase_models[record.number]
+        segment = self.multiphase.segments[record.number]
         k, there = record.base_point[lanes], record.exit.lanes(lanes)
         with torch.enable_grad():
             leaves = LaneLeaves(self.multiphase.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
@@ -145,8 +145,8 @@ class PhaseAdjoint:
             t, base = leaf(entry[:, indices]), pick_states(base, indices).map(leaf)
             begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
             size = leaf(there.t - begin)
-            event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
-            end = begin + size if event is not None else self.multiphase.end_times(phase_model, t, leaves.dynamics.data)
+            event = segment.phase.until if isinstance(segment.phase.until, Event) else None
+            end = begin + size if event is not None else self.multiphase.end_times(segment, t, leaves.dynamics.data)
             of_size = size if event is not None else end - begin
             y = record.whole(self.integrator.step_of_size(dynamics, base, of_size, end, record.retained(there.x)), end)
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
@@ -194,7 +194,7 @@ class PhaseAdjoint:
         """As `_steps`, for lanes with the same points of the grid, and the same number `base` of steps to their base."""
         multiphase, lanes = self.multiphase, [so_far.lanes[i] for i in group]
         every, c = multiphase.every, record.condensation
-        phase_rows = multiphase.phase_models[record.number].rows
+        phase_rows = multiphase.segments[record.number].rows
         rows_of_steps = phase_rows if c is None else [phase_rows[k] for k in c.rows.tolist()]
         at = slice(-(-points.start // every), points[-1] // every + 1)
         h = multiphase.history
@@ -264,7 +264,7 @@ class PhaseAdjoint:
         multiphase, number, lanes = self.multiphase, record.number, so_far.lanes
         data = multiphase.records[number - 1].dynamics.data if number else multiphase.data_without_marks
         whole = replace(multiphase.whole, data=data).select_lanes(lanes)
-        phase_model, every = multiphase.phase_models[number], range(len(lanes))
+        segment, every = multiphase.segments[number], range(len(lanes))
         with torch.enable_grad():
             leaves = LaneLeaves(multiphase.views, lanes, whole, self._leaf_names)
             before = record.entry.lanes(lanes)
@@ -273,7 +273,7 @@ class PhaseAdjoint:
             else:
                 q, v = (expanded(y, len(lanes)) for y in multiphase.initial_coordinates(leaves.dynamics))
                 t, x = before.t, before.x._replace(q=q, v=v)
-            data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, phase_model.locks)
+            data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, segment.locks)
             dynamics = lanes_of(record.dynamics, lanes).with_data(data)
             after = multiphase.after(number, leaves.views, every, dynamics, t, x)
             outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, cotangents.motion)
@@ -284,7 +284,7 @@ class PhaseAdjoint:
                 for side, y, by_lam in ((number - 1, x, by_sides[3]), (number, after, by_sides[7])):
                     lam = y.lam if by_lam is None else multiphase.all_multipliers(side, data, t, y)
                     outputs += [y.q, y.v, y.vd, lam]
-        for name in MARKED if phase_model.locks else ():
+        for name in MARKED if segment.locks else ():
             if name in data:
                 outputs.append(data[name])
                 of_outputs.append(so_far.by.pop(("data", name), None))
@@ -304,7 +304,7 @@ class PhaseAdjoint:
         motion: MotionCotangents,
     ) -> tuple[list[Tensor], list[Tensor | None]]:
         """What follows from a switch, with its cotangents: time, state after it, arrivals, points of the grid between."""
-        multiphase, lanes, phase_model = self.multiphase, so_far.lanes, self.multiphase.phase_models[record.number]
+        multiphase, lanes, segment = self.multiphase, so_far.lanes, self.multiphase.segments[record.number]
         outputs: list[Tensor] = [t, *after]
         of_outputs: list[Tensor | None] = [*so_far.start]
         first, on_grid = record.first[lanes], record.on_grid[lanes]
@@ -327,7 +327,7 @@ class PhaseAdjoint:
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)
-                    x = rows_first((cotangent[:, phase_model.rows] if i == 3 else cotangent)[k], lanes)
+                    x = rows_first((cotangent[:, segment.rows] if i == 3 else cotangent)[k], lanes)
                     of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs
 

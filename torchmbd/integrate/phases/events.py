@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.integrate.phases.lanes import expanded, join_lanes, lanes_of, pick_lanes
+from torchmbd.integrate.lanes import expanded, join_lanes, lanes_of, pick_lanes
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.lanes import expanded
 from torchmbd.integrate.pullback import leaf
 from torchmbd.math.pull_back import pull_back
 from torchmbd.multibody.system.dynamics import Dynamics

@@ -23,20 +23,26 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.integrator import Integrator, Stepper
+from torchmbd.integrate.estimates import StepEstimates
+from torchmbd.integrate.integrator import Stepper
+from torchmbd.integrate.lanes import (
+    lane_numbers,
+    lanes_of,
+    pick_lanes,
+    pick_states,
+    put_lanes,
+    put_states,
+)
 from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
-from torchmbd.integrate.phases.short_events import FAR, ShortEvents, short_events
+from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch, near_zero
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.step_estimates import StepEstimates
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import SEGMENT, History
@@ -46,14 +52,14 @@ _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the p
 _SAME = 1e-9  # of a regular step: times that are equal
 
 
-def integrate(multiphase: MultiphaseRun, integrator: Integrator, estimates: StepEstimates | None = None) -> Statistics:
+def integrate(multiphase: MultiphaseRun, estimates: StepEstimates | None = None) -> Statistics:
     """Integrate all lanes through all phases; statistics as of Stepper, the largest of all phases.
 
     estimates   take the states and the errors of regular steps
     """
     phase_exit, largest = multiphase.start(), Statistics()
-    for number in range(len(multiphase.phase_models)):
-        phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, integrator, estimates).run()
+    for number in range(len(multiphase.segments)):
+        phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, estimates).run()
         largest = largest.maximum(of_phase)
     return largest
 
@@ -61,31 +67,26 @@ def integrate(multiphase: MultiphaseRun, integrator: Integrator, estimates: Step
 class _PhaseLoop:
     """All lanes in one phase, from `entry` to where they leave it."""
 
-    def __init__(
-        self,
-        multiphase: MultiphaseRun,
-        number: int,
-        entry: PhaseExit,
-        integrator: Integrator,
-        estimates: StepEstimates | None,
-    ):
-        self.multiphase, self.number, self.integrator, self.estimates = multiphase, number, integrator, estimates
-        self.phase_model = multiphase.phase_models[number]
+    def __init__(self, multiphase: MultiphaseRun, number: int, entry: PhaseExit, estimates: StepEstimates | None):
+        self.multiphase, self.number, self.estimates = multiphase, number, estimates
+        self.integrator, self.segment = multiphase.integrator, multiphase.segments[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
-        self.short = max(integrator.shortest_step, _SAME)
-        self.dynamics, x = multiphase.enter(number, entry)
-        self.ends = multiphase.end_times(self.phase_model, entry.t, self.dynamics.data)
+        self.short = max(self.integrator.shortest_step, _SAME)
+        self.dynamics, self.condensed, x = multiphase.enter(number, entry)
+        self.ends = multiphase.end_times(self.segment, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
-        self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
+        self.event = self.segment.phase.until if isinstance(self.segment.phase.until, Event) else None
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
-        self.condensed = self.dynamics.condensed() if integrator.condenses else self.dynamics
         self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
-        self.g = self._start_values()
+        self.search = None
+        if self.event is not None:
+            self.search = ShortEventSearch(self.event, self.record, self.integrator, multiphase.views, self.times)
+        self.g = self.g_first = self._start_values()  # the event's function; at the first points of the grid
+        self.first_events: ShortEvents | None = None  # in the steps to these
         self.base_time = entry.t  # of lanes that leave, where their last step begins
-        # Sizes of their last step that enclose it, and the event's function at the lower one.
-        self.low, self.most, self.g_low = (torch.zeros(self.lanes, dtype=torch.float64) for _ in range(3))
+        self.bracket = Bracket(*torch.zeros(4, self.lanes, dtype=torch.float64))  # of the sizes of their last steps
         self.change = torch.full_like(self.g, torch.inf)  # of the event's function in the step before
         multiphase.records.append(self.record)
 
@@ -120,35 +121,36 @@ class _PhaseLoop:
             i = j
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
-        self.multiphase.never_left(self.phase_model, self.alive)
+        self.multiphase.never_left(self.segment, self.alive)
         if bool(record.has_exit.any()):
             self._leave(lane_numbers(record.has_exit))
         return record.exit, stepper.statistics()
 
     def _boundary(self, i: int, last: int) -> int:
-        """The point at which the steps from the point i are interrupted: where lanes arrive, for events, at checkpoints."""
-        later, every = [k for k in self.first.tolist() if i < k], self.multiphase.every
+        """The point at which the steps from the point i are interrupted: where lanes arrive or the last one leaves, for events,
+        at checkpoints."""
+        stops, every = [last, *(k for k in self.first.tolist() if i < k)], self.multiphase.every
+        if self.ends is not None:
+            stops.append(max(i + 1, int((~self._past_end(torch.arange(len(self.times))))[:, self.alive].any(1).sum())))
         most = SEGMENT if self.event is None else _BETWEEN_EVENTS
         if every == 1:
-            return min([last, i + most, *later])
+            return min([i + most, *stops])
         most = every * max(most // every, 1)
-        return min([last, i + most - i % most, *later])
+        return min([i + most - i % most, *stops])
 
     def _arrived(self, i: int, lanes: list[int], x: State) -> Tensor:
         """Record lanes at their first point i of the grid, where all have the condensed states x; which stay in the phase."""
         new = torch.zeros_like(self.alive)
         new[lanes] = True
-        history = History.of([x])
-        g = self.g if self.event is None else self._event_values(i, history)[:, 0]
-        passed = self._passed(i, new, g)
-        short = self._short_events(i, x, x, new & ~passed, g)
-        passed = passed if short is None else passed | short.mask
+        g, short = torch.where(new, self.g_first, self.g), self.first_events
+        passed = new & self._passed(torch.tensor([i]), torch.stack([self.g, g], 1))[0]
+        if short is not None:
+            passed = passed | self._occurred(short, new & ~passed, value(self.entry.t)[0])
         counted = (new & ~(passed & self._beyond(i)))[None]
-        self._record(i, history, counted, counted)
+        self._record(i, History.of([x]), counted, counted)
         if bool(passed.any()):
             self._note_bases(lane_numbers(passed), i, (x, x), g, short)
-        self.g = torch.where(new, g, self.g)
-        self.alive = self.alive & ~passed
+        self.g, self.alive = g, self.alive & ~passed
         return new & ~passed
 
     def _left_behind(self, steps: RegularSteps, inside: Tensor) -> Tensor:
@@ -160,18 +162,14 @@ class _PhaseLoop:
         change = torch.cat([self.change[:, None], (g[:, 1:] - g[:, :-1]).abs()], 1)
         counted = torch.zeros(len(history.q), self.lanes, dtype=torch.bool)
         stepped = counted.clone()
-        candidates = self._may_leave(i, g, change)
-        any_leave = candidates.any(1).tolist()
+        of_points = self._passed(torch.arange(i + 1, i + len(history.q)), g)
+        short_events = {} if self.search is None else self.search.in_regular_steps(steps, inside, g, change)
         counted[1:] = stepped[1:] = inside
-        for k in range(1, len(history.q)):
-            if not any_leave[k] or not bool((candidates[k] & inside).any()):
-                continue
-            p, self.g, self.change = i + k, g[:, k - 1], change[:, k - 1]
-            passed = self._passed(p, inside, g[:, k])
-            short = None
-            if bool((inside & ~passed).any()) and self.event is not None:
-                short = self._short_events(p, steps.state(p - 1), steps.state(p), inside & ~passed, g[:, k])
-            passed = passed if short is None else passed | short.mask
+        for k in sorted({k + 1 for k in lane_numbers(of_points.any(1))}.union(short_events)):
+            p, self.g = i + k, g[:, k - 1]
+            passed, short = inside & of_points[k - 1], short_events.get(k)
+            if short is not None:
+                passed = passed | self._occurred(short, inside & ~passed, self.times[p - 1].expand(self.lanes))
             leaving = lane_numbers(passed)
             if not leaving:
                 continue
@@ -183,17 +181,6 @@ class _PhaseLoop:
         self._record(i, history, counted, stepped, steps.stepper.take_errors(stepped[1:]))
         self.g, self.change = g[:, -1], change[:, -1]
         return inside
-
-    def _may_leave(self, i: int, g: Tensor, change: Tensor) -> Tensor:
-        """Where lanes may leave, at the point i and those after it [points, lanes]; g and change [lanes, points]."""
-        points = torch.arange(i, i + g.shape[1])
-        if self.event is None:
-            if self.ends is None:
-                return torch.zeros(len(points), self.lanes, dtype=torch.bool)
-            return self.times[points, None] > value(self.ends)[0] - self.short * self.h
-        before, after = g[:, :-1], g[:, 1:]
-        near = torch.minimum(before.abs(), after.abs()) <= FAR * (after - before).abs().maximum(change[:, :-1])
-        return torch.nn.functional.pad(self.event.passed(before, after) | near, (1, 0)).T
 
     def _event_values(self, first: int, states: History) -> Tensor:
         """The event's function [lanes, points] of condensed states at the point `first` of the grid and those after it."""
@@ -212,7 +199,7 @@ class _PhaseLoop:
 
         stepped   lanes that have these states;  errors: of the iterations of the steps between them
         """
-        c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.phase_model.rows
+        c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.segment.rows
         q, v, vd, lam = states.states
         if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
             points = [State(*(Pair(x[k]) for x in (q, v, vd, vd, lam))) for k in range(len(times))]
@@ -255,7 +242,7 @@ class _PhaseLoop:
         return not self.multiphase.begin_depends[self.number] and abs(t - k * self.h) < _SAME * self.h
 
     def _arrive(self) -> None:
-        """Find the states of lanes at their first point of the grid."""
+        """Find the states of lanes at their first point of the grid, and events in the steps to it."""
         lanes = lane_numbers(self.alive & (self.first < len(self.times)) & ~self.record.on_grid)
         if not lanes:
             return
@@ -265,11 +252,24 @@ class _PhaseLoop:
         self.record.arrival = put_states(self.record.arrival, lanes, x)
         self._fail(~finite_lanes(x), lanes, "first", entry, value(end)[0])
         self.alive[lanes] = self.alive[lanes] & finite_lanes(x)
+        if self.event is None or self.search is None:
+            return
+        t, t1, at_start, at_end = value(entry.t), value(end), entry.x.values(), x.values()
+        dynamics = lanes_of(self.dynamics, lanes)
+        before = self.g[lanes]
+        after = self.multiphase.views.value(self.event, lanes, dynamics, t1, self.record.whole(at_end, t1))
+        self.g_first = self.g.index_copy(0, torch.tensor(lanes), after)
+        near = lane_numbers(near_zero(before, after, self.change[lanes]) & ~self.event.passed(before, after))
+        if near:
+            some, begin, size = [lanes[i] for i in near], pick_lanes(t, near), pick_lanes(t1 - t, near)
+            ends = pick_states(at_start, near), pick_states(at_end, near)
+            events = self.search.in_steps(some, begin, size, ends, (before[near], after[near]))
+            self.first_events = events.in_lanes(some, self.lanes)
 
     def _fail(self, failed: Tensor, lanes: list[int], which: str, start: PhaseExit, end: Tensor) -> None:
         """Note that the first or the last step of a phase, from `start` to times `end`, does not converge in some lanes."""
         for i in lane_numbers(failed):
-            begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.phase_model.name!r}"
+            begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.segment.name!r}"
             reason = f"{step}, from t = {begin:.6g} s to t = {float(end[i]):.6g} s, does not converge; more steps help"
             if not bool(finite_lanes(start.x)[i]):
                 reason = f"the motion is not finite where {step} begins, at t = {begin:.6g} s"
@@ -284,7 +284,7 @@ class _PhaseLoop:
             h = self._time(k) - self.entry.t
             x = shortly_after(self.dynamics.topology, self.entry.x, h)
             states = History.of([x]).states
-            self.multiphase.record(self.number, k, between[k][None], states, self.phase_model.rows)
+            self.multiphase.record(self.number, k, between[k][None], states, self.segment.rows)
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""
@@ -294,13 +294,19 @@ class _PhaseLoop:
             g[lanes] = self.multiphase.views.value(self.event, lanes, lanes_of(self.dynamics, lanes), *entry)
         return g
 
-    def _passed(self, i: int, inside: Tensor, g: Tensor) -> Tensor:
-        """Which lanes leave the phase before, or little after, the point i of the grid; g: the event's function there."""
-        if self.event is not None:
-            return inside & self.event.passed(self.g, g)
+    def _passed(self, points: Tensor, g: Tensor) -> Tensor:
+        """Where lanes leave the phase before, or little after, points of the grid [points, lanes].
+
+        g   the event's function at these and at the point before [lanes, points + 1]
+        """
+        return self._past_end(points) if self.event is None else self.event.passed(g[:, :-1], g[:, 1:]).T
+
+    def _past_end(self, points: Tensor) -> Tensor:
+        """Whether points of the grid are after, or little before, the end of a phase at a known time [points, lanes]."""
+        t = self.times[points, None]
         if self.ends is None:
-            return torch.zeros_like(inside)
-        return inside & (self.times[i] > value(self.ends)[0] - self.short * self.h)
+            return torch.zeros(len(t), self.lanes, dtype=torch.bool)
+        return t > value(self.ends)[0] - self.short * self.h
 
     def _beyond(self, i: int) -> Tensor:
         """Which of the leaving lanes had left before a point of the grid."""
@@ -308,36 +314,11 @@ class _PhaseLoop:
             return torch.ones_like(self.alive)
         return self.times[i] > value(self.ends)[0] - _SAME * self.h
 
-    def _short_events(self, i: int, recent: State, x: State, lanes: Tensor, g: Tensor) -> ShortEvents | None:
-        """Events in the step of some lanes (a mask) to the point i of the grid that the function at its ends does not show."""
-        if self.event is None:
-            return None
-        near = torch.minimum(g.abs(), self.g.abs()) <= FAR * (g - self.g).abs().maximum(self.change)
-        candidates = lane_numbers(lanes & near & ~(self.record.on_grid & (self.first == i)))
-        if not candidates:
-            return None
-        event, views = self.event, self.multiphase.views
-        dynamics, condensed = (lanes_of(d, candidates).values() for d in (self.dynamics, self.condensed))
-        entering, whole = lane_numbers(self.first == i), self.record.whole
-        start = put_states(recent, entering, self.record.retained(pick_states(self.entry.x, entering)))
-        at_start, at_end = (pick_states(y, candidates).values() for y in (start, x))
-        t = torch.where(self.first == i, value(self.entry.t), self.times[i - 1])[:, candidates]
-        h = self.times[i] - t
-        before, after = whole(at_start, t), whole(at_end, t + h)
-
-        def slopes(y: State) -> State:
-            accelerate, press = ((b - a) / h for a, b in ((before.vd, after.vd), (before.lam, after.lam)))
-            return State(equations.coordinate_rates(dynamics.topology, y.q, y.v), y.vd, accelerate, accelerate, press)
-
-        def look(size: Tensor) -> tuple[Tensor, Tensor]:
-            y = whole(self.integrator.step_of_size(condensed, at_start, size[None], t + size), t + size)
-            return views.rates(event, candidates, dynamics, t + size, y, slopes(y))
-
-        ends = [views.rates(event, candidates, dynamics, s, y, slopes(y))[1] for s, y in ((t, before), (t + h, after))]
-        events = short_events(event, h[0], (self.g[candidates], g[candidates]), (ends[0], ends[1]), look)
-        for k in lane_numbers(events.unclear):
-            self.multiphase.doubt(candidates[k], self.phase_model, float(t[0, k]))
-        return events.in_lanes(candidates, self.lanes)
+    def _occurred(self, short: ShortEvents, lanes: Tensor, t: Tensor) -> Tensor:
+        """Which of some lanes (a mask) pass an event in a step from t [lanes]; those of which this is not clear are noted."""
+        for lane in lane_numbers(short.unclear & lanes):
+            self.multiphase.doubt(lane, self.segment, float(t[lane]))
+        return short.mask & lanes
 
     def _note_bases(
         self, lanes: list[int], i: int, states: tuple[State, State], g: Tensor, short: ShortEvents | None
@@ -349,11 +330,12 @@ class _PhaseLoop:
         """
         record, inner = self.record, (i - self.first[lanes]).clamp(0, 2)  # points in the phase, as far as they matter
         begin = torch.where(inner > 0, self.times[i - 1], value(self.entry.t)[0, lanes])
-        high, g_low = self.times[i] - begin, self.g[lanes]
-        low, size = torch.zeros_like(high), high * g_low / (g_low - g[lanes])
+        high, g_low, g_high = self.times[i] - begin, self.g[lanes], g[lanes]
+        low, size = torch.zeros_like(high), high * g_low / (g_low - g_high)
         if short is not None:
-            pairs = ((short.low, low), (short.high, high), (short.size, size), (short.g_low, g_low))
-            low, high, size, g_low = (torch.where(short.mask[lanes], x[lanes], y) for x, y in pairs)
+            of_short = short.low, short.high, short.size, short.g_low, short.g_high
+            pairs = zip(of_short, (low, high, size, g_low, g_high), strict=True)
+            low, high, size, g_low, g_high = (torch.where(short.mask[lanes], x[lanes], y) for x, y in pairs)
         # Steps that are too short for the integrator begin one point earlier.
         skipped = (inner > 0) & (size < self.integrator.shortest_step * self.h) & (self.event is not None)
         points = torch.where(skipped < inner, i - 1 - skipped.long(), -1)
@@ -364,20 +346,20 @@ class _PhaseLoop:
             record.base, self.base_time = put_states(record.base, some, x), put_lanes(self.base_time, some, t)
         record.has_exit[lanes], record.base_point[lanes] = True, points
         earlier = begin - value(self.base_time)[0, lanes]
-        self.low[lanes], self.most[lanes], self.g_low[lanes] = low + earlier, high + earlier, g_low
+        for total, x in zip(self.bracket, (low + earlier, high + earlier, g_low, g_high), strict=True):
+            total[lanes] = x
 
     def _leave(self, lanes: list[int]) -> None:
         """Make the last steps of the lanes that left the phase."""
-        record, most = self.record, self.most[lanes]
+        record, bracket = self.record, Bracket(*(x[lanes] for x in self.bracket))
         base = PhaseExit(pick_lanes(self.base_time, lanes), pick_states(record.base, lanes))
         if self.event is None:
             end = pick_lanes(self.ends, lanes)
             y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), base.x, end - base.t, end)
             there, success = PhaseExit(end, record.whole(y, end)), finite_lanes(y)
         else:
-            bracket = Bracket(*(x[lanes] for x in (self.low, self.most, self.g_low)))
             there, success = located(self.event, lanes, base, bracket, record, self.integrator, self.multiphase.views)
-        self._fail(~success, lanes, "last", base, value(base.t)[0] + most)
+        self._fail(~success, lanes, "last", base, value(base.t)[0] + bracket.high)
         good = lane_numbers(success)
         if good:
             exit_lanes, there = [lanes[i] for i in good], there.lanes(good)

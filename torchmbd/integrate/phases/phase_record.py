@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.phases.lanes import pick_lanes, pick_states
+from torchmbd.integrate.lanes import pick_lanes, pick_states
 from torchmbd.math.pair import linear, value
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import AdjointSolver, Grid, of_kept_states
+from torchmbd.integrate.initial_value import SeveralSegments
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
-from torchmbd.integrate.phases.lane_leaves import Key
-from torchmbd.integrate.phases.multiphase import SeveralSegments
+from torchmbd.integrate.phases.lane_leaves import Key, pulled_back
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.retries import LaneResults
 from torchmbd.results.mode_shapes import DesignShapes
@@ -38,8 +38,8 @@ class _Lanes(NamedTuple):
 
     def of_batch(self, x: Tensor | None) -> Tensor | None:
         """Cotangents [..., lanes] of the lanes of the run, zero where a lane of the batch is not one of it."""
-        if x is None:
-            return None
+        if x is None or self.lanes == self.sources == list(range(self.run.whole.lanes)) == list(range(x.shape[-1])):
+            return x
         result = x.new_zeros(*x.shape[:-1], self.run.whole.lanes)
         result[..., self.sources] = x[..., self.lanes] if x.shape[-1] > 1 else x
         return result
@@ -111,17 +111,10 @@ class SegmentsPullback:
             shapes = DesignShapes(whole.system, designs, count)
             outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
         cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
-        for key in kinds:
-            cotangents[key][:, lanes] += by[key]
-        used = [key for key in kinds if outputs[key].requires_grad]
-        result = {name: x.new_zeros(rows, *x.shape) for name, x in designs.items()}
-        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-        for row in range(rows) if used else ():
-            of, weights = [outputs[key] for key in used], [cotangents[key][row] for key in used]
-            slopes = torch.autograd.grad(of, list(designs.values()), weights, **options)
-            for name, x in zip(designs, slopes, strict=True):
-                result[name][row] = x
-        return {name: x.movedim((0, 1), (-2, -1)) for name, x in result.items()}
+        for key, x in cotangents.items():
+            x[:, lanes] += by[key]
+        by_designs = pulled_back(list(outputs.values()), list(cotangents.values()), list(designs.values()), rows)
+        return {name: x.movedim((0, 1), (-2, -1)) for name, x in zip(designs, by_designs, strict=True)}
 
 
 def _joined(parts: Sequence[dict[Key, Tensor]]) -> dict[Key, Tensor]:

@@ -17,14 +17,15 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.contacts import ContactWatch
+from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.events import Event, Views
-from torchmbd.integrate.phases.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.switch import (
     InitialState,
     accelerations,
     at_time,
     data_with_marks,
+    entered,
     jump,
     velocities_after_impact,
 )
@@ -53,7 +54,7 @@ class MultiphaseRun:
     """
 
     whole: Dynamics
-    phase_models: list[Segment]
+    segments: list[Segment]
     views: Views
     duration: float
     steps: int
@@ -71,11 +72,9 @@ class MultiphaseRun:
         self.data_without_marks = self.whole.data
         # Whether the time at which a phase begins depends on the design.
         self.begin_depends = [False]
-        for phase_model in self.phase_models[:-1]:
-            until = phase_model.phase.until
-            depends = (
-                isinstance(until, Event) or DURATION in self.whole.data or phase_model.time_name in self.whole.data
-            )
+        for segment in self.segments[:-1]:
+            until = segment.phase.until
+            depends = isinstance(until, Event) or DURATION in self.whole.data or segment.time_name in self.whole.data
             self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
@@ -121,7 +120,7 @@ class MultiphaseRun:
                 continue
             q, v, a, multipliers = history.q[times], history.v[times], history.vd[times], lam[times]
             if (c := record.condensation) is not None:
-                rows = torch.tensor(self.phase_models[record.number].rows, dtype=torch.long)
+                rows = torch.tensor(self.segments[record.number].rows, dtype=torch.long)
                 of_phase = reactions.multipliers(c, data, at[times], q, v, a, multipliers[:, rows[c.rows]])
                 multipliers = torch.zeros_like(multipliers).index_copy(1, rows, of_phase)
             if least is not None:
@@ -129,13 +128,14 @@ class MultiphaseRun:
             lam = lam.index_put((times,), torch.where(in_phase[times][:, None], multipliers, lam[times]))
         return lam
 
-    def fail_if_not_finite(self, lane: int) -> bool:
-        """Fail a lane that was integrated to the end, but is not finite at some time; whether it is so."""
-        bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
-        first = torch.nonzero(bad[0] | bad[1] | bad[2])
-        if len(first):
-            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first[0, 0]]):.6g} s on")
-        return bool(len(first))
+    def fail_where_not_finite(self, lanes: Tensor) -> Tensor:
+        """Fail those of some lanes (a mask) at the end of the motion that are not finite at some time; which these are."""
+        finite = [torch.isfinite(x).flatten(1, 2).all(1) for x in (self.q, self.v, self.vd)]
+        bad = ~(finite[0] & finite[1] & finite[2]) & lanes  # [times, lanes]
+        for lane in lane_numbers(bad.any(0)):
+            first = int(bad[:, lane].long().argmax())
+            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first]):.6g} s on")
+        return bad.any(0)
 
     def start(self) -> PhaseExit:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
@@ -146,14 +146,14 @@ class MultiphaseRun:
 
     def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
         """Initial q and v, joints closed, as functions of the data of `whole`."""
-        phase_model = self.phase_models[0]
-        (T, saddle), initial = phase_model.closing, phase_model.initial
+        segment = self.segments[0]
+        (T, saddle), initial = segment.closing, segment.initial
         free = replace(whole, topology=T, saddle=saddle, initial=initial)
         if not isinstance(initial, EquilibriumConditions):
             return initial.solve(free)
         q, v = initial.assembled(free)  # locks hold these positions while bodies sag
-        held = replace(whole, data=data_with_marks(whole.topology, whole.data, self._wide(q), phase_model.locks))
-        held = replace(held, topology=phase_model.topology, saddle=phase_model.saddle)
+        held = replace(whole, data=data_with_marks(whole.topology, whole.data, self._wide(q), segment.locks))
+        held = replace(held, topology=segment.topology, saddle=segment.saddle)
         q = initial.equilibrium_near(held, q)
         for lane, reason in held.start_errors.items():
             self.fail(lane, reason)
@@ -166,27 +166,33 @@ class MultiphaseRun:
             return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
 
-    def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, State]:
-        """The dynamics of a phase and the state in which its lanes begin, with consistent accelerations."""
-        data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
-        self.whole = replace(self.whole, data=data)
-        dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
-        self.least_norm.append(_least_norm(self.whole, phase_model, dynamics))
+    def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, Dynamics, State]:
+        """The dynamics of a phase, those of its regular steps, and the state in which its lanes begin, with consistent
+        accelerations."""
+        data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.segments[number].locks)
+        if data is not self.whole.data:
+            self.whole = replace(self.whole, data=data)
+        dynamics, of_steps = self._dynamics_of(number)
+        self.least_norm.append(_least_norm(self.whole, self.segments[number], dynamics))
         state = self._state_after(number, dynamics, phase_exit)
         if number:
             self.switches.append(self._switch(number, phase_exit, state))
-        return dynamics, state
+        return dynamics, of_steps, state
 
-    def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
-        """The dynamics of a phase, with the data of the whole."""
-        phase_model = self.phase_models[number]
-        initial = replace(self.initial_state, condensed=phase_model.condensation)
-        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=initial)
+    def _dynamics_of(self, number: int) -> tuple[Dynamics, Dynamics]:
+        """The dynamics of a phase and those of its regular steps: of an earlier phase with the same equations and data."""
+        segment = self.segments[number]
+        for record in self.records:
+            if record.dynamics.topology is segment.topology and record.dynamics.data is self.whole.data:
+                return record.dynamics, record.condensed
+        initial = replace(self.initial_state, condensed=segment.condensation)
+        dynamics = replace(self.whole, topology=segment.topology, saddle=segment.saddle, initial=initial)
+        return dynamics, dynamics.condensed() if self.integrator.condenses else dynamics
 
     def _switch(self, number: int, phase_exit: PhaseExit, after: State) -> Switch:
         t = phase_exit.t
         return Switch(
-            self.phase_models[number].name,
+            self.segments[number].name,
             value(t)[0],
             _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
             _moment(after, self._multipliers(number, t, after)),
@@ -204,9 +210,9 @@ class MultiphaseRun:
 
     def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
         """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
-        least, c = self.least_norm[number], self.phase_models[number].condensation
+        least, c = self.least_norm[number], self.segments[number].condensation
         lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, x.lam)
-        n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
+        n, rows = self.whole.topology.rows, torch.tensor(self.segments[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         return lam if least is None else least.at_varying_time(data, t, x.q, lam)
 
@@ -214,7 +220,7 @@ class MultiphaseRun:
         """The state of all lanes after the switch into a phase; nan where they do not get there."""
         x = phase_exit.x
         for lane in lane_numbers(~torch.isfinite(value(x.q)).flatten(0, 1).all(0)):
-            self.fail(lane, f"the motion is not finite when phase {self.phase_models[number].name!r} begins")
+            self.fail(lane, f"the motion is not finite when phase {self.segments[number].name!r} begins")
         q, v = x.q * torch.nan, x.v * torch.nan
         rows = value(q).new_zeros(dynamics.topology.rows, *q.shape[1:])
         state = State(q, v, v, v, Pair(rows) if isinstance(q, Pair) else rows)
@@ -228,20 +234,22 @@ class MultiphaseRun:
 
     def after(self, number: int, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> State:
         """The state of some lanes after the switch that begins a phase, from the state before it."""
-        ended = self.phase_models[number - 1].phase if number else None
+        ended = self.segments[number - 1].phase if number else None
         impact = ended.impact if ended is not None and isinstance(ended.until, Event) else None
-        (v,) = at_time(jump, dynamics, t, x.q, x.v)  # also where the rate of a drive jumps
-        if ended is not None and isinstance(ended.until, Event) and impact is not None:
+        if ended is None or not isinstance(ended.until, Event) or impact is None:
+            v, a, lam = at_time(entered, dynamics, t, x.q, x.v)  # also where the rate of a drive jumps
+        else:
+            (v,) = at_time(jump, dynamics, t, x.q, x.v)
             unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
             before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
             v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, before)
-        a, lam = at_time(accelerations, dynamics, t, x.q, v)
+            a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
     def _check_closed(self, number: int, lanes: Sequence[int], dynamics: Dynamics, t: Any, q: Any) -> None:
         """Fail lanes in which a joint begins to act that is not closed."""
-        T, before = dynamics.topology, set(self.phase_models[number - 1].rows)
-        new = [k for k, row in enumerate(self.phase_models[number].rows) if row not in before]
+        T, before = dynamics.topology, set(self.segments[number - 1].rows)
+        new = [k for k, row in enumerate(self.segments[number].rows) if row not in before]
         if not new:
             return
         values, now = {name: value(x) for name, x in dynamics.data.items()}, value(t)
@@ -251,7 +259,7 @@ class MultiphaseRun:
             k = int(phi[:, i].argmax())
             self.fail(
                 lanes[i],
-                f"{T.row_names[new[k]]} misses by {float(phi[k, i]):.3g} when phase {self.phase_models[number].name!r} begins "
+                f"{T.row_names[new[k]]} misses by {float(phi[k, i]):.3g} when phase {self.segments[number].name!r} begins "
                 f"at t = {float(now[0, i]):.6g} s: a joint that begins to act must be closed",
             )
 
@@ -260,43 +268,41 @@ class MultiphaseRun:
         good = torch.tensor([not reason for reason in self.failures])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end_times(self, phase_model: Segment, t: Any, data: equations.Data) -> Any:
+    def end_times(self, segment: Segment, t: Any, data: equations.Data) -> Any:
         """Times [1 + n_b, lanes] at which a phase that begins at t ends; None where an event or the simulation ends it."""
-        length, until = phase_model.phase.length, phase_model.phase.end_time
+        length, until = segment.phase.length, segment.phase.end_time
         number = length if until is None else until
         if number is None:
             return None
-        time = data.get(phase_model.time_name, torch.full_like(value(t), number))
+        time = data.get(segment.time_name, torch.full_like(value(t), number))
         if until is None:
             return t + time
         for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
             begins = float(value(t)[0, lane])
             self.failed_for_good.add(lane)
-            self.fail(
-                lane, f"phase {phase_model.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s"
-            )
+            self.fail(lane, f"phase {segment.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s")
         return t * 0.0 + time
 
     def fail(self, lane: int, reason: str) -> None:
         """Note the first reason why a lane failed."""
         self.failures[lane] = self.failures[lane] or reason
 
-    def doubt(self, lane: int, phase_model: Segment, t: float) -> None:
+    def doubt(self, lane: int, segment: Segment, t: float) -> None:
         """Note the first time after which the steps of a lane are too long to know whether its phase ends."""
         self.doubts.setdefault(
             lane,
-            f"the steps are too long to know whether the event of phase {phase_model.name!r} occurs in the step from "
+            f"the steps are too long to know whether the event of phase {segment.name!r} occurs in the step from "
             f"t = {t:.6g} s on; more steps help",
         )
 
-    def never_ends(self, phase_model: Segment, lane: int) -> None:
+    def never_ends(self, segment: Segment, lane: int) -> None:
         """Note that a lane stays in a phase until the simulation ends."""
-        if phase_model.phase.lasting is None:
+        if segment.phase.lasting is None:
             reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
         else:
             reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
         self.failed_for_good.add(lane)
-        self.fail(lane, f"phase {phase_model.name!r} never ends: {reason}")
+        self.fail(lane, f"phase {segment.name!r} never ends: {reason}")
 
     def record(self, number: int, first: int, counted: Tensor, states: Sequence[Tensor], rows: Sequence[int]) -> None:
         """Record states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
@@ -318,19 +324,21 @@ class MultiphaseRun:
         new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
         self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
 
-    def never_left(self, phase_model: Segment, staying: Tensor) -> None:
+    def never_left(self, segment: Segment, staying: Tensor) -> None:
         """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
-        for lane in lane_numbers(staying):
-            if not self.fail_if_not_finite(lane) and phase_model is not self.phase_models[-1]:
-                self.never_ends(phase_model, lane)
+        if not bool(staying.any()):
+            return
+        finite = staying & ~self.fail_where_not_finite(staying)
+        for lane in lane_numbers(finite) if segment is not self.segments[-1] else ():
+            self.never_ends(segment, lane)
 
 
-def _least_norm(whole: Dynamics, phase_model: Segment, dynamics: Dynamics) -> LeastNorm | None:
+def _least_norm(whole: Dynamics, segment: Segment, dynamics: Dynamics) -> LeastNorm | None:
     """Projection of the multipliers of a phase, among all rows of the whole; None if all are determined."""
     least = dynamics.least_norm
     if least is None:
         return None
-    rows = torch.tensor(phase_model.rows, dtype=torch.long)
+    rows = torch.tensor(segment.rows, dtype=torch.long)
     acting = torch.zeros(whole.topology.rows, dtype=torch.float64).index_copy(0, rows, least.acting)
     return LeastNorm(whole.saddle, acting, least.rank)
 

@@ -18,8 +18,15 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.phases.events import DIRECTIONS, ROUNDING, Event
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.lanes import join_states, lanes_of, pick_lanes, pick_states
+from torchmbd.integrate.phases.events import DIRECTIONS, ROUNDING, Event, Views
+from torchmbd.integrate.phases.phase_record import PhaseRecord
+from torchmbd.integrate.phases.regular_steps import RegularSteps
+from torchmbd.multibody.system import equations
+from torchmbd.results.state import State
 
+_AT_ONCE = 64  # steps that are looked at together, at least
 _LOOKS = 4  # of a step, each at the turn of a shorter cubic
 # A function that is farther from zero than so many times its change in this step and the one before does not reach it.
 FAR = 4.0
@@ -30,7 +37,7 @@ class ShortEvents:
     """Where lanes pass zero in a step, as sizes from its begin [lanes].
 
     mask      which lanes do
-    low, high enclose the event;  g_low: the function at low;  size: an estimate
+    low, high enclose the event;  g_low, g_high: the function there;  size: an estimate
     unclear   lanes in which the steps are too long to know
     """
 
@@ -38,8 +45,18 @@ class ShortEvents:
     low: Tensor
     high: Tensor
     g_low: Tensor
+    g_high: Tensor
     size: Tensor
     unclear: Tensor
+
+    def select(self, steps: Tensor) -> ShortEvents:
+        """Those of some steps (a mask)."""
+        return ShortEvents(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+    def joined(self, other: ShortEvents) -> ShortEvents:
+        """Those of other lanes as well; of each lane zeros stand in one of both."""
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return ShortEvents(*(a | b if a.dtype == torch.bool else a + b for a, b in pairs))
 
     def in_lanes(self, lanes: list[int], count: int) -> ShortEvents:
         """The same, where these are some of so many lanes."""
@@ -50,29 +67,103 @@ class ShortEvents:
         return ShortEvents(*(wide(getattr(self, f.name)) for f in fields(self)))
 
 
+def near_zero(before: Tensor, after: Tensor, change: Tensor) -> Tensor:
+    """Whether a function may reach zero in a step, from its values at both ends and its change in the step before."""
+    return torch.minimum(before.abs(), after.abs()) <= FAR * (after - before).abs().maximum(change)
+
+
+@dataclass
+class ShortEventSearch:
+    """Looks for them in the steps of one phase, in many steps at once: each is a lane of its own."""
+
+    event: Event
+    record: PhaseRecord
+    integrator: Integrator
+    views: Views
+    times: Tensor
+
+    def in_regular_steps(
+        self, steps: RegularSteps, inside: Tensor, g: Tensor, change: Tensor
+    ) -> dict[int, ShortEvents]:
+        """Those of lanes `inside` (a mask), by the number of the step, 1 the first, of all lanes.
+
+        g, change   the function at the ends of the steps [lanes, points], and how much it changed before them
+        """
+        before, after = g[:, :-1], g[:, 1:]
+        passed = self.event.passed(before, after)
+        near = near_zero(before, after, change[:, :-1]) & ~passed.cumsum(1).bool() & inside[:, None]
+        result: dict[int, ShortEvents] = {}
+        pairs = torch.nonzero(near.T)
+        for part in pairs.split(max(len(inside), _AT_ONCE)) if len(pairs) else ():
+            k, lanes = part.unbind(1)
+            lanes_of_step = {int(i): lanes[k == i].tolist() for i in k.unique()}
+            first, last = (
+                join_states([pick_states(steps.state(steps.first + i + j), some) for i, some in lanes_of_step.items()])
+                for j in (0, 1)
+            )
+            t, t1 = (self.times[steps.first + k + j][None] for j in (0, 1))
+            events = self.in_steps(lanes.tolist(), t, t1 - t, (first, last), (before[lanes, k], after[lanes, k]))
+            for i, some in lanes_of_step.items():
+                of_step = events.select(k == i).in_lanes(some, len(inside))
+                result[i + 1] = result[i + 1].joined(of_step) if i + 1 in result else of_step
+        return result
+
+    def in_steps(
+        self, lanes: list[int], t: Tensor, h: Tensor, ends: tuple[State, State], g: tuple[Tensor, Tensor]
+    ) -> ShortEvents:
+        """Those in steps of lanes [m] from t [1, m] to t + h, at whose ends are condensed states and values of the function.
+
+        A lane may make several of the steps.
+        """
+        dynamics, condensed = (lanes_of(d, lanes).values() for d in (self.record.dynamics, self.record.condensed))
+        every, begin, end = list(range(len(lanes))), t, t + h
+        start, both, times = ends[0].values(), join_states(ends).values(), torch.cat([begin, end], -1)
+        both = self.record.whole(both, times)
+        jerk, press = (x[..., len(lanes) :] - x[..., : len(lanes)] for x in (both.vd, both.lam))
+        jerk, press = jerk / h, press / h
+
+        def rates(some: list[int], t: Tensor, x: State) -> tuple[Tensor, Tensor]:
+            """The function and its rate."""
+            of_vd, of_lam = pick_lanes(jerk, some), pick_lanes(press, some)
+            slopes = State(equations.coordinate_rates(dynamics.topology, x.q, x.v), x.vd, of_vd, of_vd, of_lam)
+            return self.views.rates(self.event, [lanes[i] for i in some], lanes_of(dynamics, some), t, x, slopes)
+
+        def look(size: Tensor, some: list[int]) -> tuple[Tensor, Tensor]:
+            t = pick_lanes(begin, some) + size
+            x = self.integrator.step_of_size(lanes_of(condensed, some), pick_states(start, some), size[None], t)
+            return rates(some, t, self.record.whole(x, t))
+
+        at_start, at_end = rates(every + every, times, both)[1].chunk(2)
+        return short_events(self.event, h[0], g, (at_start, at_end), look)
+
+
 def short_events(
     event: Event,
     h: Tensor,
     g: tuple[Tensor, Tensor],
     rates: tuple[Tensor, Tensor],
-    look: Callable[[Tensor], tuple[Tensor, Tensor]],
+    look: Callable[[Tensor, list[int]], tuple[Tensor, Tensor]],
 ) -> ShortEvents:
-    """Events in steps of sizes h, from the function and its rates at both ends; look: gives both at sizes; all [lanes]."""
+    """Events in steps of sizes h, from the function and its rates at both ends; all [lanes].
+
+    look   gives the function and its rate in some of the steps, at these sizes
+    """
     begins_at_zero = g[0].abs() <= ROUNDING * g[1].abs()
     sign = torch.where(begins_at_zero, rates[0], g[0]).sign()
     returns = begins_at_zero & (sign * g[1] < 0.0)
     way = torch.where(returns, sign, -sign)  # in which g turns: away from zero, or towards it
     open_lanes = returns | (~begins_at_zero & (sign * g[1] > 0.0))
     a, b, (ga, gb), (ra, rb) = torch.zeros_like(h), h, g, rates
-    result = ShortEvents(torch.zeros_like(returns), a, h, g[0], 0.5 * h, torch.zeros_like(returns))
+    result = ShortEvents(torch.zeros_like(returns), a, h, *g, 0.5 * h, torch.zeros_like(returns))
     direction = DIRECTIONS[event.direction]
     for count in range(_LOOKS):
         s, p = _turn(ga, ra * (b - a), gb, rb * (b - a), way)
         open_lanes = open_lanes & torch.isfinite(s)
         if not bool(open_lanes.any()):
             break
-        size = a + torch.where(open_lanes, s, 0.5) * (b - a)
-        gm, rm = look(size)
+        size, some = a + torch.where(open_lanes, s, 0.5) * (b - a), torch.nonzero(open_lanes)[:, 0]
+        seen = look(size[some], some.tolist())
+        gm, rm = (torch.full_like(size, torch.nan).index_copy(0, some, x) for x in seen)
         if not count:
             result.unclear = open_lanes & ((gm - p).abs() > gm.abs())
         crossed = open_lanes & (way * gm >= 0.0) & (gm != 0.0)
@@ -93,7 +184,7 @@ def _put(result: ShortEvents, lanes: Tensor, low: Tensor, high: Tensor, g_low: T
     """Note what encloses the event of some lanes (a mask)."""
     result.mask = result.mask | lanes
     result.low, result.high = torch.where(lanes, low, result.low), torch.where(lanes, high, result.high)
-    result.g_low = torch.where(lanes, g_low, result.g_low)
+    result.g_low, result.g_high = torch.where(lanes, g_low, result.g_low), torch.where(lanes, g_high, result.g_high)
     result.size = torch.where(lanes, low + (high - low) * g_low / (g_low - g_high), result.size)
 
 

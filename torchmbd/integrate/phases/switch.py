@@ -30,7 +30,7 @@ from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
-from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
 from torchmbd.results.trajectory import Trajectory
@@ -117,21 +117,27 @@ def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) ->
     return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(result, rates, strict=True))
 
 
+def entered(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
+    """Velocities [n_v, ...] after the constraints begin to act on bodies that move with v, accelerations, and multipliers."""
+    solver = SaddleSolver(dynamics, t, q)
+    (v,) = jump(dynamics, t, q, v, solver)
+    return v, *dynamics.accelerations(t, q, v, solver)
+
+
 def accelerations(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
     """Accelerations [n_v, ...] and multipliers [rows, ...]."""
     return dynamics.accelerations(t, q, v)
 
 
-def jump(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
+def jump(dynamics: Dynamics, t: Tensor, q: Any, v: Any, solver: SaddleSolver | None = None) -> tuple:
     """Velocities v+ [n_v, ...] after the constraints begin to act on bodies that move with v."""
     if not dynamics.topology.rows:
         return (v,)
-    change, _ = _impulse(dynamics, t, q, None, v)
-    return (v + change,)
+    return (v + _velocity_change(solver or SaddleSolver(dynamics, t, q), dynamics, t, None, v),)
 
 
-def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tuple[Any, Any]:
-    """Change of the velocities under an applied impulse [n_v, ...] so that v plus the change fits; and Lambda.
+def _velocity_change(solver: SaddleSolver, dynamics: Dynamics, t: Tensor, impulse: Any, v: Any) -> Any:
+    """Change of the velocities [n_v, ...] under an applied impulse [n_v, ...] so that v plus the change fits.
 
     M dv + Phi_q' Lambda = impulse,   Phi_q (v + dv) = -Phi_t; without v: Phi_q dv = 0.
     """
@@ -139,25 +145,23 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
 
     def residual(data: equations.Data, at: equations.Placement, q: Any, impulse: Any, v: Any, x: Tensor) -> Any:
         dv, Lam = x[: T.n_v], x[T.n_v :]
-        still, nothing = torch.zeros_like(dv), torch.zeros_like(Lam)
-        forces = equations.dynamic_residual(T, data, at, still, dv, Lam)
-        forces = forces - equations.dynamic_residual(T, data, at, still, still, nothing)
+        forces = equations.impulses(T, data, at, dv, Lam)
         forces = forces if impulse is None else forces - impulse
         if not T.rows:
             return forces
+        still = torch.zeros_like(dv)
         rates = equations.constraint_jets(T, at, data, dv if v is None else v + dv, still, t).velocity
         if v is None:
             rates = rates - equations.constraint_jets(T, at, data, still, still, t).velocity
         return cat([forces, rates])
 
-    x = dynamics.solve_linear(residual, t, q, impulse, v)
-    return x[: T.n_v], x[T.n_v :]
+    return solver(residual, impulse, v)[: T.n_v]
 
 
 def restitution(dynamics: Dynamics, t: Tensor, q: Any, v: Any, gap: tuple[Any, Any], e: float) -> tuple:
     """Velocities after an impact at a gap g, of the gradient (g_q [n_v, ...], g_t [1, ...])."""
     g_q, g_t = gap
-    response, _ = _impulse(dynamics, t, q, g_q, None)
+    response = _velocity_change(SaddleSolver(dynamics, t, q), dynamics, t, g_q, None)
     rate = (g_q * v).sum(0).unsqueeze(0) + g_t
     size = (-(1.0 + e)) * rate * reciprocal((g_q * response).sum(0).unsqueeze(0))
     return (v + response * size,)

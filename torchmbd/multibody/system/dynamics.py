@@ -264,38 +264,55 @@ class Dynamics:
         a, _ = self.accelerations(t, q, v)
         return cat([equations.coordinate_rates(T, q, v), a])
 
-    def accelerations(self, t: Tensor, q, v):
-        """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
+    def accelerations(self, t: Tensor, q, v, solver: SaddleSolver | None = None):
+        """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30).
+
+        solver   at q and t, where there is one
+        """
         T = self.topology
 
         def residual(data: Data, at: equations.Placement, q: Any, v: Any, x: Tensor) -> Any:
             return self._residual(data, at, v, x[: T.n_v], x[T.n_v :], T.law_jets(t, data) if T.rows else [])
 
-        x = self.solve_linear(residual, t, q, v)
+        x = (solver or SaddleSolver(self, t, q))(residual, v)
         return x[: T.n_v], x[T.n_v :]
 
     def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
         return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
     def solve_linear(self, residual: Callable[..., Any], t: Tensor, q: Any, *arguments: Any) -> Any:
-        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0 at coordinates q [n_q, ...] and time t.
+        """As `SaddleSolver`, of one residual."""
+        return SaddleSolver(self, t, q)(residual, *arguments)
+
+
+class SaddleSolver:
+    """Solutions with the saddle-point matrix at coordinates q [n_q, ...] and time t: several of them share its factors."""
+
+    def __init__(self, dynamics: Dynamics, t: Tensor, q: Any):
+        self.data, self.q, T = dynamics.data, q, dynamics.topology
+        self.size = T.n_v + T.rows
+        self.plain = {name: value(y) for name, y in dynamics.data.items()}
+        self.inputs = [y for y in (t, value(q), *self.plain.values()) if is_differentiated(y)]
+        self.at = equations.placement(T, dynamics.data, q, T.prescribed(t, dynamics.data))
+        self.fixed = self.at.map(lambda y: value(y).detach())
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.inputs):
+            self.factors = dynamics.saddle.factors(self.plain, self.fixed, dynamics.diagonal())
+
+    def __call__(self, residual: Callable[..., Any], *arguments: Any) -> Any:
+        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0.
 
         The residual is linear in x, and its matrix is the saddle-point matrix. Differentiable in every mode: derivatives of x
         are solutions with the same matrix and the derivatives of the residual at fixed x.
         """
-        T, data = self.topology, {name: value(y) for name, y in self.data.items()}
-        qv, plain = value(q), [y if y is None else value(y) for y in arguments]
-        inputs = [y for y in (t, qv, *plain, *data.values()) if y is not None and is_differentiated(y)]
-        at = equations.placement(T, self.data, q, T.prescribed(t, self.data))
+        plain, q = [y if y is None else value(y) for y in arguments], value(self.q)
+        inputs = [*self.inputs, *(y for y in plain if y is not None and is_differentiated(y))]
         with torch.set_grad_enabled(torch.is_grad_enabled() and not inputs):
-            fixed = at.map(lambda y: value(y).detach())
-            factors = self.saddle.factors(data, fixed, self.diagonal(), inputs)
-            zero = qv.new_zeros(T.n_v + T.rows, *qv.shape[1:])
-            x = -factors.solve(residual(data, fixed, qv, *plain, zero)).detach()
-        if not inputs and not isinstance(q, Pair):
+            zero = q.new_zeros(self.size, *q.shape[1:])
+            x = -self.factors.solve(residual(self.plain, self.fixed, q, *plain, zero), inputs).detach()
+        if not inputs and not isinstance(self.q, Pair):
             return x
-        slopes = -factors.solve(variation(residual(self.data, at, q, *arguments, x)))
-        return Pair.of(x, slopes) if isinstance(q, Pair) else x + slopes
+        slopes = -self.factors.solve(variation(residual(self.data, self.at, self.q, *arguments, x)), inputs)
+        return Pair.of(x, slopes) if isinstance(self.q, Pair) else x + slopes
 
 
 @dataclass(frozen=True, eq=False)

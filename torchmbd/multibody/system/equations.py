@@ -343,6 +343,18 @@ def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
     return force if T.gather is None else T.gather(force)
 
 
+def impulses(T: Topology, data: Data, at: Placement, dv, Lam):
+    """M dv + Phi_q' Lambda [n_v, ...] of changes dv of the velocities and impulses Lambda of the constraints."""
+    masses = {name: x for name, x in data.items() if name not in ("gravity", "K2", "D")}
+    if T.flexible:
+        masses["Kr"] = linear(torch.zeros_like, data["Kr"])
+    forces = inertia_forces(T, masses, at, linear(torch.zeros_like, dv), dv)
+    if T.rows:
+        forces = [x + y for x, y in zip(forces, constraint_forces(T, data, at, Lam), strict=True)]
+    force = cat([x.flatten(0, 1) for x in forces])
+    return force if T.gather is None else T.gather(force)
+
+
 def total_on_vectors(T: Topology, data: Data, at: Placement, v, lam):
     """Phi_q' lam - g on the attached vectors [3, vectors, ...]; None without any. Without rates v, of the joints alone."""
     pulls = force_on_vectors(T, at, lam) if T.rows else None

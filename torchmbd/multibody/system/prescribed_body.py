@@ -9,6 +9,7 @@ Checked in tests/multibody/system/test_condensation.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -35,6 +36,16 @@ class PrescribedBody:
     center: Tensor
     law: Any = None
 
+    @cached_property
+    def _p(self) -> Tensor:
+        """Euler parameters at the start [4]."""
+        return euler_parameters(self.A)
+
+    @cached_property
+    def _axis(self) -> Tensor:
+        """Axis [3] in the ground."""
+        return torch.stack([self.spin[2, 1], self.spin[0, 2], self.spin[1, 0]])
+
     def poses(self, times: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations [3, 3, n] and origins [3, n] at times [n]."""
         if self.law is None:
@@ -46,22 +57,20 @@ class PrescribedBody:
 
     def turned(self, angle: Tensor) -> tuple[Tensor, Tensor]:
         """Euler parameters [n, 4] and origins [n, 3] at angles [n] from the start."""
-        axis = _axis(self.spin)
-        p = euler_parameters(self.A)[:, None]
-        turn = torch.cat([torch.cos(0.5 * angle)[None], torch.sin(0.5 * angle) * axis[:, None]])
+        turn = torch.cat([torch.cos(0.5 * angle)[None], torch.sin(0.5 * angle) * self._axis[:, None]])
         x = self.spin @ (self.r - self.center)
         r = self.r + torch.sin(angle)[:, None] * x + (1.0 - torch.cos(angle))[:, None] * (self.spin @ x)
-        return quaternion_product(turn, p.expand(4, len(angle))).T, r
+        return quaternion_product(turn, self._p[:, None].expand(4, len(angle))).T, r
 
     def motion(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Coordinates [times, 7], rates [times, 6] and accelerations [times, 6]; rotations in body axes."""
         if self.law is None:
-            q = torch.cat([self.r, euler_parameters(self.A)])
+            q = torch.cat([self.r, self._p])
             return q.expand(len(times), 7), q.new_zeros(len(times), 6), q.new_zeros(len(times), 6)
         angle, rate, acceleration = (x[:, None] for x in slopes_at(self.law, times))
         p, r = self.turned((angle - self.law(torch.zeros_like(times[0])))[:, 0])
         arm = (r - self.center) @ self.spin.T
-        omega = (self.A.T @ _axis(self.spin)).expand(len(times), 3)
+        omega = (self.A.T @ self._axis).expand(len(times), 3)
         rdd = acceleration * arm + rate.square() * (arm @ self.spin.T)
         return (
             torch.cat([r, p], 1),
@@ -77,8 +86,3 @@ class PrescribedBody:
         values, rates = torch.func.jvp(self.motion, (times,), (torch.ones_like(times),))[:2]
         moved = zip(values, rates, strict=True)
         return tuple(Pair.of(x.T[:, None], rate.T[:, None] * t.tangent) for x, rate in moved)  # pyright: ignore[reportReturnType]
-
-
-def _axis(spin: Tensor) -> Tensor:
-    """Axis [3] of a skew matrix."""
-    return torch.stack([spin[2, 1], spin[0, 2], spin[1, 0]])

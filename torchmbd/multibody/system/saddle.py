@@ -12,7 +12,6 @@ Checked in tests/multibody/system/test_equations.py: every column is the differe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -80,11 +79,11 @@ class Saddle:
         lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
         return _flat(self.blocks(data, at, *arguments), self.names, lanes)
 
-    def factors(self, data: Data, at: Placement, diagonal: Diagonal | None, inputs: Sequence[Tensor] = ()) -> Factors:
-        """Factors of the matrix of the accelerations; diagonal as of `Dynamics.diagonal`, inputs as of `Factors`."""
+    def factors(self, data: Data, at: Placement, diagonal: Diagonal | None) -> Factors:
+        """Factors of the matrix of the accelerations; diagonal as of `Dynamics.diagonal`."""
         if self.columns is None:
-            return Factors(self.matrix(data, at), diagonal, None, inputs)
-        return Factors(self._entries(data, at)[self.columns.entry].T, diagonal, self.columns, inputs)
+            return Factors(self.matrix(data, at), diagonal, None)
+        return Factors(self._entries(data, at)[self.columns.entry].T, diagonal, self.columns)
 
     def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:
         """Derivatives of the applied forces through their laws [lanes, n_v, n_v]."""

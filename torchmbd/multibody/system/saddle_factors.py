@@ -118,20 +118,20 @@ class Factors:
     """Factors of one batch of matrices K, computed once; K may be wrapped by transforms of torch.func.
 
     columns   pattern of sparse matrices; None: they are dense
-    inputs    tensors with derivatives that K depends on: second derivatives by these are refused
     """
 
-    def __init__(
-        self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern | None, inputs: Sequence[Tensor] = ()
-    ):
-        self.K, self.diagonal, self.columns, self.inputs = K.detach(), diagonal, columns, inputs
+    def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: ColumnPattern | None):
+        self.K, self.diagonal, self.columns = K.detach(), diagonal, columns
         self._cache: list[tuple[Tensor, Any]] = []
 
-    def solve(self, rhs: Tensor) -> Tensor:
-        """K^-1 rhs [n, pair, lanes], differentiable by rhs."""
-        if not self.inputs:
+    def solve(self, rhs: Tensor, inputs: Sequence[Tensor] = ()) -> Tensor:
+        """K^-1 rhs [n, pair, lanes], differentiable by rhs.
+
+        inputs    tensors with derivatives that K or rhs depends on: second derivatives by these are refused
+        """
+        if not inputs:
             return self.of(self.K).solve(rhs)
-        return _Solve.apply(self, self.K, rhs, *self.inputs)  # pyright: ignore[reportReturnType]
+        return _Solve.apply(self, self.K, rhs, *inputs)  # pyright: ignore[reportReturnType]
 
     def of(self, K: Tensor) -> DenseFactors | SparseFactors:
         """Factors of K without wrappers of torch.func, or of a batch of K."""

@@ -19,7 +19,9 @@ from torchmbd.results.state import State
 
 
 def pick_lanes(x: Any, lanes: Sequence[int]) -> Any:
-    """Some lanes of a number [..., lanes]."""
+    """Some lanes of a number [..., lanes]; itself where these are all of them in their order."""
+    if list(lanes) == list(range(x.shape[-1])):
+        return x
     index = torch.tensor(list(lanes), dtype=torch.long)
     return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
 
@@ -30,7 +32,9 @@ def pick_states(x: State, lanes: Sequence[int]) -> State:
 
 
 def put_lanes(x: Any, lanes: Sequence[int], y: Any) -> Any:
-    """The number x [..., lanes] with other numbers y in some lanes."""
+    """The number x [..., lanes] with other numbers y in some lanes; y where these are all of them in their order."""
+    if list(lanes) == list(range(x.shape[-1])):
+        return y
     index = torch.tensor(list(lanes), dtype=torch.long)
     return Pair(x.full.index_copy(-1, index, y.full)) if isinstance(x, Pair) else x.index_copy(-1, index, y)
 

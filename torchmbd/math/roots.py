@@ -1,0 +1,49 @@
+"""Roots of functions between numbers at which their signs differ, of many functions at once.
+
+    a, b      enclose the root: f(a) f(b) <= 0; a is the last number at which f was evaluated
+    next      inverse quadratic interpolation through a, b and the number before, where that is monotonic; else the middle
+
+The first number is that of the secant: the functions here are smooth mostly, and nearly linear between their ends.
+Source: Chandrupatla, Adv. Eng. Software 28 (1997) 145-149.
+Checked in tests/math/test_roots.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+_ROUND = 1e-13  # of a root
+_MOST = 100  # evaluations: a function that jumps takes about 50
+
+
+def roots(
+    f: Callable[[Tensor, list[int]], Tensor], low: Tensor, high: Tensor, f_low: Tensor, f_high: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Roots [n] between low and high, and which were found; f(x, numbers): some of the functions, at x.
+
+    Each root is the number at which its function was evaluated last.
+    """
+    a, b, fa, fb = high, low, f_high, f_low
+    t, found = fa / (fa - fb), torch.zeros_like(a, dtype=torch.bool)
+    active = f_low * f_high <= 0.0
+    for _ in range(_MOST):
+        some = torch.nonzero(active)[:, 0]
+        if not len(some):
+            break
+        x = a + t * (b - a)
+        fx = fa.index_copy(0, some, f(x[some], some.tolist()))
+        same = fx.sign() == fa.sign()  # the root is between x and b
+        c, fc = torch.where(same, a, b), torch.where(same, fa, fb)
+        b, fb = (torch.where(active, torch.where(same, y, z), y) for y, z in ((b, a), (fb, fa)))
+        a, fa = (torch.where(active, y, z) for y, z in ((x, a), (fx, fa)))
+        xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+        smooth = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+        t = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+        t = torch.where(smooth, t, 0.5)
+        step = torch.where(smooth, t * (b - a), b - a).abs()
+        found = found | (active & ((fa == 0.0) | (step <= _ROUND * a.abs())))
+        active = active & ~found & torch.isfinite(fa)
+    return a, found
