@@ -127,9 +127,9 @@ def _root(f: Callable[[float], float], low: float, high: float) -> float:
 
 
 def _samples(poles: Tensor, band: tuple[float, float]) -> list[float]:
-    """Frequencies [rad/s] of the band, with steps of STEP of the distance to the nearest pole."""
+    """Frequencies [rad/s] of the band, with steps of STEP of the distance to the nearest pole; the ends if nothing can move."""
     (w, high), points = band, []
-    while w < high:
+    while len(poles) and w < high:
         distance = (1j * w - poles).abs()
         nearest = int(distance.argmin())
         if float(distance[nearest]) <= UNDAMPED * max(w, float(poles[nearest].abs())):
@@ -139,4 +139,4 @@ def _samples(poles: Tensor, band: tuple[float, float]) -> list[float]:
             )
         points.append(w)
         w += STEP * float(distance[nearest])
-    return [*points, high]
+    return [*(points or [w]), high]
