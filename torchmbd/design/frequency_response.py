@@ -29,7 +29,7 @@ from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
 from torchmbd.multibody.system import System
 from torchmbd.results.reaction import joint_named
-from torchmbd.vibrations.harmonic_response import largest_response
+from torchmbd.vibrations.largest_response import largest_response
 from torchmbd.vibrations.linear_system import Ports, system_with_ports
 from torchmbd.vibrations.steady_states import steady_states
 
