@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ import torch
 import torchmbd as mbd
 from torchmbd.design.differentiate import differentiate
 
-MODULI = {"E1": 60e9, "E2": 9e9, "G12": 5e9, "G13": 4e9, "G23": 3e9, "nu12": 0.3, "density": 1600.0}
+MODULI: dict[str, Any] = {"E1": 60e9, "E2": 9e9, "G12": 5e9, "G13": 4e9, "G23": 3e9, "nu12": 0.3, "density": 1600.0}
 LOSSES = (0.02, 0.3, 0.05)
 
 
@@ -17,7 +19,7 @@ def plate(losses=LOSSES, factors=(1.0, 1.0, 1.0), modes: int = 4) -> mbd.Flexibl
     """Three different, slanted layers, the middle one softer; `factors` multiply all moduli of a ply."""
     plies = []
     for loss, factor, soft in zip(losses, factors, (1.0, 0.3, 0.8), strict=True):
-        moduli = {name: x * (factor * soft if name[0] in "EG" else 1.0) for name, x in MODULI.items()}
+        moduli: dict[str, Any] = {name: x * (factor * soft if name[0] in "EG" else 1.0) for name, x in MODULI.items()}
         plies.append(mbd.Ply(**moduli, loss=loss))
     laminate = mbd.Laminate(plies, mbd.deg([20.0, -50.0, 75.0]), [0.4e-4, 1.1e-4, 0.5e-4])
     mesh = mbd.mesh.rectangle(length=0.4, width=0.1, cells=(6, 2))
@@ -90,7 +92,7 @@ def test_fibers_that_steer():
     """Each cell has a law of its own; equal losses are those of every mode."""
     ply, mesh = mbd.Ply(**MODULI, loss=0.04), mbd.mesh.rectangle(length=0.4, width=0.1, cells=(6, 2))
     field = mbd.FiberField(mesh, controls=(3, 1))
-    steered = mbd.SteeredLaminate(ply, mbd.deg([[10.0, 5.0], [50.0, 0.0], [80.0, 20.0]]), 1e-3, field)
+    steered = mbd.SteeredLaminate(ply, mbd.deg(torch.tensor([[10.0, 5.0], [50.0, 0.0], [80.0, 20.0]])), 1e-3, field)
     body = mbd.FlexibleBody.plate("plate", mesh, steered, modes=3, reference="left")
     np.testing.assert_allclose(mbd.equilibrium(clamped(body)).damping_ratios[0].numpy(force=True), 0.02, rtol=1e-9)
 
