@@ -29,6 +29,7 @@ from torchmbd.design import (
     Final,
     Frequencies,
     Frequency,
+    FrequencyResponse,
     History,
     Integral,
     Mass,
@@ -65,7 +66,16 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import Channel, Experiment, Identification, ModalData, StaticCurve, TimeSeries, identify
+from torchmbd.identification import (
+    Channel,
+    Experiment,
+    FrequencyResponseData,
+    Identification,
+    ModalData,
+    StaticCurve,
+    TimeSeries,
+    identify,
+)
 from torchmbd.integrate import Event, Phase, Trajectory, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -218,6 +228,8 @@ __all__ = [
     "Frame",
     "Frequencies",
     "Frequency",
+    "FrequencyResponse",
+    "FrequencyResponseData",
     "GivenSection",
     "Ground",
     "History",

@@ -30,19 +30,19 @@ GROUPS: dict[str, str] = {
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate equilibrium Equilibrium campbell Campbell linearize LinearSystem "
+    "simulation": "simulate equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
     "buckling Buckling frequencies Vibrations Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
     "BucklingFactor SystemFrequency DampingRatio StabilityMargin CriticalSpeed CampbellClearance StabilityLimit "
-    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
-    "Measure measure",
+    "FrequencyResponse WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence "
+    "LaminationRegion Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
     "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
     "verify sobol latin_hypercube",
-    "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData Channel",
+    "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData FrequencyResponseData Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
     "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
 }

@@ -59,11 +59,11 @@ def test_at_rest(values, driven):
     assert set(names) <= set(NAMES)
 
 
-def blade(offset: Any = 0.1, speed: float = 30.0) -> mbd.System:
+def blade(offset: Any = 0.1, speed: float = 30.0, damping: float = 1e-5) -> mbd.System:
     """A laminated strip on a hub, off its axis and at a pitch, with a motor."""
     ply = mbd.Ply(E1=140e9, E2=10e9, G12=5e9, G13=5e9, G23=4e9, nu12=0.3, density=1600.0)
     section = mbd.sections.strip(0.04, ply, mbd.deg([20.0, -50.0, 35.0, 80.0]), 5e-4, cells=(4, 1))
-    beam = mbd.FlexibleBeam("blade", mbd.BeamLine.straight(0.6, 4), section, damping=1e-5)
+    beam = mbd.FlexibleBeam("blade", mbd.BeamLine.straight(0.6, 4), section, damping=damping)
     hub = mbd.RigidBody("hub", 1.0, (1e-2, 1e-2, 1e-2))
     tip = mbd.RigidBody("tip", V(0.05), (1e-5, 1e-5, 1e-5), position=(0.7, 0.02, 0.01))
     joints = [

@@ -60,6 +60,29 @@ def test_of_a_flexible_double_pendulum():
             assert_close(other[name], y.grad[0], rtol=0.0, atol=bound * size, msg=lambda m, n=name: f"{n}: {m}")
 
 
+@pytest.mark.thorough
+def test_by_the_duration_of_a_driven_motion():
+    """The last time is one of the drive's law as well; forward = reverse = differences."""
+    carriage, bob = (
+        mbd.RigidBody("carriage", 3.0, (1.0,) * 3),
+        mbd.RigidBody("bob", 1.5, (0.01,) * 3, position=(0, -2, 0)),
+    )
+    joints = [
+        mbd.Prismatic(GROUND.at(), carriage.at(), axis="x"),
+        mbd.Drive(GROUND, carriage, axis="x", position=mbd.Sine(0.5, 0.5)),
+        mbd.Revolute(carriage.at(), bob.at(0, 2.0, 0), axis="z"),
+    ]
+    system = mbd.System([carriage, bob], joints, gravity=(0, -9.81, 0))
+
+    def swing(duration: Tensor) -> Tensor:
+        return mbd.frozen_poles(mbd.simulate(system, duration, steps=60))[0, 1].imag
+
+    T, h = torch.tensor(0.6, dtype=torch.float64), 1e-4
+    wanted = ((swing(T + h) - swing(T - h)) / (2.0 * h)).item()
+    for mode in (torch.func.jacrev, torch.func.jacfwd):
+        assert mode(swing)(T).item() == pytest.approx(wanted, rel=1e-6)
+
+
 def test_what_has_no_derivative_is_named():
     """The poles of a free turn, which are zero; values are there."""
     mass = torch.tensor([1.5], dtype=torch.float64, requires_grad=True)
@@ -74,11 +97,19 @@ def test_bad_arguments_are_named():
     for call, words in (
         (lambda: mbd.frozen_poles(3), "motion is 3"),
         (lambda: mbd.frozen_poles(mbd.equilibrium(swinging())), "an equilibrium has `poles`"),
-        (lambda: mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, phases=PHASES)), "a motion in phases"),
+        (
+            lambda: mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, phases=PHASES)),
+            "motion is a motion in phases",
+        ),
         (lambda: mbd.frozen_poles(motion, 0.1001), "time is 0.1001; allowed: one of the 11 times"),
+        (lambda: mbd.frozen_poles(motion, "0.1"), "time is '0.1' s; allowed: a finite number"),
         (lambda: mbd.frozen_poles(motion, coordinates=["angle"]), "coordinates 'angle' does not exist"),
+        (lambda: mbd.frozen_poles(motion, coordinates="rotation z of 'bob'"), "allowed: a list of names of increments"),
+        (lambda: mbd.frozen_poles(motion, coordinates=3), "coordinates is 3; allowed: a list of names"),
         (lambda: mbd.frozen_poles(motion, coordinates=[]), r"coordinates is \[\]; allowed: 1 that are independent"),
     ):
         with pytest.raises(mbd.InputError, match=words):
             call()
+    single = torch.tensor(0.07, dtype=torch.float32)  # is 2e-9 off the time of the motion
+    assert torch.equal(mbd.frozen_poles(motion, single), mbd.frozen_poles(motion, 0.07))
     assert mbd.frozen_poles(motion).imag[0, 1].item() == pytest.approx(math.sqrt(9.81 * 3.0 / 6.1), rel=0.2)

@@ -89,6 +89,8 @@ def test_bad_arguments_are_named():
     ):
         with pytest.raises(mbd.InputError, match=words):
             call()
+    before = mbd.equilibrium(system, [-1.0, 0.0])
+    assert mbd.linearize(system, force, travel, before, time=-1.0).A.shape == (4, 4)
 
 
 @pytest.mark.thorough

@@ -94,6 +94,20 @@ def test_under_a_drive_and_in_coordinates_that_are_chosen():
         MovingLinearization.of(*state, coordinates=["angle"])
 
 
+def test_a_stiffness_that_cancels_has_derivatives():
+    """In L sin(angle) the stiffness vanishes at a rate w, A = -w^2 (1 + 2 tan^2) + k (sin tan - cos), but not dA/dw."""
+    L, m, angle = 2.0, 1.5, 1.2
+    [bob], (q, v), J = at_angles(tensor(angle), tensor(1.0), (L,), (m,))
+    system = mbd.System([bob], [mbd.Revolute(GROUND.at(), bob.at(0, L, 0), axis="z")], gravity=(0, -G, 0))
+    k, s, c = m * G * L / (m * L * L + J), math.sin(angle), math.cos(angle)
+    steep = 1.0 + 2.0 * (s / c) ** 2
+    w = tensor(math.sqrt(k * (s * s / c - c) / steep)).requires_grad_()
+    state = system.dynamics().values(), q, w * v, q.new_zeros(())
+    K = MovingLinearization.of(*state, coordinates=["displacement x of 'mass0'"]).A[1, 0]
+    assert K.item() == 0.0
+    assert torch.autograd.grad(K, w)[0].item() == pytest.approx(-2.0 * w.item() * steep, rel=1e-11)
+
+
 @pytest.mark.parametrize("build", [rigid_pendulum, pendulum])
 def test_perturbed_states_in_general_position(build):
     """Differences of accelerations of states that keep the constraints to first order; with a flexible body."""

@@ -5,6 +5,7 @@ from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.critical_values import CriticalSpeed, StabilityLimit
+from torchmbd.design.frequency_response import FrequencyResponse
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
@@ -41,7 +42,8 @@ from torchmbd.design.weighted import WeightedSum
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "BucklingFactor",
     "BucklingIndex", "CampbellClearance", "Constraint", "CriticalSpeed", "DampingRatio", "DesignSpace", "Displacement", "Final",
-    "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress",
+    "Frequencies", "Frequency", "FrequencyResponse", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", 
+    "PlyFailure", "PlyStress",
     "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StabilityLimit", "StabilityMargin", "StrainEnergy",
     "SystemFrequency", "Tradeoff", "Velocity",
     "WeightedSum", "history", "measure",

@@ -15,6 +15,7 @@ from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.critical_values import CriticalSpeed, StabilityLimit
+from torchmbd.design.frequency_response import FrequencyResponse
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -87,5 +88,6 @@ OF_DESIGN: Registry[type[Measure]] = Registry(
         "critical_speed": CriticalSpeed,
         "campbell_clearance": CampbellClearance,
         "stability_limit": StabilityLimit,
+        "frequency_response": FrequencyResponse,
     },
 )

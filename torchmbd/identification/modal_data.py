@@ -33,7 +33,7 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization.optimizer import require_range
 from torchmbd.results.motion_data import OK
 from torchmbd.results.time_rows import TensorSignals
-from torchmbd.vibrations import Equilibrium, equilibrium
+from torchmbd.vibrations import Equilibrium
 from torchmbd.vibrations.eigenvalues import NATURAL, POLES
 from torchmbd.vibrations.spectrum import SWINGS
 
@@ -142,7 +142,7 @@ class ModalData(Measurement):
 
     def within(self, limits: Limits, run: Run) -> Self:
         """Without measured modes that have no partner in the model where the search begins."""
-        rest = self._rest(run)
+        rest = run.equilibrium(run.system, **self.options)
         if self.shapes is None:
             self._pairing(rest, 0)  # InputError for more modes than the model has
             return self
@@ -171,7 +171,7 @@ class ModalData(Measurement):
         return result
 
     def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:
-        rest = self._rest(run)
+        rest = run.equilibrium(run.system, **self.options)
         pairings = [self._pairing(rest, lane) for lane in range(rest.lanes)]
         modes = torch.tensor([x.modes for x in pairings]).T  # [measured, lanes]
         known = torch.from_numpy(np.flatnonzero(np.isfinite(self.damping)))
@@ -190,17 +190,6 @@ class ModalData(Measurement):
             gradient = value.new_zeros(*value.shape, 0)
         notes = self._notes(pairings[0], value[0]) if run.lanes == 1 else ()
         return Prediction(value, gradient, {}, [OK] * run.lanes, notes)
-
-    def _rest(self, run: Run) -> Equilibrium:
-        """The equilibrium of all lanes."""
-        differentiable = run.gradients and bool(run.variables)
-        designs = {
-            name: x.detach().clone().requires_grad_(differentiable and name in run.variables)
-            for name, x in run.parameters.items()
-        }
-        with torch.set_grad_enabled(differentiable):
-            variables = run.variables if differentiable else None
-            return equilibrium(run.system, designs=designs, variables=variables, start=run.rest_start, **self.options)
 
     def _pairing(self, rest: Equilibrium, lane: int) -> Pairing:
         if self.shapes is not None:

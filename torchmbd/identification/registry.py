@@ -1,4 +1,7 @@
-"""The registry of measurements: names as experiment files spell them. A new one is one file here, and one line."""
+"""The registry of measurements: names as experiment files spell them. A new one is one file here, and one line.
+
+FrequencyResponseData is of Python alone: files have no names for actuators and signals.
+"""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from torchmbd.design.differentiate import ValueAndGradient, differentiate
 from torchmbd.design.push_forward import push_forward
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.multibody.system import System
+from torchmbd.vibrations import Equilibrium, equilibrium
 
 
 @dataclass(eq=False)
@@ -68,6 +69,17 @@ class Run:
         if self.gradients and self.designs:
             options = {"gradients": "forward", "variables": self.variables}
         return simulate(self.system, self.duration, designs=self.parameters, **options, **self.simulation)
+
+    def equilibrium(self, system: System, **options: Any) -> Equilibrium:
+        """The equilibrium of all lanes of the system, or of one with the same parameters; options as of `equilibrium`."""
+        differentiable = self.gradients and bool(self.variables)
+        designs = {
+            name: x.detach().clone().requires_grad_(differentiable and name in self.variables)
+            for name, x in self.parameters.items()
+        }
+        with torch.set_grad_enabled(differentiable):
+            variables = self.variables if differentiable else None
+            return equilibrium(system, designs=designs, variables=variables, start=self.rest_start, **options)
 
     def of_motion(self, f: Callable[[Trajectory], Tensor]) -> ValueAndGradient:
         """A function of the motion [lanes, rows], with its gradient by the variables where it is wanted."""

@@ -2,10 +2,8 @@
 
     ds = -l^H dP r          dP by the state, the data and the multipliers that balance them; l, r constant (spectrum.py)
 
-P r is one derivative of the residual: along x = r, x' = s r, x'' = s^2 r and the multipliers of r. So l^H P r is written in the
-functions of the equations, once, and its gradient is that of the eigenvalue.
-Each of them is a lane of its own: one pass backwards gives the gradients of all, which are multiplied by the cotangents or, in
-forward mode, by the directions.
+The gradient of l^H P r (inner_products.py) is that of the eigenvalue. Each eigenvalue is a lane of its own: one pass backwards
+gives the gradients of all, which are multiplied by the cotangents or, in forward mode, by the directions.
 Eigenvalues that coincide have the mean of their derivatives. It is the derivative of every function that is symmetric in them;
 others are refused, in reverse mode by unequal cotangents, in forward mode where the derivatives along the direction differ.
 Checked in tests/vibrations/test_eigenvalues.py.
@@ -24,12 +22,11 @@ from torch import Tensor
 from torchmbd.errors import DesignFailure, InputError
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
-from torchmbd.math.pair import Pair
-from torchmbd.multibody.system import Dynamics, equations
+from torchmbd.multibody.system import Dynamics
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
+from torchmbd.vibrations.inner_products import Vectors, inner_products
 from torchmbd.vibrations.spectrum import Spectrum
 
 NATURAL, POLES = "natural", "poles"
@@ -56,13 +53,13 @@ def eigenvalues(
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
     model, names = replace(dynamics, data={}), tuple(dynamics.data)
-    problem = _AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
+    problem = AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
 
 
-class _Term(NamedTuple):
+class Term(NamedTuple):
     """A product l^H dP r: numbers of the two vectors in the spectrum of a lane."""
 
     left: int
@@ -121,7 +118,7 @@ class _Eigenproblem:
         """How many eigenvalues there are."""
         return len(self.spectra[lane].values)
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [1, terms]: its real and, of poles, its imaginary part."""
         raise NotImplementedError(type(self).__name__)
 
@@ -129,7 +126,7 @@ class _Eigenproblem:
         count, lanes = max(x.shape[-2] for x in directions if x is not None), len(self.spectra)
         modes, pairs = self._columns()
         blocks = torch.zeros(self._parts, len(pairs), count, lanes, dtype=torch.float64)
-        terms = [_Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
+        terms = [Term(modes[i], modes[j], lane) for lane in range(lanes) for i, j in pairs]
         for slope in self._gradients(terms):
             x = directions[slope.input]
             if x is not None:
@@ -163,7 +160,7 @@ class _Eigenproblem:
                 self._refuse_unequal(spectrum, modes, bars[..., lane])
         bars = self._shared(bars, modes)
         needed = bars.abs().amax((0, 2)).T.nonzero().flip(1).tolist()  # of many eigenvalues and lanes few may count
-        terms = [_Term(modes[i], modes[i], lane) for i, lane in needed]
+        terms = [Term(modes[i], modes[i], lane) for i, lane in needed]
         result = [
             x.new_zeros(*x.shape[:-2], rows, lanes) if y else None for x, y in zip(self.inputs, needs_grad, strict=True)
         ]
@@ -216,7 +213,7 @@ class _Eigenproblem:
     def _parts(self) -> int:
         return 1 + (self.kind == POLES)
 
-    def _gradients(self, terms: Sequence[_Term]) -> Iterator[_Slope]:
+    def _gradients(self, terms: Sequence[Term]) -> Iterator[_Slope]:
         """Gradients of the terms, sorted by lanes, by the inputs."""
         for start in range(0, len(terms), _LANES):
             some = terms[start : start + _LANES]
@@ -228,14 +225,14 @@ class _Eigenproblem:
                         places = [i for i, _ in of_lane]
                         yield _Slope(part, k, lane, [start + i for i in places], g[..., 0, places])
 
-    def _vectors(self, terms: Sequence[_Term], side: str, *names: str) -> list[Tensor]:
+    def _vectors(self, terms: Sequence[Term], side: str, *names: str) -> list[Tensor]:
         """Columns [n, 1, terms] of the named tensors of the spectra."""
         of = [(self.spectra[term.lane], getattr(term, side)) for term in terms]
         return [torch.stack([getattr(x, name)[..., k] for x, k in of], -1).reshape(-1, 1, len(of)) for name in names]
 
 
 @dataclass(eq=False, kw_only=True)
-class _AboutState(_Eigenproblem):
+class AboutState(_Eigenproblem):
     """Of the equations of motion about a state at rest or in steady rotation; inputs are q and the data."""
 
     model: Dynamics
@@ -260,39 +257,18 @@ class _AboutState(_Eigenproblem):
     def _observer(self, data: dict[str, Tensor]) -> Observer:
         return ObserverAtRest() if self.rotation is None else self.rotation.of_spin(data[SPIN])
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs as leaves, a lane for each term, and -l^H P r [terms]: its real and, of poles, its imaginary part."""
         lanes = [term.lane for term in terms]
-        T, leaves = self.model.topology, [leaf(x[..., lanes]) for x in self.inputs]
+        leaves = [leaf(x[..., lanes]) for x in self.inputs]
         q, data = self._split(leaves)
-        observer = self._observer(data)
         s, right, force = self._vectors(terms, "right", "roots", "right", "force")
         left, slip = self._vectors(terms, "left", "left", "slip")
+        vectors = Vectors(left, slip, right, force)
+        balance = [self.balance[lane] for lane in lanes]
         with torch.enable_grad():
-            excitation = T.prescribed(self.t, data)
-            zero = q.new_zeros(T.n_v, 1, q.shape[-1])
-            at, *rates = observer.perturbed(T, q, zero, zero, zero)
-            lam = self._multipliers(data, equations.placement(T, data, at, excitation), rates, observer, q, lanes)
-            x, xd, xdd = (Pair.of(zero, _real_and_imaginary(y)) for y in (right, s * right, s * s * right))
-            near, v, a = observer.perturbed(T, q, x, xd, xdd)
-            moved = equations.placement(T, data, near, excitation)
-            z = equations.dynamic_residual(T, data, moved, v, a, Pair.of(lam, _real_and_imaginary(force)))
-            products = _inner(left, observer.rows(T, q, z).tangent)
-            if T.rows:
-                more = _inner(slip, equations.constraints(T, moved).tangent)
-                products = [x + y for x, y in zip(products, more, strict=True)]
+            products = inner_products(self.model.topology, data, q, self.t, self._observer(data), balance, s, vectors)
             return leaves, [-x for x in products[: self._parts]]
-
-    def _multipliers(
-        self, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor, lanes: Sequence[int]
-    ) -> Tensor:
-        """Multipliers [rows, 1, lanes] that balance the state: the known ones, by a Newton step that carries derivatives."""
-        T, active = self.model.topology, self.balance[0].active
-        lam = torch.stack([self.balance[lane].lam for lane in lanes], -1)[:, None]
-        forces = observer.rows(T, q, equations.dynamic_residual(T, data, at, rates[0], rates[1], lam))[active, 0]
-        of_lane = {i: torch.linalg.pinv(self.balance[i].Phi_q[:, active].T, rtol=RELATIVE) for i in sorted(set(lanes))}
-        back = torch.stack([of_lane[lane] for lane in lanes], -1)
-        return lam - torch.einsum("rvl,vl->rl", back, forces)[:, None]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -303,7 +279,7 @@ class _OfMatrices(_Eigenproblem):
         lanes = range(self.inputs[0].shape[-1])
         return [Spectrum.poles(Linearization.of_matrices(*(x[:, :, 0, i] for x in self.inputs))) for i in lanes]
 
-    def _slopes(self, terms: Sequence[_Term]) -> tuple[list[Tensor], list[Tensor]]:
+    def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
         s, right = self._vectors(terms, "right", "roots", "right")
         [left] = self._vectors(terms, "left", "left")
@@ -321,14 +297,3 @@ def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
         f"eigenvalues {numbers} coincide at {value:.6g}: a single one has no derivative; allowed: functions symmetric in them, "
         "such as SystemFrequency(cluster=...)"
     )
-
-
-def _real_and_imaginary(x: Tensor) -> Tensor:
-    """Both parts [n, 2, terms] of x [n, 1, terms]."""
-    return torch.cat([x.real, x.imag], 1)
-
-
-def _inner(left: Tensor, z: Tensor) -> list[Tensor]:
-    """Real and imaginary part [1, terms] of l^H z for z [n, 2, terms] as of `_real_and_imaginary`."""
-    real, imag = z.chunk(2, 1)
-    return [(left.real * real + left.imag * imag).sum(0), (left.real * imag - left.imag * real).sum(0)]

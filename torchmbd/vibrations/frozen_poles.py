@@ -44,11 +44,11 @@ def frozen_poles(
     """
     if not isinstance(motion, Trajectory) or isinstance(motion, Equilibrium):
         raise InputError(f"motion is {motion!r}; allowed: one of mbd.simulate; an equilibrium has `poles`")
-    k, states = time_index(motion, time), []
+    k, states = time_index(motion, time, "motion"), []
     for lane in range(motion.require_ok().lanes):
         dynamics = motion.dynamics.select_lanes([lane])
         q, v = (x[lane, k][:, None, None] for x in (motion.q, motion.v))
-        states.append(MovingLinearization.of(dynamics, q, v, motion.t[k].detach(), coordinates))
+        states.append(MovingLinearization.of(dynamics, q, v, motion.t[k], coordinates))
         factored_inertia(states[-1].M.detach())
         coordinates = [dynamics.topology.rate_name(row) for row in states[0].rows]
     M, C, K = (torch.stack([getattr(x, name) for x in states], -1) for name in "MCK")

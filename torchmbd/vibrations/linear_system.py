@@ -85,7 +85,7 @@ class LinearSystem:
         return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 
 
-class _Ports(nn.Module):
+class Ports(nn.Module):
     """Inputs that do not depend on the outputs."""
 
     def __init__(self, inputs: int):
@@ -129,12 +129,7 @@ def linearize(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
-    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
-    if not outputs:
-        raise InputError("outputs is empty; allowed: at least one signal")
-    if any(isinstance(signal, Time) for signal in outputs):
-        raise InputError("outputs has the time; allowed: signals of the motion")
+    inputs, outputs = checked_ports(inputs, outputs)
     state = equilibrium(system) if state is None else state
     if not isinstance(state, Trajectory):
         raise InputError(
@@ -142,7 +137,7 @@ def linearize(
         )
     if not is_whole(lane) or not 0 <= lane < state.lanes:
         raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
-    ports = _Ports(len(inputs))
+    ports = Ports(len(inputs))
     with torch.no_grad():
         dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)
         k = time_index(state, time)
@@ -158,17 +153,37 @@ def linearize(
         return _matrices(dynamics, ports, links, q, state.t[k].detach(), small, _names(inputs), _names(outputs))
 
 
-def _with_ports(system: System, ports: _Ports, inputs: list, outputs: list, state: Trajectory, lane: int) -> tuple:
+def _with_ports(system: System, ports: Ports, inputs: list, outputs: list, state: Trajectory, lane: int) -> tuple:
     """The equations of one design of the system with inputs and outputs, and their link."""
+    with_ports = system_with_ports(system, ports, inputs, outputs)
+    dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
+    return dynamics.values(), link_of_ports(dynamics)
+
+
+def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signal]]:
+    """Actuators and signals; InputError for anything else, and for none."""
+    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
     if not inputs:
         raise InputError("inputs is empty; allowed: at least one actuator")
+    if not outputs:
+        raise InputError("outputs is empty; allowed: at least one signal")
+    if any(isinstance(signal, Time) for signal in outputs):
+        raise InputError("outputs has the time; allowed: signals of the motion")
+    return inputs, outputs
+
+
+def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
+    """The system with actuators that `ports` sets and signals that `link_of_ports` reads."""
     probe = Controller(ports, outputs, inputs, name=_PORTS)
     nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
     names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
-    with_ports = System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
-    dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
-    link = next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
-    return dynamics.values(), link
+    return System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
+
+
+def link_of_ports(dynamics: Any) -> Any:
+    """The link of a system with ports."""
+    return next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
 
 
 class _Coefficients(NamedTuple):
@@ -218,7 +233,7 @@ def _about_motion(
 
 def _matrices(
     dynamics: Any,
-    ports: _Ports,
+    ports: Ports,
     link: Any,
     q: Tensor,
     t: Tensor,

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, one_of
-from torchmbd.math.checked_numbers import nonnegative
+from torchmbd.math.checked_numbers import list_of, scalar
 from torchmbd.math.pair import Pair, cat, cross, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import factored_inertia, null_space, unpadded_rates
@@ -39,7 +39,7 @@ from torchmbd.results.trajectory import Trajectory
 _PART = 1e-3
 _ROUNDING = 1e-12  # of terms that cancel
 _PROJECTIONS = 2  # onto the constraints: the second squares what the first leaves
-_SAME_TIME = 1e-9  # share of the duration
+_SAME_TIME = 1e-6  # share of the largest time: rounding of a number in single precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,27 +153,28 @@ class MovingLinearization:
         return cls(rows, N, N1, M, C, K, observer, lam, violation)
 
 
-def time_index(motion: Trajectory, time: float | None) -> int:
-    """The number of a time [s] among those of a motion; None: the last. InputError for others, and for motions in phases."""
+def time_index(motion: Trajectory, time: float | None, name: str = "state") -> int:
+    """The number of a time [s] among those of a motion, an argument `name`; None: the last. InputError for others, and for
+    motions in phases."""
     if motion.actions or motion.switches:
         raise InputError(
-            "state is a motion in phases; allowed: a motion without, which may start at the end of another"
+            f"{name} is a motion in phases; allowed: a motion without, which may start at the end of another"
         )
     if time is None:
         return len(motion.t) - 1
-    t, x = motion.t.detach(), nonnegative("time", time, "s")
+    t, x = motion.t.detach(), scalar("time", time, "a finite number", " s")
     k = int((t - x).abs().argmin())
-    if abs(float(t[k]) - x) > _SAME_TIME * float(t[-1]):
+    if abs(float(t[k]) - x) > _SAME_TIME * float(t.abs().max()):
         raise InputError(
-            f"time is {time!r}; allowed: one of the {len(t)} times of the state, the nearest is {float(t[k])!r}"
+            f"time is {time!r}; allowed: one of the {len(t)} times of the {name}, the nearest is {float(t[k])!r}"
         )
     return k
 
 
 def _sum(terms: list[Tensor]) -> Tensor:
-    """The sum of terms; zero where they cancel but for rounding, as in a free motion."""
+    """The sum of terms; zero where they cancel but for rounding, as in a free motion. Derivatives need not cancel there."""
     total, size = torch.stack(terms).sum(0), torch.stack(terms).detach().abs().sum(0)
-    return torch.where(total.detach().abs() <= _ROUNDING * size, 0.0, total)
+    return torch.where(total.detach().abs() <= _ROUNDING * size, total - total.detach(), total)
 
 
 def _jacobian(T: Topology, data: Any, q: Tensor, excitation: Any) -> Tensor:
@@ -227,12 +228,13 @@ def independent_rows(T: Topology, active: Tensor, basis: Tensor) -> list[int]:
 def _rows(T: Topology, active: Tensor, basis: Tensor, coordinates: Sequence[str]) -> list[int]:
     """Rows of v by their names, which are as many as the freedoms and independent."""
     names = {T.rate_name(row): (row, i) for i, row in enumerate(active.tolist())}
-    found = [names[one_of("coordinates", name, names)] for name in coordinates]
+    chosen = list_of("coordinates", coordinates, str, "names of increments, such as \"rotation z of 'bob'\"")
+    found = [names[one_of("coordinates", name, names)] for name in chosen]
     n = basis.shape[1]
     part = basis[[i for _, i in found]]
     if len(set(found)) != n or len(found) != n or float(torch.linalg.svdvals(part)[-1] if n else 1.0) < RELATIVE:
         proper = [T.rate_name(row) for row in independent_rows(T, active, basis)]
-        raise InputError(f"coordinates is {list(coordinates)!r}; allowed: {n} that are independent, such as {proper!r}")
+        raise InputError(f"coordinates is {chosen!r}; allowed: {n} that are independent, such as {proper!r}")
     return [row for row, _ in found]
 
 
