@@ -161,7 +161,7 @@ SYSTEMS: dict[str, tuple[Callable[[], mbd.System], dict[str, float]]] = {
     "Rayleigh's factors and a damping ratio": (damped_rods, {}),
     "damping ratios": (ratio_of_each_mode, {}),
     "metal in a laminate": (metal_plate, {"nu": 0.02}),
-    "metal in a section": (metal_section, {}),
+    "metal in a section": (metal_section, {"nu": 0.03}),
     "metal of a beam": (metal_beam, {"section": 0.01, "twist": 0.05}),
     "entries of a section": (entries_of_a_section, {"stiffness": 0.03, "twist": 0.05}),
     "clamps": (clamps_and_mounts, {}),

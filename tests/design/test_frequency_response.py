@@ -170,13 +170,31 @@ def test_without_damping_it_is_infinite():
         ({"band": (2.0, 1.0)}, "band"),
         ({"band": (-2.0, 1.0)}, "band is -2"),
         ({"quantity": "jerk"}, "quantity 'jerk' does not exist; allowed"),
-        ({"input_direction": "w"}, "'w'"),
+        ({"input_direction": "w"}, "input_direction 'w' does not exist; allowed: x, y, z"),
+        ({"output": "load", "direction": "y", "place": (0.1, 0.2)}, r"place is \(0.1, 0.2\); allowed: three finite"),
         ({"speed": -1.0}, "speed"),
     ],
 )
 def test_wrong_arguments_are_named(change, message):
     with pytest.raises(mbd.InputError, match=message):
         mbd.FrequencyResponse(**{"output": "rail", "input": "rail"} | change).check(mass())
+
+
+def test_what_cannot_move_does_not_respond():
+    load = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
+    motion = short(mbd.System([load], [mbd.Fixed(GROUND.at(), load.at())]))
+    ports = {"direction": "x", "input_direction": "x", "place": np.array([0.1, 0.0, 0.0])}
+    assert mbd.FrequencyResponse("load", "load", **ports)(motion).item() == 0.0
+
+
+def test_in_inference_mode():
+    system = mass()
+    measure = mbd.FrequencyResponse("rail", "rail", (0.1, 10.0))
+    with torch.inference_mode():
+        found, [rail] = measure(short(system)), system.joints
+        linear = mbd.linearize(system, [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
+    assert float(found) == float(measure(short(system)))
+    assert linear.A[1].tolist() == [-25.0, -1.0]
 
 
 def test_from_an_experiment_file():

@@ -81,7 +81,7 @@ def test_files_of_both_forms(tmp_path):
     [
         ({"outputs": {}}, "outputs is empty; allowed: at least one signal"),
         ({"outputs": [1]}, "outputs is .*; allowed: name -> signal"),
-        ({"input": 3}, "inputs"),
+        ({"input": 3}, "input is 3; allowed: an actuator"),
         ({"form": "bode"}, "form"),
         ({"frequency": "w"}, "column 'w' does not exist"),
         ({"deviation": {"c": 1.0}}, "deviation of output"),
@@ -90,7 +90,13 @@ def test_files_of_both_forms(tmp_path):
             {"data": receptances() | {"frequency": F[::-1]}},
             "row 1: frequency is 14 Hz; allowed: positive numbers in rising",
         ),
-        ({"data": receptances() | {"a": np.zeros(5)}}, "output 'a' is zero or a gap"),
+        ({"data": receptances() | {"a": np.zeros(5, complex)}, "form": "polar"}, "output 'a' is zero or a gap"),
+        (
+            {"data": receptances() | {"a": np.ones(5)}},
+            "output 'a' has numbers without imaginary parts; allowed: complex",
+        ),
+        ({"deviation": 0.1}, "deviation is 0.1; allowed: name of an output"),
+        ({"spinn": (0, 0, 1)}, "option 'spinn' of FrequencyResponseData does not exist.*did you mean 'spin'"),
     ],
 )
 def test_bad_input_is_named(change, message):
@@ -98,6 +104,12 @@ def test_bad_input_is_named(change, message):
     arguments = {"data": receptances(), "input": push, "outputs": outputs} | change
     with pytest.raises(mbd.InputError, match=message):
         mbd.FrequencyResponseData(**arguments)
+
+
+def test_a_response_may_be_zero_but_in_a_logarithm():
+    push, outputs = ports(pendulum.row())
+    zero = receptances() | {"a": np.zeros(5, complex)}
+    assert [len(block.measured) for block in mbd.FrequencyResponseData(zero, push, outputs).blocks] == [5] * 4
 
 
 def test_signals_of_another_system_are_refused():

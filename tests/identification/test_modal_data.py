@@ -107,12 +107,6 @@ def test_frequencies_of_a_flexible_body_in_rotation():
             "option 'spinn' of ModalData does not exist.*did you mean 'spin'",
         ),
         (
-            lambda: mbd.identify(
-                mbd.Experiment(pendulum.row(k1=-9e3), mbd.ModalData([5.0], unstable=True)), ["second.stiffness"]
-            ),
-            "vibrations about the equilibrium grow",
-        ),
-        (
             lambda: fitted(mbd.ModalData([1.0, 2.0, 3.0]), ["first.stiffness"]),
             "mode 3 is measured, and the model has 2 vibrations",
         ),
@@ -132,6 +126,27 @@ def test_partners_are_decided_where_the_search_begins():
     stiff = mbd.identify(experiment, ["first.stiffness"], start={"first.stiffness": 1e6}, max_evaluations=1)
     assert stiff.notes[0].startswith("measured mode 1 (20 Hz) is mode 1 of the model")
     assert "MAC 1.00" in stiff.notes[0]
+
+
+@pytest.mark.thorough
+def test_a_start_without_a_state_is_a_start_that_failed():
+    """Nothing balances the load without a spring; other starts are searched all the same."""
+    ground, mass = mbd.Ground(), mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
+    ends = ground.at(), mass.at()
+    spring = mbd.AxialSpringDamper(*ends, axis="x", stiffness=mbd.variable(100.0), name="spring")
+    model = mbd.System([mass], [mbd.Prismatic(*ends, axis="x")], [spring, mbd.Force(mass.at(), (5.0, 0.0, 0.0))])
+    experiment = mbd.Experiment(model, mbd.ModalData([np.sqrt(150.0 / 2.0) / (2.0 * np.pi)]))
+    arguments = {"bounds": {"spring.stiffness": (0.0, 1e3)}, "start": {"spring.stiffness": 0.0}}
+    fit = mbd.identify(experiment, ["spring.stiffness"], **arguments)
+    assert fit.status == "failed"
+    assert "no static equilibrium" in fit.fit.message
+    fit = mbd.identify(experiment, ["spring.stiffness"], **arguments, starts=[[90.0], [0.0]])
+    assert [x.status for x in fit.starts] == ["converged", "failed"]
+    assert fit["spring.stiffness"] == pytest.approx(150.0)
+    unstable = mbd.Experiment(pendulum.row(k1=-9e3), mbd.ModalData([5.0], unstable=True))
+    fit = mbd.identify(unstable, ["second.stiffness"])
+    assert fit.status == "failed"
+    assert "vibrations about the equilibrium grow" in fit.fit.message
 
 
 def test_a_mode_that_is_damped_more_than_critically_shifts_no_other():

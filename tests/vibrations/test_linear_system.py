@@ -78,6 +78,10 @@ def test_bad_arguments_are_named():
         (lambda: mbd.linearize(3, force, travel), "system is 3"),
         (lambda: mbd.linearize(system, [], travel), "inputs is empty"),
         (lambda: mbd.linearize(system, travel, travel), "inputs"),
+        (
+            lambda: mbd.linearize(system, [mbd.signals.JointTorque(hinged(1.0)[1])], travel),
+            "'inputs and outputs' acts on",
+        ),
         (lambda: mbd.linearize(system, force, [mbd.signals.Time()]), "outputs has the time"),
         (lambda: mbd.linearize(system, force, travel, state=3), "state is 3"),
         (lambda: mbd.linearize(system, force, travel, lane=4), "lane is 4"),
@@ -163,6 +167,9 @@ def test_a_motion_of_another_system_or_in_phases_is_refused():
     short = mbd.simulate(system, 0.1, steps=10, phases=[mbd.Phase(until=0.05), mbd.Phase(lock=["hinge"])])
     with pytest.raises(mbd.InputError, match="state is a motion in phases"):
         mbd.linearize(system, *ports, short)
+    motion.status[0] = "failed: steps are too long"
+    with pytest.raises(mbd.SimulationFailure, match="lane 0: failed: steps are too long"):
+        mbd.linearize(system, *ports, motion)
 
 
 def test_the_response_at_a_pole_is_refused():

@@ -20,16 +20,16 @@ from torch import Tensor
 from torchmbd.design.system_vibrations import OfVibrations, rising
 from torchmbd.errors import InputError, checked_signature, one_of
 from torchmbd.integrate import Trajectory
-from torchmbd.math.checked_numbers import nonnegative
+from torchmbd.math.checked_numbers import is_whole, nonnegative
 from torchmbd.math.module_call import outside_transforms
-from torchmbd.multibody.bodies.frame import Frame, axis_index
+from torchmbd.multibody.bodies.frame import Frame, axis_index, vector
 from torchmbd.multibody.bodies.rigid import RigidBody
 from torchmbd.multibody.forces import signals
 from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
 from torchmbd.multibody.system import System
 from torchmbd.results.reaction import joint_named
-from torchmbd.vibrations.harmonic_response import largest_response
+from torchmbd.vibrations.largest_response import largest_response
 from torchmbd.vibrations.linear_system import Ports, system_with_ports
 from torchmbd.vibrations.steady_states import steady_states
 
@@ -102,10 +102,11 @@ class FrequencyResponse(OfVibrations):
                 raise InputError(f"{name} is {x!r}; allowed: the name of a joint or of a body")
         for name in ("direction", "input_direction"):
             if getattr(self, name) is not None:
-                axis_index(getattr(self, name))
+                one_of(name, getattr(self, name), "xyz")
         for name in ("place", "input_place"):
             x = getattr(self, name)
-            object.__setattr__(self, name, tuple(x) if isinstance(x, (list, tuple)) else x)
+            if x is not None and not isinstance(x, str) and not is_whole(x):
+                object.__setattr__(self, name, tuple(vector(name, x).tolist()))
         band = rising("band", self.band)
         nonnegative("band", band[0], "Hz")
         object.__setattr__(self, "band", band)

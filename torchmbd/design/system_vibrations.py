@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchmbd.design.followed_vibrations import followed_eigenvalue
 from torchmbd.design.response import Measure
-from torchmbd.errors import DesignFailure, InputError, checked_signature
+from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, nonnegative, positive, scalar
 from torchmbd.multibody.system.steady_rotation import TURNING
@@ -88,6 +89,8 @@ class SystemFrequency(OfVibrations):
     cluster  numbers instead, as (2, 3): the power mean of these, which is smooth where they cross or coincide
     power    of that mean, as of Frequencies
     speed    of rotation [rad/s]
+    follow   the number is that in the system as it was built; in each design it is the vibration with this shape, also where
+             another has crossed it. A design in which none is surely like it fails (followed_vibrations.py)
     axis, center, observer   of the rotation, as of OfVibrations
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.01, steps=2)
@@ -99,6 +102,7 @@ class SystemFrequency(OfVibrations):
     cluster: tuple[int, ...] | None = None
     power: float = 1.0
     speed: float = 0.0
+    follow: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,11 +112,16 @@ class SystemFrequency(OfVibrations):
             object.__setattr__(self, "cluster", _numbers("cluster", self.cluster))
             if self.number != 1:
                 raise InputError(f"number is {self.number} with cluster {self.cluster}; allowed: one of both")
+        if true_or_false("follow", self.follow) and self.cluster is not None:
+            raise InputError(f"follow is True with cluster {self.cluster}; allowed: with a number")
         if scalar("power", self.power, "a finite number but 0") == 0.0:
             raise InputError(f"power is {self.power!r}; allowed: a finite number but 0")
 
     def value(self, motion: Trajectory) -> Tensor:
         states = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64))
+        if self.follow:
+            w = followed_eigenvalue(states, motion.system, self.shaft, float(self.speed), NATURAL, self.number)
+            return w / (2.0 * math.pi)
         modes = [number - 1 for number in self.cluster or (self.number,)]
         w = states.eigenvalues(NATURAL, modes, self.cluster is not None)[:, 0]
         if self.cluster is None:
@@ -128,6 +137,7 @@ class DampingRatio(OfVibrations):
 
     number   of the pole with a positive imaginary part, of 1 % of |s| at least; 1 has the smallest
     speed    of rotation [rad/s]
+    follow   as of SystemFrequency. Without it, two poles with nearly the same imaginary part are told apart by its order alone
     axis, center, observer   of the rotation, as of OfVibrations
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
@@ -140,14 +150,20 @@ class DampingRatio(OfVibrations):
 
     number: int = 1
     speed: float = 0.0
+    follow: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         number_of("number", self.number)
         nonnegative("speed", self.speed, "rad/s")
+        true_or_false("follow", self.follow)
 
     def value(self, motion: Trajectory) -> Tensor:
-        poles = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64)).eigenvalues(POLES)[:, 0]
+        states = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64))
+        if self.follow:
+            s = followed_eigenvalue(states, motion.system, self.shaft, float(self.speed), POLES, self.number)
+            return -s.real / s.abs()
+        poles = states.eigenvalues(POLES)[:, 0]
         ratios = []
         for lane in poles:
             known = lane.detach()

@@ -12,7 +12,7 @@ from typing import Any
 from torch import Tensor
 
 from torchmbd.design.scenario_settings import settings_of
-from torchmbd.errors import InputError, argument_names, checked_signature
+from torchmbd.errors import DesignFailure, InputError, argument_names, checked_signature
 from torchmbd.identification.measurement import Limits, Measurement
 from torchmbd.identification.run import Run
 from torchmbd.integrate import Phase
@@ -98,6 +98,8 @@ class Experiment(Summary):
 
         limits   bounds of the unknowns of its measurements, by name
         start    values of parameters where the search begins, by name [1, ...]; those of other systems are left out
+
+        A model that has no state there leaves out nothing: the search says what fails, and others may begin elsewhere.
         """
         last = max(measurement.until(limits) for measurement in self.measurements)
         result = object.__new__(Experiment)
@@ -105,7 +107,14 @@ class Experiment(Summary):
         result.duration = self.duration or last
         parameters = dict(self.system.named_parameters())
         run = result.run({name: x for name, x in start.items() if name in parameters}, 1, False, None)
-        result.measurements = [measurement.within(limits, run) for measurement in self.measurements]
+
+        def within(measurement: Measurement) -> Measurement:
+            try:
+                return measurement.within(limits, run)
+            except DesignFailure:
+                return measurement
+
+        result.measurements = [within(measurement) for measurement in self.measurements]
         return result
 
     def run(self, designs: dict[str, Tensor], lanes: int, gradients: bool, steps: int | None) -> Run:

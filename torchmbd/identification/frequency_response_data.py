@@ -20,6 +20,7 @@ from torchmbd.design.differentiate import differentiate
 from torchmbd.errors import InputError, checked_signature, one_of
 from torchmbd.identification.channel import checked_deviation
 from torchmbd.identification.measurement import Block, Measurement, Prediction
+from torchmbd.identification.modal_data import check_options
 from torchmbd.identification.run import Run
 from torchmbd.identification.table import Table
 from torchmbd.multibody.forces.signals import Actuator, Signal
@@ -68,7 +69,10 @@ class FrequencyResponseData(Measurement):
     ):
         if not isinstance(outputs, Mapping) or not all(isinstance(name, str) for name in outputs):
             raise InputError(f"outputs is {outputs!r}; allowed: name -> signal, such as mbd.signals.JointAngle(joint)")
+        if not isinstance(input, Actuator):
+            raise InputError(f"input is {input!r}; allowed: an actuator, such as mbd.signals.JointTorque(joint)")
         self.input, signals = checked_ports([input], list(outputs.values()))
+        check_options(self, options)
         self.outputs, self.form, self.options = (
             dict(zip(outputs, signals, strict=True)),
             one_of("form", form, PARTS),
@@ -82,9 +86,12 @@ class FrequencyResponseData(Measurement):
         self.measured = {name: m[self.present[name]] for name, m in measured.items()}
         self.deviation: dict[str, np.ndarray] = {}
         for name, m in self.measured.items():
-            if not len(m) or not m.all():
+            if not len(m) or (self.form == "polar" and not m.all()):
                 raise InputError(f"output {name!r} is zero or a gap where it was measured; allowed: other numbers")
-        for name, x in (deviation or {}).items():
+        deviation = {} if deviation is None else deviation
+        if not isinstance(deviation, Mapping):
+            raise InputError(f"deviation is {deviation!r}; allowed: name of an output -> a number, or one for each row")
+        for name, x in deviation.items():
             one_of("deviation of output", name, self.outputs)
             values = checked_deviation(f"deviation of output {name!r}", x)
             if isinstance(values, np.ndarray) and len(values) != len(self.f):
@@ -133,7 +140,9 @@ def _table(data: Any, frequency: str, names: list[str], form: str) -> tuple[np.n
     """Frequencies [rows] [Hz] and complex numbers of each output [rows], nan where there is none."""
     pairs = dict(data) if isinstance(data, Mapping) else {}
     for name in [name for name in names if name in pairs]:  # arrays of complex numbers
-        x, form = np.asarray(pairs.pop(name), dtype=complex), "complex"
+        x, form = np.asarray(pairs.pop(name)), "complex"
+        if not np.iscomplexobj(x):
+            raise InputError(f"output {name!r} has numbers without imaginary parts; allowed: complex ones")
         pairs |= {f"{name} real": np.real(x), f"{name} imaginary": np.imag(x)}
     data = pairs or data
     columns = {name: [f"{name} {part}" for part in PARTS[form]] for name in names}

@@ -54,6 +54,14 @@ class Pairing:
     mac: list[float]
 
 
+def check_options(measurement: Measurement, options: Mapping[str, Any]) -> None:
+    """InputError for options of `equilibrium` that a measurement about one does not have."""
+    if wrong := [name for name in options if name not in OPTIONS]:
+        raise InputError(
+            f"option {wrong[0]!r} of {type(measurement).__name__} does not exist{nearest(wrong[0], OPTIONS)}"
+        )
+
+
 @checked_signature
 class ModalData(Measurement):
     """Frequencies of small vibrations about an equilibrium; damping ratios and shapes at sensors where they were measured.
@@ -94,8 +102,7 @@ class ModalData(Measurement):
         self.shares = positive("frequency_share", frequency_share, "-"), positive("damping_share", damping_share, "-")
         require_range("least_mac", least_mac, 0.0, 1.0)
         self.least_mac, self.options = least_mac, options
-        if wrong := [name for name in options if name not in OPTIONS]:
-            raise InputError(f"option {wrong[0]!r} of ModalData does not exist{nearest(wrong[0], OPTIONS)}")
+        check_options(self, options)
         self.sensors = [_velocity(sensor) for sensor in sensors]
         self.shapes = None if shapes is None else _numbers(shapes)
         if shapes is None and self.sensors:

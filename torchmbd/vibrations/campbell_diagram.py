@@ -1,22 +1,19 @@
 """Vibrations of a machine over speeds of rotation, each followed by its shape: the numbers of a Campbell diagram.
 
-    MAC = |a^H M b|^2 / (a^H M a)(b^H M b)         likeness of two shapes, at most 1
-
-Vibrations are poles that oscillate at the first speed, the slowest first. From speed to speed those pairs go together whose MAC
-have the largest sum, among poles of either sign of the imaginary part: seen by a turning observer a whirl may pass through
-zero, and turns the other way behind it. So a vibration keeps its number where it crosses another. Where two veer the shapes
-exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A vibration whose
-likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or it has become a
-part of several.
-Source: Allemang and Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116 (MAC). Checked in
-tests/vibrations/test_campbell_diagram.py.
+Vibrations are poles that oscillate at the first speed, the slowest first. From speed to speed those pairs go together whose
+likeness (likeness.py) has the largest sum, among poles of either sign of the imaginary part: seen by a turning observer a whirl
+may pass through zero, and turns the other way behind it. So a vibration keeps its number where it crosses another. Where two
+veer the shapes exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A
+vibration whose likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or
+it has become a part of several.
+Checked in tests/vibrations/test_campbell_diagram.py.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import scipy.optimize
 import torch
@@ -31,6 +28,7 @@ from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import TURNING
 from torchmbd.vibrations.eigenvalues import POLES
+from torchmbd.vibrations.likeness import Shapes
 from torchmbd.vibrations.spectrum import SWINGS, Spectrum
 from torchmbd.vibrations.steady_states import Shaft, SteadyStates, steady_states
 
@@ -92,24 +90,14 @@ def campbell(
         raise InputError(f"modes is {modes!r}; allowed: 1, 2, ...")
     shaft = Shaft(axis, center, observer)
     states = steady_states(system, speeds, shaft, designs)
-    names = list(states.dynamics.data)
-    numbers, status = outside_transforms(
-        lambda q, *data: _followed(_plain(states, q, dict(zip(names, data, strict=True))), shaft, modes),
-        states.q,
-        *states.dynamics.data.values(),
-    )
-    wanted = sorted(set(numbers[numbers >= 0].tolist()))
-    place = torch.searchsorted(torch.tensor(wanted, dtype=torch.long), numbers).clamp_max(max(len(wanted) - 1, 0))
-    s = states.eigenvalues(POLES, wanted).gather(-1, place) if wanted else place.to(torch.complex128)
+    follower = _Follower(outside_transforms(Tensor.tolist, _speeds(states, shaft)), modes)
+    s = states.eigenvalues(POLES, follower)
+    numbers = follower.numbers
+    place = torch.searchsorted(follower.chosen, numbers.clamp_min(0))
+    s = s.gather(-1, place) if len(follower.chosen) else place.to(s.dtype)
     none = torch.complex(*(torch.full(s.shape, torch.nan, dtype=torch.float64) for _ in range(2)))
     s = torch.where(numbers >= 0, s, none)
-    return Campbell(_speeds(states, shaft), s.imag.abs() / (2.0 * math.pi), -s.real / s.abs(), s, status)
-
-
-def _plain(states: SteadyStates, q: Tensor, data: dict[str, Any]) -> SteadyStates:
-    """The same states of numbers."""
-    rotation = states.rotation.of_spin(data[SPIN])
-    return SteadyStates(states.dynamics.with_data(data), q, rotation, states.t.detach(), states.speeds)
+    return Campbell(_speeds(states, shaft), s.imag.abs() / (2.0 * math.pi), -s.real / s.abs(), s, follower.status)
 
 
 def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
@@ -117,46 +105,45 @@ def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
     return (states.dynamics.data[SPIN][:, 0, : states.speeds] * shaft.direction[:, None]).sum(0)
 
 
-def _followed(states: SteadyStates, shaft: Shaft, modes: int) -> tuple[Tensor, list[str]]:
-    """Numbers of the poles [designs, speeds, n], -1 where a vibration is lost; and the status of each design."""
-    lanes, speeds = states.q.shape[-1] // states.speeds, _speeds(states, shaft).tolist()
-    rows, status = [], []
-    for design in range(lanes):
-        here = _Shapes.of(states.linearization(design * states.speeds))
-        chosen = (here.poles.imag > SWINGS * here.poles.abs()).nonzero()[:modes, 0]
-        poles, shapes = here.poles[chosen], here.shapes[:, chosen]
+class _Follower:
+    """A `Choice` of the vibrations of designs at rising speeds, lanes as of SteadyStates.
+
+    numbers  of the poles [designs, speeds, n], -1 where a vibration is lost
+    chosen   all of these numbers, ascending
+    status   of each design
+    """
+
+    def __init__(self, speeds: list[float], modes: int):
+        self.speeds, self.modes = speeds, modes
+        self.numbers = self.chosen = torch.zeros(0, 0, 0, dtype=torch.long)
+        self.status: list[str] = []
+
+    def __call__(self, spectra: Sequence[Spectrum], states: Sequence[Linearization]) -> list[int]:
+        shapes = [Shapes.of(x, rest) for x, rest in zip(spectra, states, strict=True)]
+        count = len(self.speeds)
+        followed = [self._of_design(shapes[k : k + count]) for k in range(0, len(shapes), count)]
+        n = min(numbers.shape[1] for numbers, _ in followed)
+        self.numbers = torch.stack([numbers[:, :n] for numbers, _ in followed])
+        self.chosen = self.numbers[self.numbers >= 0].unique()
+        self.status = [self._status(lost) for _, lost in followed]
+        return self.chosen.tolist()
+
+    def _of_design(self, states: Sequence[Shapes]) -> tuple[Tensor, dict[int, int]]:
+        """Numbers [speeds, n], and from which speed on a vibration is lost."""
+        here = states[0]
+        chosen = (here.poles.imag > SWINGS * here.poles.abs()).nonzero()[: self.modes, 0]
         path, lost = [chosen], {}
-        for k in range(1, states.speeds):
-            here = _Shapes.of(states.linearization(design * states.speeds + k))
-            likeness = here.likeness(shapes)
-            far = (here.poles - poles[:, None]).abs() / (here.poles.abs() + poles[:, None].abs())
+        for k, there in enumerate(states[1:], 1):
+            poles, shapes = here.poles[chosen], here.shapes[:, chosen]
+            likeness = there.likeness(shapes)
+            far = (there.poles - poles[:, None]).abs() / (there.poles.abs() + poles[:, None].abs())
             _, columns = scipy.optimize.linear_sum_assignment((likeness - TIE * far).numpy(), maximize=True)
-            chosen = torch.from_numpy(columns)
+            here, chosen = there, torch.from_numpy(columns)
             for i in (likeness.gather(1, chosen[:, None])[:, 0] < LOST).nonzero()[:, 0].tolist():
                 lost.setdefault(i, k)
-            poles, shapes = here.poles[chosen], here.shapes[:, chosen]
             path.append(torch.tensor([-1 if i in lost else n for i, n in enumerate(chosen.tolist())], dtype=torch.long))
-        rows.append(torch.stack(path))
-        gone = ", ".join(f"vibration {i + 1} from {speeds[k]:.4g} rad/s on" for i, k in lost.items())
-        status.append(f"lost: {gone}: no shape is like it; allowed: smaller steps between speeds" if lost else "ok")
-    n = min(row.shape[1] for row in rows)
-    return torch.stack([row[:, :n] for row in rows]), status
+        return torch.stack(path), lost
 
-
-class _Shapes(NamedTuple):
-    """Poles [n], shapes [n_v, n] of unit size in the mass M [n_v, n_v]."""
-
-    poles: Tensor
-    shapes: Tensor
-    M: Tensor
-
-    @classmethod
-    def of(cls, rest: Linearization) -> _Shapes:
-        spectrum = Spectrum.poles(rest)
-        M = 0.5 * (rest.M + rest.M.T).to(torch.complex128)
-        size = (spectrum.right.conj() * (M @ spectrum.right)).sum(0).real.clamp_min(0.0).sqrt()
-        return cls(spectrum.values, spectrum.right / torch.where(size > 0.0, size, 1.0), M)
-
-    def likeness(self, known: Tensor) -> Tensor:
-        """MAC [known, n] with shapes [n_v, known] of unit size."""
-        return (known.mH @ (self.M @ self.shapes)).abs().square()
+    def _status(self, lost: dict[int, int]) -> str:
+        gone = ", ".join(f"vibration {i + 1} from {self.speeds[k]:.4g} rad/s on" for i, k in lost.items())
+        return f"lost: {gone}: no shape is like it; allowed: smaller steps between speeds" if lost else "ok"

@@ -11,7 +11,7 @@ Checked in tests/vibrations/test_eigenvalues.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -30,6 +30,8 @@ from torchmbd.vibrations.inner_products import Vectors, inner_products
 from torchmbd.vibrations.spectrum import Spectrum
 
 NATURAL, POLES = "natural", "poles"
+#: Chooses numbers by the spectra and the states of all lanes, such as those of vibrations that are followed by their shapes.
+Choice = Callable[[Sequence[Spectrum], Sequence[Linearization]], Sequence[int]]
 _NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
 _LANES = 64  # states, or terms, whose equations are evaluated at once: fewer take longer, more leave the cache
 _UNEQUAL = 1e-6  # of derivatives of eigenvalues that coincide: more than rounding
@@ -42,14 +44,14 @@ def eigenvalues(
     t: Tensor,
     rotation: SteadyRotation | None,
     kind: str,
-    modes: Sequence[int] | None = None,
+    modes: Sequence[int] | Choice | None = None,
     symmetric: bool = False,
 ) -> Tensor:
     """Eigenvalues [k, lanes] of small vibrations about q [n_q, 1, lanes], at rest or in steady rotation; differentiable by q
     and the data of the dynamics.
 
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
-    modes       their numbers from 0, in the order of spectrum.py; None: all
+    modes       their numbers from 0, in the order of spectrum.py; None: all; or a function that chooses them
     symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
     """
     model, names = replace(dynamics, data={}), tuple(dynamics.data)
@@ -89,8 +91,9 @@ class _Eigenproblem:
     """`Integration`; inputs [..., lanes], outputs the real and, of poles, the imaginary parts [k, 1, lanes]."""
 
     kind: str
-    modes: Sequence[int] | None
+    modes: Sequence[int] | Choice | None
     symmetric: bool
+    numbers: Sequence[int] = field(default=(), init=False)
     inputs: list[Tensor] = field(default_factory=list, init=False)
     spectra: list[Spectrum] = field(default_factory=list, init=False)
 
@@ -104,14 +107,18 @@ class _Eigenproblem:
                 f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
             )
         (size,) = sizes
-        if wrong := [k for k in self.modes or () if not 0 <= k < size]:
+        self.numbers = range(size) if self.modes is None else self._chosen()
+        if wrong := [k for k in self.numbers if not 0 <= k < size]:
             raise InputError(f"number is {wrong[0] + 1}; allowed: 1 to {size}, the vibrations of the system")
-        self.modes = range(size) if self.modes is None else self.modes
-        parts = torch.stack([x.values[list(self.modes)] for x in self.spectra], -1)[:, None]
+        parts = torch.stack([x.values[list(self.numbers)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
 
     def _spectra(self) -> list[Spectrum]:
         """Of all lanes."""
+        raise NotImplementedError(type(self).__name__)
+
+    def _chosen(self) -> Sequence[int]:
+        """The numbers that `modes` has or chooses."""
         raise NotImplementedError(type(self).__name__)
 
     def _size(self, lane: int) -> int:
@@ -137,9 +144,9 @@ class _Eigenproblem:
             for lane, spectrum in enumerate(self.spectra):
                 self._refuse_split(spectrum, pairs, blocks[..., lane])
         single = [k for k, (i, j) in enumerate(pairs) if i == j]
-        tangents = self._shared(blocks[:, single], modes)[:, : len(self.modes or ())]
+        tangents = self._shared(blocks[:, single], modes)[:, : len(self.numbers)]
         for lane, spectrum in enumerate(self.spectra):
-            faulty = [bool(spectrum.fault[k]) for k in self.modes or ()]
+            faulty = [bool(spectrum.fault[k]) for k in self.numbers]
             tangents[:, faulty, :, lane] = torch.nan
         return list(tangents)
 
@@ -149,7 +156,7 @@ class _Eigenproblem:
         bars = torch.zeros(len(outputs), len(modes), rows, lanes, dtype=torch.float64)
         for bar, x in zip(bars, outputs, strict=True):
             if x is not None:
-                bar[: len(self.modes or ())] = x
+                bar[: len(self.numbers)] = x
         for lane, spectrum in enumerate(self.spectra):
             for i, mode in enumerate(modes):
                 if spectrum.fault[mode] and bool(bars[:, i, :, lane].any()):
@@ -173,7 +180,7 @@ class _Eigenproblem:
 
     def _columns(self) -> tuple[list[int], list[tuple[int, int]]]:
         """Numbers of the eigenvalues asked for, then of those that coincide with them; and pairs of positions that coincide."""
-        modes = list(self.modes or ())
+        modes = list(self.numbers)
         for spectrum in self.spectra:
             numbers = spectrum.cluster[modes]
             modes += [k for k in torch.isin(spectrum.cluster, numbers).nonzero()[:, 0].tolist() if k not in modes]
@@ -245,8 +252,12 @@ class AboutState(_Eigenproblem):
         for some in torch.arange(self.inputs[0].shape[-1]).split(_LANES):
             q, data = self._split([x[..., some] for x in self.inputs])
             self.balance += Linearization.each(replace(self.model, data=data), q, self.t, None, self._observer(data))
-        few = None if self.modes is None else 1 + max(self.modes) + _NEIGHBORS
+        few = 1 + max(self.modes) + _NEIGHBORS if isinstance(self.modes, Sequence) else None
         return [Spectrum.natural(x, few) if self.kind == NATURAL else Spectrum.poles(x) for x in self.balance]
+
+    def _chosen(self) -> Sequence[int]:
+        assert self.modes is not None
+        return self.modes if isinstance(self.modes, Sequence) else self.modes(self.spectra, self.balance)
 
     def _size(self, lane: int) -> int:
         return self.balance[lane].N.shape[1] * (1 + (self.kind == POLES))

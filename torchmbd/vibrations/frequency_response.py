@@ -1,7 +1,7 @@
 """Frequency responses about a state, differentiable: complex amplitudes of outputs by unit amplitudes of inputs.
 
     P(s) r = (f, 0),  G = c r,  s = i w         r = (x, multipliers), P of spectrum.py, f: forces of a unit input
-    l^H P(s) = (c, 0)                           c: output by increments x and their rates s x
+    l^H P(s) = (c, 0)                           c: output by increments x and their rates s x, or s or s^2 times it: its rates
 
     dG = -l^H dP r + dc x + l^H df              dP, dc and df by the state, the data and the multipliers that balance them
 
@@ -23,8 +23,10 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.pullback import leaf
+from torchmbd.multibody.system import Dynamics
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.rank import RELATIVE
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.vibrations.eigenvalues import POLES, AboutState, Term
 from torchmbd.vibrations.inner_products import Vectors, inner, inner_products, real_and_imaginary
 from torchmbd.vibrations.linear_system import Ports, link_of_ports
@@ -39,21 +41,21 @@ def frequency_response(rest: Equilibrium, ports: Ports, frequencies: Tensor) -> 
     rest   a state of a system with these ports
     """
     dynamics, h = rest.dynamics, rest.signals.history  # pyright: ignore[reportAttributeAccessIssue]
-    read, s = link_of_ports(dynamics).read, 2j * math.pi * frequencies
-    problem = _Responses(
-        kind=POLES,
-        modes=None,
-        symmetric=True,
-        model=replace(dynamics, data={}),
-        names=tuple(dynamics.data),
-        t=rest.t[-1],
-        rotation=rest.rotation,
+    read = link_of_ports(dynamics).read
+    problem = Responses(
+        **arguments_of(dynamics, rest.t[-1], rest.rotation),
         functions=PortFunctions(dynamics.topology, rest.t[-1], ports, read),
-        roots=s,
+        roots=2j * math.pi * frequencies,
     )
-    real, imag = Motion.apply(problem, h.q[-1], *dynamics.data.values())  # pyright: ignore[reportGeneralTypeIssues]
-    shape = len(s), len(read), ports.u.shape[-1]
-    return torch.complex(real[:, 0], imag[:, 0]).T.unflatten(1, shape)
+    G = problem.of(h.q[-1], dynamics)
+    return G.T.unflatten(1, (len(frequencies), len(read), ports.u.shape[-1]))
+
+
+def arguments_of(dynamics: Dynamics, t: Tensor, rotation: SteadyRotation | None) -> dict[str, Any]:
+    """What `Responses` about a state share with eigenvalues."""
+    model = replace(dynamics, data={})
+    shared = {"model": model, "names": tuple(dynamics.data), "t": t, "rotation": rotation}
+    return {"kind": POLES, "modes": None, "symmetric": True, **shared}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +70,20 @@ class _Vectors(Spectrum):
 
 
 @dataclass(eq=False, kw_only=True)
-class _Responses(AboutState):
+class Responses(AboutState):
     """Numbers of G in the place of eigenvalues.
 
-    functions   inputs and outputs;  roots: s [frequencies]
+    functions   inputs and outputs;  roots: s [frequencies];  order: 1, 2 for the first, second rate of the outputs
     """
 
     functions: PortFunctions
     roots: Tensor
+    order: int = 0
+
+    def of(self, q: Tensor, dynamics: Dynamics) -> Tensor:
+        """G [frequencies x outputs x inputs, lanes] about q [n_q, 1, lanes]."""
+        real, imag = Motion.apply(self, q, *dynamics.data.values())  # pyright: ignore[reportGeneralTypeIssues]
+        return torch.complex(real[:, 0], imag[:, 0])
 
     def _spectra(self) -> list[Any]:
         result = []
@@ -91,14 +99,15 @@ class _Responses(AboutState):
 
     def _vectors_of(self, rest: Linearization, q: Tensor, data: dict[str, Tensor]) -> _Vectors:
         """Solve for all inputs and outputs of one design."""
-        active, s = rest.active, self.roots[:, None, None]
-        at, ports = (q, data, self._observer(data)), self.functions
+        at, ports, active = (q, data, self._observer(data)), self.functions, rest.active
         f = torch.cat([ports.forces(*at, k)[active][..., 0] for k in range(len(ports.ports.u))], 1)
-        c, rates = (x[..., 0] for x in ports.output_rows(*at))
+        c, rates = (x[:, active, 0] for x in ports.output_rows(*at))
+        roots = self._roots(rest, f, c, rates)
+        s = roots[:, None, None]
         N, M, C, K = (x.to(s.dtype) for x in (rest.N, rest.M, rest.C, rest.K))
         P = s * s * M[active][:, active] + s * C[active][:, active] + K[active][:, active]
         Z = s * s * rest.inertia + s * rest.reduced(rest.C) + rest.stiffness
-        y = (c + s * rates)[..., active]  # [frequencies, outputs, active]
+        y = s**self.order * (c + s * rates)  # [frequencies, outputs, active]
         try:
             right = N @ torch.linalg.solve(Z, (N.T @ f.to(s.dtype))[None])
             left = N @ torch.linalg.solve(Z.mH, N.T @ y.mH)
@@ -121,8 +130,12 @@ class _Responses(AboutState):
             slip=each(slip, 2),
             cluster=torch.arange(count),
             fault=("",) * count,
-            at=self.roots.repeat_interleave(outputs * inputs),
+            at=roots.repeat_interleave(outputs * inputs),
         )
+
+    def _roots(self, rest: Linearization, f: Tensor, c: Tensor, rates: Tensor) -> Tensor:
+        """s [frequencies] of a design; forces f [active, inputs], outputs by increments and rates [outputs, active]."""
+        return self.roots
 
     def _slopes(self, terms: Sequence[Term]) -> tuple[list[Tensor], list[Tensor]]:
         leaves = [leaf(x[..., [term.lane for term in terms]]) for x in self.inputs]
@@ -135,7 +148,8 @@ class _Responses(AboutState):
             balance = [self.balance[term.lane] for term in terms]
             products = inner_products(self.model.topology, data, q, self.t, at[2], balance, s, vectors)
             outputs, inputs = (torch.tensor(x) for x in zip(*map(self._place, terms), strict=True))
-            y = self.functions.outputs(*at, real_and_imaginary(right), real_and_imaginary(s * right))
+            x, xd = (real_and_imaginary(s ** (self.order + k) * right) for k in range(2))
+            y = self.functions.outputs(*at, x, xd)
             output = y.gather(0, outputs.expand(1, 2, -1))[0]  # [2, terms]
             forces = [self.functions.forces(*at, k) * (inputs == k) for k in set(inputs.tolist())]
             f = torch.stack(forces).sum(0)

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError, SimulationFailure, checked_signature
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.controller import Controller
@@ -30,11 +30,12 @@ from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization, factored_inertia
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
+from torchmbd.results.motion_data import has_failed
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.vibrations.moving_state import MovingLinearization, time_index
 from torchmbd.vibrations.statics import Equilibrium, equilibrium
 
-_PORTS = "ports of linearize"
+_PORTS = "inputs and outputs"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
 _KEPT, _SAME = (
     1e-3,
@@ -118,7 +119,7 @@ def linearize(
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
     but the eigenvalues of A at one time depend on them, if their relation turns with the motion; `states` has their names.
-    Raises InputError for a state that is none, and for a motion in phases.
+    Raises InputError for a state that is none, and for a motion in phases; SimulationFailure for a lane that failed.
 
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> bob = hinge.b.body
@@ -137,6 +138,8 @@ def linearize(
         )
     if not is_whole(lane) or not 0 <= lane < state.lanes:
         raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
+    if has_failed(state.status[lane]):
+        raise SimulationFailure(f"lane {lane}: {state.status[lane]}")
     ports = Ports(len(inputs))
     with torch.no_grad():
         dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)

@@ -25,7 +25,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import SPIN
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
-from torchmbd.vibrations.eigenvalues import eigenvalues
+from torchmbd.vibrations.eigenvalues import Choice, eigenvalues
 from torchmbd.vibrations.statics import StaticIntegration
 
 
@@ -77,6 +77,7 @@ class SteadyStates:
 
     dynamics    equations of motion with the data of all lanes, among them the spin
     q           coordinates [n_q, 1, lanes]; both are functions of the designs and of the speeds
+    modes       [designs or 1, nodes, 6, modes] of the flexible bodies by their names
     """
 
     dynamics: Dynamics
@@ -84,8 +85,9 @@ class SteadyStates:
     rotation: SteadyRotation
     t: Tensor
     speeds: int
+    modes: Mapping[str, Tensor]
 
-    def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
+    def eigenvalues(self, kind: str, modes: Sequence[int] | Choice | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [designs, speeds, k], as of eigenvalues.py."""
         values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric)
         return values.T.unflatten(0, (-1, self.speeds))
@@ -120,11 +122,12 @@ def _steady_states(
     design_values = checked_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
         names = variable_names(system, design_values, "auto", None, False)
-        dynamics, _ = system.stages(lanes_of_batch(system, design_values, names, 1))
+        dynamics, modes = system.stages(lanes_of_batch(system, design_values, names, 1))
         n, lanes = len(w), dynamics.lanes
         data = {k: x.repeat_interleave(n, -1) if x.shape[-1] > 1 else x for k, x in dynamics.data.items()}
         data[SPIN] = rotation.spin.repeat(1, 1, lanes)
         time = torch.tensor([t], dtype=torch.float64)
         integration = StaticIntegration(replace(dynamics, data={}), tuple(data), time, False, rotation, False, n)
         outputs: Any = Motion.apply(integration, *data.values())
-        return SteadyStates(dynamics.with_data(data), outputs[0][-1], rotation, time[0], n)
+        modes = {name: x.detach() for name, x in modes.items()}
+        return SteadyStates(dynamics.with_data(data), outputs[0][-1], rotation, time[0], n, modes)

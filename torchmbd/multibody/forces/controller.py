@@ -91,8 +91,8 @@ def _check(control: Control) -> None:
                 f"parameter {name!r} of the {control.label} is {p.dtype}; allowed: torch.float64, as by .double()"
             )
     refuse_lost_gradients(control.label, control.module, VARIABLES, control.module)
-    x = torch.randn(1, control.inputs, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     with torch.inference_mode(False), torch.enable_grad():
+        x = torch.randn(1, control.inputs, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
         for at in (torch.zeros_like(x), x):
             u = _called(control, at)
             if not bool(torch.isfinite(u).all()):
