@@ -92,6 +92,7 @@ def test_what_has_no_derivative_is_named():
         s.imag.sum().backward()
 
 
+@pytest.mark.thorough
 def test_bad_arguments_are_named():
     motion = mbd.simulate(swinging(), 0.1, steps=10)
     for call, words in (
@@ -110,6 +111,12 @@ def test_bad_arguments_are_named():
     ):
         with pytest.raises(mbd.InputError, match=words):
             call()
+
+    def poles(mass: Tensor) -> Tensor:
+        return mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, designs={"bob.mass": mass[None]})).imag
+
+    with pytest.raises(mbd.InputError, match=r"under torch.vmap over designs; allowed: designs as lanes"):
+        torch.vmap(poles)(torch.tensor([1.0, 2.0], dtype=torch.float64))
     single = torch.tensor(0.07, dtype=torch.float32)  # is 2e-9 off the time of the motion
     assert torch.equal(mbd.frozen_poles(motion, single), mbd.frozen_poles(motion, 0.07))
     assert mbd.frozen_poles(motion).imag[0, 1].item() == pytest.approx(math.sqrt(9.81 * 3.0 / 6.1), rel=0.2)

@@ -98,8 +98,9 @@ class Numbers(nn.Module):
     def __init__(self, record: Any):
         super().__init__()
         self.record = record
-        # Names of fields that are positive in every design.
+        # Names of fields that are positive, zero or positive in every design.
         self.positive: tuple[str, ...] = getattr(record, "positive", ())
+        self.nonnegative: tuple[str, ...] = getattr(record, "nonnegative", ())
         for f in fields(record):
             x = getattr(record, f.name)
             if is_variable(x):

@@ -12,7 +12,7 @@ from jaxtyping import Complex
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.math.module_call import exclusive
+from torchmbd.math.module_call import exclusive, outside_transforms
 from torchmbd.multibody.system.linearized import factored_inertia
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.vibrations.eigenvalues import poles_of_matrices
@@ -34,7 +34,7 @@ def frozen_poles(
 
     In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.
     A single pole of several that coincide has no derivative, nor has one of a defective pair: InputError, by name. Lanes that
-    failed raise SimulationFailure.
+    failed raise SimulationFailure. Designs are lanes of one motion: torch.vmap over designs is refused.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.5, steps=50)
     >>> angle = mbd.Angle("bob", "z")(motion)[0, -1]
@@ -45,6 +45,8 @@ def frozen_poles(
     if not isinstance(motion, Trajectory) or isinstance(motion, Equilibrium):
         raise InputError(f"motion is {motion!r}; allowed: one of mbd.simulate; an equilibrium has `poles`")
     k, states = time_index(motion, time, "motion"), []
+    if outside_transforms(lambda q: q.shape[-1], motion.q.movedim(0, -1)) > motion.lanes:
+        raise InputError("motion is one under torch.vmap over designs; allowed: designs as lanes of one motion")
     for lane in range(motion.require_ok().lanes):
         dynamics = motion.dynamics.select_lanes([lane])
         q, v = (x[lane, k][:, None, None] for x in (motion.q, motion.v))

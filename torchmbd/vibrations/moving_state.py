@@ -229,13 +229,13 @@ def _rows(T: Topology, active: Tensor, basis: Tensor, coordinates: Sequence[str]
     """Rows of v by their names, which are as many as the freedoms and independent."""
     names = {T.rate_name(row): (row, i) for i, row in enumerate(active.tolist())}
     chosen = list_of("coordinates", coordinates, str, "names of increments, such as \"rotation z of 'bob'\"")
-    found = [names[one_of("coordinates", name, names)] for name in chosen]
+    places = [names[one_of("coordinates", name, names)] for name in chosen]
     n = basis.shape[1]
-    part = basis[[i for _, i in found]]
-    if len(set(found)) != n or len(found) != n or float(torch.linalg.svdvals(part)[-1] if n else 1.0) < RELATIVE:
+    part = basis[[i for _, i in places]]
+    if len(set(places)) != n or len(places) != n or float(torch.linalg.svdvals(part)[-1] if n else 1.0) < RELATIVE:
         proper = [T.rate_name(row) for row in independent_rows(T, active, basis)]
         raise InputError(f"coordinates is {chosen!r}; allowed: {n} that are independent, such as {proper!r}")
-    return [row for row, _ in found]
+    return [row for row, _ in places]
 
 
 def _of_rotations(T: Topology, like: Any, turns: Any) -> Any:

@@ -80,6 +80,10 @@ class LaminationParameters(Laminate):
             raise InputError(f"ply of LaminationParameters is {ply!r}; allowed: a Ply")
         if varies(ply):
             raise InputError("ply of LaminationParameters has numbers that vary; allowed: a ply of numbers")
+        if ply.loss:
+            raise InputError(
+                f"ply of LaminationParameters has the loss factor {ply.loss!r}; allowed: 0: these have no plies that differ"
+            )
         if not (field is None or isinstance(field, FiberField)):
             raise InputError(f"field of LaminationParameters is {field!r}; allowed: a FiberField, or None")
         if not (is_real(shear_correction) and 0.0 < shear_correction <= 1.0):
@@ -96,6 +100,11 @@ class LaminationParameters(Laminate):
         constant = torch.cat([ply.plane_stiffness().flatten(), ply.shear_stiffness().flatten()])
         self.register_buffer("_constant", constant, persistent=False)
         self._check(checked)
+
+    @property
+    def loses(self) -> bool:
+        """No ply has a loss factor."""
+        return False
 
     def _check(self, checked: bool) -> None:
         with torch.no_grad():

@@ -28,7 +28,7 @@ from torchmbd.errors import warn
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.geometric import StressedCells, assembled_geometric_stiffness
 from torchmbd.fem.elements.links import Follower
-from torchmbd.fem.elements.part import MassPoints, Part
+from torchmbd.fem.elements.part import LosingPart, MassPoints, Part
 from torchmbd.math.rigid_motion import hat
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -127,6 +127,18 @@ class Assembly:
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
         return self._joined([part.values(source) for part, (source, *_) in self._sources])
+
+    def loss_stiffness(self) -> SparseMatrix | None:
+        """K of the free freedoms with the part of each ply times its loss factor; None where no ply has one."""
+        if not any(isinstance(part, LosingPart) and part.loses for part in self.parts.values()):
+            return None
+        values = []
+        for part, (source, *_) in self._sources:
+            if isinstance(part, LosingPart) and part.loses:
+                values.append(part.loss_values(source))
+            else:
+                values.append(torch.zeros(len(source), dtype=torch.float64))
+        return self._joined(values)
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
         """Cells of all parts under the stress of k motions of all nodes (geometric.py)."""

@@ -45,3 +45,17 @@ class Part(Protocol):
     def modules(self) -> dict[str, nn.Module]:
         """Modules whose parameters are design variables: the body registers them under these names."""
         ...
+
+
+@runtime_checkable
+class LosingPart(Part, Protocol):
+    """A part whose plies may have loss factors."""
+
+    @property
+    def loses(self) -> bool:
+        """Whether one of them has."""
+        ...
+
+    def loss_values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """As `values`, with the part of each ply times its loss factor."""
+        ...

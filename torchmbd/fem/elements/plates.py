@@ -109,6 +109,23 @@ class Plates:
         laminate = self.laminate
         return self.matrices.values(laminate.entries(), entries, self.matrices.moved_mean(laminate))
 
+    @property
+    def loses(self) -> bool:
+        """Whether a ply has a loss factor."""
+        return any(laminate.loses for laminate in self.laminates)
+
+    def loss_values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K with each ply's part times its loss factor (laminate.py): its derivative where every ply stiffens by that.
+
+        Membranes of assumed stresses are of the first degree in the stiffness, and not linear.
+        """
+        laminate = self.laminate
+        law, lost, mean = laminate.entries(), laminate.loss_stiffness().entries(), self.matrices.moved_mean(laminate)
+        by: Any = torch.func.jvp(
+            lambda x: self.matrices.values(x, entries, mean), (law.expand_as(lost).clone(),), (lost.clone(),)
+        )
+        return by[1]
+
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
         """The cells under the membrane forces of k motions."""
         laminate = self.laminate

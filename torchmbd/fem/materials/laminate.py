@@ -186,6 +186,23 @@ class Laminate(nn.Module):
             As = self.shear_correction * torch.einsum("...k,...kij->...ij", H[0], Gbar)
         return LaminateStiffness(A, B, D, As)
 
+    @property
+    def loses(self) -> bool:
+        """Whether a ply has a loss factor."""
+        return any(is_variable(p.loss) or p.loss for p in self._plies.layers)
+
+    def loss_stiffness(self) -> LaminateStiffness:
+        """The stiffness with each ply's part times its loss factor, whose energy is sum eta_i U_i of the plies.
+
+        In transverse shear it is that of the stresses which the stack has.
+        """
+        Q, G = turned_stiffness(self.layer_angles, *self.layer_stiffness)
+        loss = self._stack(stacked([p.loss for p in self.plies]))[..., None, None]
+        lost = loss * G
+        As: Any = torch.func.jvp(lambda G: self._integrated(Q, G).As, (G.expand_as(lost).clone(),), (lost.clone(),))
+        A, B, D = self._integrals(self._moments(), loss * Q)
+        return LaminateStiffness(A, B, D, As[1])
+
     def isotropic_stiffness(self) -> LaminateStiffness:
         """Stiffness of the stack whose every ply is replaced by its own mean over all directions, whatever the angles."""
         Q, G = self.layer_stiffness

@@ -8,6 +8,7 @@ G12, G13, G23   shear moduli                           [Pa]
 nu12            Poisson's ratio: strain along 2 for a stress along 1
 density         [kg/m3]
 strength        what failure criteria need (strength.py); None: no criterion is evaluated
+loss            loss factor: energy lost in a radian over the strain energy at the turn  [-]
 
 Assumed: linear elastic; the strain energy is positive, that is E1, E2, G > 0 and nu12^2 < E1 / E2.
 Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., sections 2.4-2.5.
@@ -42,6 +43,7 @@ class Lamina:
     nu12: Any
     density: Any
     strength: Any
+    loss: Any
 
     def plane_stiffness(self) -> Float[Tensor, "*lanes 3 3"]:
         """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
@@ -66,6 +68,7 @@ class Ply(Lamina):
     nu12            Poisson's ratio, strain along 2 for a stress along 1; nu12^2 < E1 / E2
     density         [kg/m3]
     strength        a Strength, for criteria of failure; None: no criterion can be evaluated
+    loss            loss factor of its strain energy [-], zero or positive: damping of the modes of plates (modal_damping.py)
 
     A number may be mbd.variable(...): a design variable of the laminates and sections that are made of the ply, "ply.E1".
 
@@ -76,6 +79,7 @@ class Ply(Lamina):
     """
 
     positive: ClassVar[tuple[str, ...]] = ("E1", "E2", "G12", "G13", "G23", "density")
+    nonnegative: ClassVar[tuple[str, ...]] = ("loss",)
     E1: float | Tensor
     E2: float | Tensor
     G12: float | Tensor
@@ -84,9 +88,11 @@ class Ply(Lamina):
     nu12: float | Tensor
     density: float | Tensor
     strength: Strength | None = None
+    loss: float | Tensor = 0.0
 
     def __post_init__(self) -> None:
         check_positive(self)
+        check_loss(self.loss)
         nu12 = number(self.nu12)
         if not (is_real(nu12) and math.isfinite(nu12)):
             raise InputError(f"Ply: nu12 = {nu12!r}; allowed: a finite number, or mbd.variable(...) of one")
@@ -109,16 +115,17 @@ class Ply(Lamina):
         nu: float | Tensor,
         density: float | Tensor,
         strength: Strength | None = None,
+        loss: float | Tensor = 0.0,
     ) -> Ply | IsotropicPly:
-        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3].
+        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], loss factor [-].
 
         Each may be mbd.variable(...): a design variable, "plate.laminate.ply.E".
         """
         check_isotropic("Ply.isotropic", E, nu, 0.5)
         if is_variable(E) or is_variable(nu):
-            return IsotropicPly(E, nu, density, strength)
+            return IsotropicPly(E, nu, density, strength, loss)
         G = E / (2.0 * (1.0 + nu))
-        return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength)
+        return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength, loss=loss)
 
 
 @dataclass(frozen=True)
@@ -126,13 +133,17 @@ class IsotropicPly(Lamina):
     """The ply of a metal whose modulus or Poisson's ratio varies; made by `Ply.isotropic`."""
 
     positive: ClassVar[tuple[str, ...]] = ("E", "density")
+    nonnegative: ClassVar[tuple[str, ...]] = ("loss",)
     E: float | Tensor
     nu: float | Tensor
     density: float | Tensor
     strength: Strength | None = None
+    loss: float | Tensor = 0.0
 
     def __post_init__(self) -> None:
-        Ply.isotropic(number(self.E), number(self.nu), number(self.density), self.strength)  # the checks of a ply
+        Ply.isotropic(
+            number(self.E), number(self.nu), number(self.density), self.strength, self.loss
+        )  # the checks of a ply
 
     @property
     def E1(self) -> float | Tensor:
@@ -152,6 +163,13 @@ class IsotropicPly(Lamina):
         return self.E / (2.0 * (1.0 + self.nu))
 
     G13 = G23 = G12
+
+
+def check_loss(loss: Any) -> None:
+    """InputError for a loss factor that is none."""
+    value = number(loss)
+    if not (is_real(value) and math.isfinite(value) and value >= 0.0):
+        raise InputError(f"Ply: loss = {value!r}; allowed: zero or positive, or mbd.variable(...) of such a number")
 
 
 def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:

@@ -95,6 +95,10 @@ class Orthotropic:
             raise InputError(f"ply is {ply!r}; allowed: a Ply or an Orthotropic")
         if varies(ply):
             raise InputError(f"ply is {ply!r}, whose numbers vary; allowed: numbers, or a Section of the ply itself")
+        if ply.loss:
+            raise InputError(
+                f"ply of a section has the loss factor {ply.loss!r}; allowed: 0; of beams damping is that of their modes"
+            )
         nu23 = ply.E2 / (2.0 * ply.G23) - 1.0
         try:
             moduli = (ply.E1, ply.E2, ply.E2, ply.G12, ply.G13, ply.G23)

@@ -326,7 +326,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
     def structure(self, nodes: Sequence[int] = (), second_order: bool = False) -> dict[str, Tensor]:
         """Run the structure stage.
 
-        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; with stiffening also F1, F2 and, of
+        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; of plies with loss factors "loss"
+        [..., m, m], as Kr but with the part of each ply times its factor; with stiffening also F1, F2 and, of
         `nodes`, "psi2" (stiffening.py), as with `second_order`. Leading axes are those of the laminate's parameters (designs).
         """
         if self.given_structure is not None:
@@ -345,5 +346,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
             "Kr": basis.stiffness,
             "psi": psi,
         }
+        if (lost := self.assembly.loss_stiffness()) is not None:
+            result["loss"] = basis.vectors.mT @ (lost @ basis.vectors)
         stiffening = self.stiffening or (Stiffening(self.name, self.assembly) if second_order else None)
         return result if stiffening is None else result | stiffening(K, points, x, psi, nodes)

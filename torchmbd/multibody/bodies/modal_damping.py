@@ -1,10 +1,15 @@
-"""Damping of the modes of a body: Rayleigh's two parts, and a damping ratio for each mode.
+"""Damping of the modes of a body: Rayleigh's two parts, a damping ratio for each mode, and loss factors of plies.
 
-    D = a 1 + c Kr + V diag(2 z_k om_k) V'            Kr = V diag(om_k^2) V', modes of unit mass
+    D = a 1 + c Kr + V diag(2 z_k om_k) V' + Kr^-1/4 L Kr^-1/4            Kr = V diag(om_k^2) V', modes of unit mass
 
 a   rate of the mass-proportional part                            [1/s]
 c   time of the stiffness-proportional part                       [s]
 z   damping ratios of the modes, by growing frequency om [rad/s]  [-]
+L   Kr with the part of each ply times its loss factor            [1/s2]
+
+A mode alone has by the last part z_k = L_kk / (2 om_k^2) = sum eta_i U_i / (2 U), U_i the strain energy of ply i: structural
+damping of the same loss at its frequency (Ungar and Kerwin, J. Acoust. Soc. Am. 34 (1962) 954-957). With the root of Kr it does
+not depend on which modes of equal frequency are taken.
 
 Kr is full, so the ratios are those of its eigenvectors V. With F_ij the divided differences of 2 z om by om^2,
 
@@ -27,6 +32,8 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter, scalar
 from torchmbd.math.variable import is_variable, number, stacked
+
+_FREE = 1e-12  # of the largest eigenvalue of Kr: freedoms without stiffness
 
 
 class ModalDamping(nn.Module):
@@ -86,8 +93,17 @@ class ModalDamping(nn.Module):
         last = z[..., -1:].expand(*z.shape[:-1], max(modes - z.shape[-1], 0))
         return torch.cat([z[..., :modes], last], -1)
 
-    def matrix(self, Kr: Float[Tensor, "*lanes m m"]) -> Float[Tensor, "*lanes m m"] | None:
-        """D [1/s] of modes of unit mass; None without damping."""
+    def matrix(
+        self, Kr: Float[Tensor, "*lanes m m"], loss: Float[Tensor, "*lanes m m"] | None = None
+    ) -> Float[Tensor, "*lanes m m"] | None:
+        """D [1/s] of modes of unit mass; loss: L, None without loss factors. None without damping."""
+        D = self._without_loss(Kr)
+        if loss is None:
+            return D
+        lost = _quarter_root(Kr) @ loss @ _quarter_root(Kr)
+        return lost if D is None else D + lost
+
+    def _without_loss(self, Kr: Float[Tensor, "*lanes m m"]) -> Float[Tensor, "*lanes m m"] | None:
         plain = not any(isinstance(x, Tensor) or x for x in (self.time, self.rate))
         z = self.of_modes(Kr.shape[-1])
         if plain and z is None:
@@ -106,3 +122,17 @@ class ModalDamping(nn.Module):
         )
         change = V.mT @ (Kr - fixed) @ V  # has the value zero and the derivative of Kr
         return D + V @ (torch.diag_embed(2.0 * z * om) + F.detach() * change) @ V.mT
+
+
+def _quarter_root(Kr: Float[Tensor, "*lanes m m"]) -> Float[Tensor, "*lanes m m"]:
+    """Kr^-1/4; zero for freedoms without stiffness, which lose no energy."""
+    fixed = Kr.detach()
+    values, V = torch.linalg.eigh(fixed)
+    elastic = values > _FREE * values[..., -1:]
+    r = torch.where(elastic, values, 1.0) ** -0.25
+    # Divided differences of x^-1/4 in its root r: (r_i - r_j) / (r_i^-4 - r_j^-4), also where both are equal.
+    a, b = r[..., :, None], r[..., None, :]
+    F = -((a * b) ** 4) / ((a + b) * (a * a + b * b))
+    both = elastic[..., :, None] & elastic[..., None, :]
+    change = V.mT @ (Kr - fixed) @ V  # has the value zero and the derivative of Kr
+    return V @ (torch.diag_embed(torch.where(elastic, r, 0.0)) + torch.where(both, F, 0.0).detach() * change) @ V.mT

@@ -335,7 +335,9 @@ class System(nn.Module):
         data = {key: stack_bodies([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
             data |= modal_data(
-                stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
+                stages,
+                [b.damping.matrix(s["Kr"], s.get("loss")) for b, s in zip(flexible, stages, strict=True)],
+                T.modes,
             )
             data["Y"] = vector_modes(T, stages)
             if any("F1" in stage for stage in stages):
