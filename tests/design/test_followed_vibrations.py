@@ -71,7 +71,7 @@ def test_what_has_no_shape_is_refused():
     with pytest.raises(mbd.InputError, match="follow is True with cluster"):
         mbd.SystemFrequency(cluster=(1, 2), follow=True)
     with pytest.raises(mbd.InputError, match="follow is 3; allowed: True or False"):
-        mbd.DampingRatio(1, follow=3)
+        mbd.DampingRatio(1, **{"follow": 3})  # pyright: ignore[reportArgumentType]
 
 
 def test_in_the_modes_of_each_design():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def test_peak_and_gradient_of_one_mass():
     wanted = 1.0 / (k * 2.0 * zeta * (1.0 - zeta**2).sqrt())
     by = torch.autograd.grad(wanted.sum(), [k, d])
     motion = short(mass(), designs={f"spring.{name}": y for name, y in x.items()}, gradients="reverse")
-    options = {"direction": "y", "input_direction": "y"}
+    options: dict[str, Any] = {"direction": "y", "input_direction": "y"}
     for measure in (
         mbd.FrequencyResponse("rail", "rail", (0.01, 10.0)),
         mbd.FrequencyResponse("load", "load", (0.0, 10.0), input_place=(0.1, 0.0, 0.0), **options),
@@ -107,7 +108,7 @@ def test_gradients_in_both_modes_and_lanes():
 def test_of_a_bent_blade_in_rotation():
     """By ply angles and a tip mass, with the state that moves with them. Peaks are as accurate as their damping, the share of
     the stiffness that is left at resonance, allows."""
-    options = {"direction": "z", "input_direction": "z", "input_place": "end"}
+    options: dict[str, Any] = {"direction": "z", "input_direction": "z", "input_place": "end"}
     measure = mbd.FrequencyResponse("tip", "blade", (5.0, 40.0), speed=30.0, **options)
     system = blade(damping=3e-2)
     names = [*angles_of(system), "tip.mass"]
@@ -145,7 +146,7 @@ def test_the_largest_of_many_narrow_peaks():
     poles = np.linalg.eigvals(linear.A)
     w = np.concatenate([s.imag + s.real * np.linspace(-1.0, 1.0, 2001) for s in poles if s.imag > 3.5])
     _, G = scipy.signal.freqresp((linear.A, linear.B, linear.C[:1], linear.D[:1]), w)
-    options = {"direction": "x", "input_direction": "x"}
+    options: dict[str, Any] = {"direction": "x", "input_direction": "x"}
     peak = mbd.FrequencyResponse("m6", "m3", (3.5 / (2.0 * math.pi), 10.0), **options).peak(short(system))
     assert float(peak.magnitude) == pytest.approx(np.abs(G).max(), rel=1e-6)
 

@@ -92,6 +92,7 @@ def test_what_has_no_derivative_is_named():
         s.imag.sum().backward()
 
 
+@pytest.mark.thorough
 def test_bad_arguments_are_named():
     motion = mbd.simulate(swinging(), 0.1, steps=10)
     for call, words in (

@@ -44,6 +44,7 @@ UNITS = {
     "critical_speed": "rad/s",
     "campbell_clearance": "",
     "stability_limit": "",  # that of the parameter, which is not known here
+    "frequency_response": "",  # that of the output by the input, which are not known here
     "buckling_index": "",
 }
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}

@@ -42,7 +42,7 @@ class Identification(Summary):
     """A model fitted to measurements.
 
     problem       the residuals as a function of the unknowns;  settings: how it was searched
-    fit           how the best start ended;  starts: all of them, the best first, with costs in the deviations of the fit
+    fit           how the best start ended;  starts: it, then the others by their costs in the deviations of the fit
     evaluations   simulations of a design, each with its Jacobian, of all starts;  failures: those of them that failed
     validation_problem, validation_residuals   the same of experiments that were held out; None: there are none
 

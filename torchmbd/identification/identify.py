@@ -133,7 +133,7 @@ def identify(
             best.evaluations += before.evaluations
             best.failures += before.failures
         others = [_in_deviations(x, problem, at_first / problem.deviations, settings) for x in fits[1:]]
-        fits = best_first([best, *others])
+        fits = [best, *best_first(others)]  # it is the fit, even where the last deviations favor another start
     residuals = None
     if other is not None and np.isfinite(best.cost):
         [residuals] = other.evaluate(best.x[None], False)

@@ -42,21 +42,33 @@ def step_of_size(
     weights   of a step, as a function of its size
     near      a state whose accelerations and multipliers are near those at the end; None: those of x
 
-    A lane whose step does not converge is nan. In grad mode differentiable in reverse mode by all that it depends on.
+    A lane whose step does not converge is nan.
     """
-    model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
-    step = model.step(x, at_own_times(dynamics.topology, t1, dynamics.data))
+    step = _step(dynamics, weights, x, h, t1)
     start = x if near is None else near
     with torch.no_grad():
         z = _solved(dynamics, step, None if near is None else torch.cat([value(near.vd), value(near.lam)]).detach())
-    if not (isinstance(x.q, Pair) or torch.is_grad_enabled()):
-        return step.finish(z)
+        if not isinstance(x.q, Pair):
+            return step.finish(z)
+        K = dynamics.regularize(step.matrix(z))
+    like = start if isinstance(start.vd, Pair) else x
+    return step.finish(z, converged(step, factored(K), z, torch.cat([like.vd.tangent, like.lam.tangent])))
+
+
+def step_to(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any, end: State) -> State:
+    """The state `end` of all lanes after steps that `step_of_size` made, as a function of all that it depends on; tensors.
+
+    Differentiable in reverse mode, in grad mode.
+    """
+    step, z = _step(dynamics, weights, x, h, t1), torch.cat([end.vd, end.lam]).detach()
     with torch.no_grad():
         K = dynamics.regularize(step.matrix(z))
-    if isinstance(x.q, Pair):
-        like = start if isinstance(start.vd, Pair) else x
-        return step.finish(z, converged(step, factored(K), z, torch.cat([like.vd.tangent, like.lam.tangent])))
     return step.finish(_implicit(step, factored(K.mT), z))
+
+
+def _step(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> Step:
+    model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
+    return model.step(x, at_own_times(dynamics.topology, t1, dynamics.data))
 
 
 def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
@@ -144,14 +156,17 @@ def _iterated(
     of                      how many rows of x are a measure of the others; None: all
     """
     active = torch.ones(x.shape[-1], dtype=torch.bool)
-    success, before = ~active, torch.inf
+    success, before = ~active, torch.full((x.shape[-1],), torch.inf, dtype=torch.float64)
     for _ in range(_MOST):
         change = correction(x, active)
         x = torch.where(active, x - change, x)
         size, scale = _sizes(change, n_v), _sizes(x, of)
         small = (size <= _STALLED * scale) | (size <= rounding)
-        done = (size <= _ROUNDING * scale) | (small & (size > 0.5 * before))
-        success = torch.where(active, small, success)
+        # Near the end each correction leaves the same share of what the one before left: the next would be size^2 / before.
+        predicted = (size * size <= _ROUNDING * scale * before) & (before <= _NEAR * scale)
+        last = (size <= _ROUNDING * scale) | predicted
+        done = last | (small & (size > 0.5 * before))
+        success = torch.where(active, small | last, success)
         active = active & ~done & torch.isfinite(size)
         if not bool(active.any()):
             break

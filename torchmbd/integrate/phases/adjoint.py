@@ -7,9 +7,9 @@ A phase of a lane is three maps, each the discrete one that was integrated:
     exit     that point -> (t*, state at the end of a last step of another size)
 
 Entry and exit are graphs of torch of all lanes, each at its own time, made again from what was recorded (`PhaseRecord`);
-variable_step.py makes steps of other sizes differentiable by the implicit function theorem. Regular steps are those of
-adjoint.py, of all lanes with the same points together. Where an event ends a phase, the size h of the last step is that at
-which its function g vanishes:
+steps of other sizes are differentiable by the implicit function theorem (`step_to` of variable_step.py). Regular steps are
+those of adjoint.py, of all lanes with the same points together. Where an event ends a phase, the size h of the last step is
+that at which its function g vanishes:
 
     mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'
 
@@ -37,7 +37,7 @@ from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
-from torchmbd.integrate.variable_step import shortly_after
+from torchmbd.integrate.variable_step import shortly_after, step_to
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import ATTACHED
 from torchmbd.results.history import History
@@ -148,7 +148,8 @@ class PhaseAdjoint:
             event = segment.phase.until if isinstance(segment.phase.until, Event) else None
             end = begin + size if event is not None else self.multiphase.end_times(segment, t, leaves.dynamics.data)
             of_size = size if event is not None else end - begin
-            y = record.whole(self.integrator.step_of_size(dynamics, base, of_size, end, record.retained(there.x)), end)
+            y = step_to(dynamics, self.integrator.weights, base, of_size, end, record.retained(there.x))
+            y = record.whole(y, end)
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
         kinds = ["data"] * (2 + len(base)) + [kind for kind, _ in keys]  # where their lanes are
@@ -315,10 +316,10 @@ class PhaseAdjoint:
         indices = lane_numbers(~on_grid & (first < len(multiphase.times)))
         if indices:
             end, begin = multiphase.times[first[indices]][None], t[:, indices]
-            near = pick_states(record.arrival, [lanes[i] for i in indices])
+            arrival = pick_states(record.arrival, [lanes[i] for i in indices])
             some = _condensed(record, lanes_of(dynamics, indices))
             x = record.retained(pick_states(after, indices))
-            outputs += self.integrator.step_of_size(some, x, end - begin, end, near)
+            outputs += step_to(some, self.integrator.weights, x, end - begin, end, arrival)
             of_outputs += [x[..., indices] for x in so_far.arrival]
         between = multiphase.phase_number[:: multiphase.every, lanes] == record.number
         between &= multiphase.every * torch.arange(len(between))[:, None] < first

@@ -60,7 +60,10 @@ def located(
         near = put_states(near, some, y)
         return views.value(event, of_some, lanes_of(whole, some), end, record.whole(y, end))
 
-    size, enclosed = roots(function, *bracket)
+    low, high, g_low, g_high = bracket
+    # An event that passes has passed zero where its step ends, but for rounding.
+    g_high = torch.where(g_low * g_high > 0.0, 0.0, g_high)
+    size, enclosed = roots(function, low, high, g_low, g_high)
     end = t + size
     if not isinstance(base.t, Pair):  # the step that has tangents where there are some: the same to the last digit
         y = integrator.step_of_size(condensed, start, size[None], end, near)

@@ -144,20 +144,26 @@ class Factors:
         return factors
 
 
-def _folded(info: Any, in_dims: tuple, K: Tensor, rhs: Tensor) -> tuple[Tensor, Tensor, bool]:
-    """K and rhs without the batch axis of vmap: as more right-hand sides, or as lanes where K has it too; and which of both."""
+def _of_batch(
+    solve: type[torch.autograd.Function],
+    info: Any,
+    in_dims: tuple,
+    factors: Factors,
+    K: Tensor,
+    rhs: Tensor,
+    *inputs: Tensor,
+) -> tuple[Tensor, int]:
+    """Solutions of a batch of vmap: as more right-hand sides, or as more lanes where K is a batch too."""
     n, k, r = info.batch_size, in_dims[1], in_dims[2]
     b = rhs.expand(n, *rhs.shape) if r is None else rhs.movedim(r, 0)
     if k is None:
-        return K, b.movedim(0, 1).flatten(1, 2), False
+        x: Any = solve.apply(factors, K, b.movedim(0, 1).flatten(1, 2), *inputs)
+        return x.unflatten(1, (n, -1)).movedim(1, 0), 0
     K = K.movedim(k, 0)
     lanes = max(K.shape[1], b.shape[-1])
     wide = K.expand(n, lanes, *K.shape[2:]).flatten(0, 1)
-    return wide, b.expand(*b.shape[:-1], lanes).movedim(0, -2).flatten(-2), True
-
-
-def _unfolded(x: Tensor, batch: int, lanes: bool) -> Tensor:
-    return x.unflatten(-1, (batch, -1)).movedim(-2, 0) if lanes else x.unflatten(1, (batch, -1)).movedim(1, 0)
+    x = solve.apply(factors, wide, b.expand(*b.shape[:-1], lanes).movedim(0, -2).flatten(-2), *inputs)
+    return x.unflatten(-1, (n, -1)).movedim(-2, 0), 0
 
 
 class _Solve(torch.autograd.Function):
@@ -190,8 +196,7 @@ class _Solve(torch.autograd.Function):
     def vmap(
         info: Any, in_dims: tuple, factors: Factors, K: Tensor, rhs: Tensor, *inputs: Tensor
     ) -> tuple[Tensor, int]:
-        K, rhs, lanes = _folded(info, in_dims, K, rhs)
-        return _unfolded(_Solve.apply(factors, K, rhs, *inputs), info.batch_size, lanes), 0  # pyright: ignore[reportArgumentType]
+        return _of_batch(_Solve, info, in_dims, factors, K, rhs, *inputs)
 
 
 class _SolveDerivative(FirstDerivative):
@@ -207,8 +212,7 @@ class _SolveDerivative(FirstDerivative):
     def vmap(
         info: Any, in_dims: tuple, factors: Factors, K: Tensor, rhs: Tensor, *inputs: Tensor
     ) -> tuple[Tensor, int]:
-        K, rhs, lanes = _folded(info, in_dims, K, rhs)
-        return _unfolded(_SolveDerivative.apply(factors, K, rhs, *inputs), info.batch_size, lanes), 0  # pyright: ignore[reportArgumentType]
+        return _of_batch(_SolveDerivative, info, in_dims, factors, K, rhs, *inputs)
 
 
 def regularized(K: Tensor, diagonal: Diagonal | None) -> Tensor:
