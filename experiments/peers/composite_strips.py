@@ -7,8 +7,10 @@
     nominal    6 x 6 stiffness of the sections, printed in the paper (AeroBeams.jl, test/examples/compositeCantileverMD.jl)
     fitted     E1, E2, G12 of the plies of beams 1 and 2; beam 3 is held out
 
-Layups and width are those of the paper. A thickness of 0.134 mm of a ply is inferred: with the usual 142 GPa of AS4/3501-6 it
-gives the printed E A. Bending alone sees E h^3: another thickness would scale the moduli, and predict the same.
+The paper itself was not at hand: layups, width and the moduli where the fit begins are as commonly quoted for it, unchecked. A
+thickness of 0.134 mm of a ply is inferred: with 142 GPa it gives the E A of the sections of beams 1 and 2; the coupling of
+extension and torsion of beam 3 comes out twice that of its section. Bending alone sees E h^3: another thickness would scale
+the moduli, and predict the same.
 `python -m experiments.peers.composite_strips`. Checked in tests/validation/test_composite_strips.py.
 """
 
@@ -39,7 +41,7 @@ DIAGONALS = {
     3: (3.9e6, 1.1e6, 1.2e5, 1.18, 0.983, 290.0),
 }  # N, V_y, V_z, T, M_y, M_z
 COUPLINGS = {1: {}, 2: {(0, 1): -2.7e5, (3, 4): -0.102}, 3: {(0, 3): -522.0}}
-MODULI = {"E1": 142e9, "E2": 9.8e9, "G12": 6.0e9}  # of AS4/3501-6 in tension, where the fit begins
+MODULI = {"E1": 142e9, "E2": 9.8e9, "G12": 6.0e9}  # as commonly quoted, where the fit begins
 NAMES, FITTED, HELD_OUT = ("u1", "u2", "u3"), ("u2", "u3"), 3
 ALL = (20, 50, 100, 200, 300, 400)  # [g]
 MEASURED: dict[tuple[int, int, str], tuple[Sequence[float], Sequence[float]]] = {

@@ -35,9 +35,7 @@ def test_moduli_of_two_beams_predict_the_third():
     result = fit()
     assert result.converged
     moduli = moduli_of(result)
-    assert (
-        90e9 < moduli["E1"] < 110e9
-    )  # in bending; such laminates of graphite/epoxy have 98 GPa, and 142 GPa in tension
+    assert 90e9 < moduli["E1"] < 110e9  # with plies of 0.134 mm
     before, after = errors(nominal(3), 3), errors(laminated(3, moduli), 3)
     for curve in ((0, "u3"), (45, "u2"), (45, "u3")):
         assert after[curve] < 5.5 < before[curve]

@@ -48,7 +48,7 @@ def test_shares_of_the_strain_energy():
             ends.append(mbd.frequencies(plate(factors=factors), None, 4).frequencies.numpy(force=True))
         shares = np.log(ends[1] / ends[0]) / h  # of w^2, over 2 h
         expected += 0.5 * loss * shares
-    # In transverse shear the stresses of a stack move with its moduli, and their energies are no such derivatives.
+    # Thin: of plates ten times as thick both differ by up to 8 %, as shear stresses of a stack move with its moduli, it seems.
     np.testing.assert_allclose(ratios, expected, rtol=3e-3)
     assert np.ptp(expected) > 0.003
 
