@@ -129,7 +129,7 @@ class Assembly:
         return self._joined([part.values(source) for part, (source, *_) in self._sources])
 
     def loss_stiffness(self) -> SparseMatrix | None:
-        """K of the free freedoms with the part of each ply times its loss factor; None where no ply has one."""
+        """Derivative of K of the free freedoms where the moduli of each ply grow by its loss factor; None without them."""
         if not any(isinstance(part, LosingPart) and part.loses for part in self.parts.values()):
             return None
         values = []

@@ -57,5 +57,5 @@ class LosingPart(Part, Protocol):
         ...
 
     def loss_values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
-        """As `values`, with the part of each ply times its loss factor."""
+        """The derivative of `values` where the moduli of each ply grow by its loss factor."""
         ...

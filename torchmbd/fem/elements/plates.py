@@ -30,6 +30,7 @@ from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.shell_geometric import stressed_shells
 from torchmbd.fem.materials import Laminate
+from torchmbd.fem.materials.isotropic_mean import present_mean
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.sparse import Pattern
@@ -115,15 +116,15 @@ class Plates:
         return any(laminate.loses for laminate in self.laminates)
 
     def loss_values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
-        """K with each ply's part times its loss factor (laminate.py): its derivative where every ply stiffens by that.
-
-        Membranes of assumed stresses are of the first degree in the stiffness, and not linear.
-        """
+        """The derivative of K where the moduli of each ply grow by its loss factor: those of complex moduli E (1 + i eta)."""
         laminate = self.laminate
-        law, lost, mean = laminate.entries(), laminate.loss_stiffness().entries(), self.matrices.moved_mean(laminate)
-        by: Any = torch.func.jvp(
-            lambda x: self.matrices.values(x, entries, mean), (law.expand_as(lost).clone(),), (lost.clone(),)
-        )
+
+        def grown(share: Tensor) -> Tensor:
+            stiffer = laminate.stiffened(1.0 + share * laminate.loss_factors)
+            return self.matrices.values(stiffer.entries(), entries, present_mean(stiffer))
+
+        none = torch.zeros((), dtype=torch.float64)
+        by: Any = torch.func.jvp(grown, (none,), (torch.ones_like(none),))
         return by[1]
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:

@@ -114,6 +114,7 @@ class Laminate(nn.Module):
     thickness: Tensor
     field: Any = None  # a FiberField, where parameters vary over a mesh (fem/elements)
     _constant: Tensor
+    _factors: Tensor | None = None  # of the moduli of the plies, see `stiffened`
 
     def __init__(
         self,
@@ -191,17 +192,16 @@ class Laminate(nn.Module):
         """Whether a ply has a loss factor."""
         return any(is_variable(p.loss) or p.loss for p in self._plies.layers)
 
-    def loss_stiffness(self) -> LaminateStiffness:
-        """The stiffness with each ply's part times its loss factor, whose energy is sum eta_i U_i of the plies.
+    @property
+    def loss_factors(self) -> Float[Tensor, "*lanes layers"]:
+        """Loss factors of the plies, in the order of `angles` [-]."""
+        return stacked([p.loss for p in self.plies])
 
-        In transverse shear it is that of the stresses which the stack has.
-        """
-        Q, G = turned_stiffness(self.layer_angles, *self.layer_stiffness)
-        loss = self._stack(stacked([p.loss for p in self.plies]))[..., None, None]
-        lost = loss * G
-        As: Any = torch.func.jvp(lambda G: self._integrated(Q, G).As, (G.expand_as(lost).clone(),), (lost.clone(),))
-        A, B, D = self._integrals(self._moments(), loss * Q)
-        return LaminateStiffness(A, B, D, As[1])
+    def stiffened(self, factors: Float[Tensor, "*lanes layers"]) -> Laminate:
+        """The laminate with all moduli of each ply, in the order of `angles`, times a factor."""
+        result = copy.copy(self)
+        vars(result)["_factors"] = factors
+        return result
 
     def isotropic_stiffness(self) -> LaminateStiffness:
         """Stiffness of the stack whose every ply is replaced by its own mean over all directions, whatever the angles."""
@@ -242,7 +242,12 @@ class Laminate(nn.Module):
 
     @property
     def _numbers(self) -> Float[Tensor, "*lanes layers 14"]:
-        return _constants_of(self.plies) if self._plies.vary else self._constant
+        numbers = _constants_of(self.plies) if self._plies.vary else self._constant
+        if self._factors is None:
+            return numbers
+        moduli, density = numbers.split([13, 1], -1)
+        moduli = moduli * self._factors[..., None]
+        return torch.cat([moduli, density.expand(*moduli.shape[:-1], 1)], -1)
 
     @property
     def _density(self) -> Float[Tensor, "*lanes layers"]:

@@ -5,11 +5,11 @@
 a   rate of the mass-proportional part                            [1/s]
 c   time of the stiffness-proportional part                       [s]
 z   damping ratios of the modes, by growing frequency om [rad/s]  [-]
-L   Kr with the part of each ply times its loss factor            [1/s2]
+L   derivative of Kr where the moduli of each ply grow by its loss factor: they are E (1 + i eta)  [1/s2]
 
-A mode alone has by the last part z_k = L_kk / (2 om_k^2) = sum eta_i U_i / (2 U), U_i the strain energy of ply i: structural
-damping of the same loss at its frequency (Ungar and Kerwin, J. Acoust. Soc. Am. 34 (1962) 954-957). With the root of Kr it does
-not depend on which modes of equal frequency are taken.
+A mode alone has by the last part z_k = L_kk / (2 om_k^2) = sum eta_i U_i / (2 U), U_i = dU / d ln E_i the strain energy of ply
+i: structural damping of the same loss at its frequency (Ungar and Kerwin, J. Acoust. Soc. Am. 34 (1962) 954-957). With the root
+of Kr it does not depend on which modes of equal frequency are taken.
 
 Kr is full, so the ratios are those of its eigenvectors V. With F_ij the divided differences of 2 z om by om^2,
 
