@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import shutil
 from pathlib import Path
@@ -206,17 +207,30 @@ identify:
           x: {position: {body: block, axis: x}, unit: mm, deviation: 0.01}
     ringing:
       modal_data: {frequencies: [1.5915494]}
+    shaken:
+      frequency_responses:
+        file: shaken.csv
+        input: {name: slide}
+        outputs: {a: {name: block, direction: x, place: [0, 0.1, 0]}, v: {name: slide}}
+        quantity: acceleration
+        deviation: {a: 0.001, v: 0.001}
 """
 
 
 def other_kinds(folder: Path) -> None:
-    """A spring of 200 N/m and a block of 2 kg: a curve of loads, and a frequency."""
+    """A spring of 200 N/m and a block of 2 kg: a curve of loads, a frequency, accelerations by a harmonic force."""
     (folder / "sprung.py").write_text(SPRUNG, encoding="utf-8")
     (folder / "kinds.yaml").write_text(OTHER_KINDS, encoding="utf-8")
     (folder / "curve.csv").write_text("F [N],x [mm]\n1,5.00\n2,10.00\n4,20.00\n", encoding="utf-8")
+    rows = ["frequency [Hz],a real,a imaginary,v real,v imaginary"]
+    for f in (0.5, 1.0, 3.0):
+        square = (2.0 * math.pi * f) ** 2
+        inertance = -square / (200.0 - 2.0 * square)
+        rows.append(f"{f},{inertance},0,{inertance},0")
+    (folder / "shaken.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def test_static_curves_and_frequencies(folder):
+def test_static_curves_frequencies_and_responses(folder):
     other_kinds(folder)
     made = load("kinds.yaml")
     assert isinstance(made, IdentificationPlan)
@@ -238,6 +252,14 @@ def test_static_curves_and_frequencies(folder):
             r"static_curve\.loads.*column 'G' does not exist",
         ),
         ("identify.experiments.ringing.modal_data.frequencies=[2, 1]", r"ringing\.modal_data.*ascending"),
+        (
+            "identify.experiments.shaken.frequency_responses.outputs={a: {name: blok, direction: x}}",
+            r"frequency_responses\.outputs\.a: name is 'blok'; allowed: joints \['slide'\], bodies \['block'\]",
+        ),
+        ("identify.experiments.shaken.frequency_responses.input={name: block}", r"responses\.input: direction is None"),
+        ("identify.experiments.shaken.frequency_responses.file=none.csv", r"frequency_responses.*none\.csv"),
+        ("identify.experiments.shaken.frequency_responses.quantity=jerk", r"quantity = 'jerk'.*acceleration"),
+        ("identify.experiments.shaken.frequency_responses.deviation={b: 1}", r"frequency_responses.*'b'.*a, v"),
         ("identify.experiments.ringing={duration: 1.0}", r"ringing: measures nothing; must have time_series or"),
     ],
 )

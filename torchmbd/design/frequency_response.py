@@ -11,30 +11,22 @@ Checked in tests/design/test_frequency_response.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from torch import Tensor
 
 from torchmbd.design.system_vibrations import OfVibrations, rising
-from torchmbd.errors import InputError, checked_signature, one_of
+from torchmbd.errors import checked_signature, one_of
 from torchmbd.integrate import Trajectory
-from torchmbd.math.checked_numbers import is_whole, nonnegative
+from torchmbd.math.checked_numbers import nonnegative
 from torchmbd.math.module_call import outside_transforms
-from torchmbd.multibody.bodies.frame import Frame, axis_index, vector
-from torchmbd.multibody.bodies.rigid import RigidBody
-from torchmbd.multibody.forces import signals
-from torchmbd.multibody.joints.prismatic import Prismatic
-from torchmbd.multibody.joints.revolute import Revolute
 from torchmbd.multibody.system import System
-from torchmbd.results.reaction import joint_named
+from torchmbd.vibrations.frequency_response import QUANTITIES
 from torchmbd.vibrations.largest_response import largest_response
 from torchmbd.vibrations.linear_system import Ports, system_with_ports
+from torchmbd.vibrations.ports_by_name import NamedPort, Place
 from torchmbd.vibrations.steady_states import steady_states
-
-QUANTITIES = ("displacement", "velocity", "acceleration")
-Place = str | int | Sequence[float] | None
 
 
 class ResponsePeak(NamedTuple):
@@ -96,17 +88,9 @@ class FrequencyResponse(OfVibrations):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("output", "input"):
-            x = getattr(self, name)
-            if not isinstance(x, str):
-                raise InputError(f"{name} is {x!r}; allowed: the name of a joint or of a body")
-        for name in ("direction", "input_direction"):
-            if getattr(self, name) is not None:
-                one_of(name, getattr(self, name), "xyz")
-        for name in ("place", "input_place"):
-            x = getattr(self, name)
-            if x is not None and not isinstance(x, str) and not is_whole(x):
-                object.__setattr__(self, name, tuple(vector(name, x).tolist()))
+        output, source = self._named
+        object.__setattr__(self, "place", output.place)
+        object.__setattr__(self, "input_place", source.place)
         band = rising("band", self.band)
         nonnegative("band", band[0], "Hz")
         object.__setattr__(self, "band", band)
@@ -114,18 +98,21 @@ class FrequencyResponse(OfVibrations):
         nonnegative("speed", self.speed, "rad/s")
 
     def check(self, system: System) -> None:
-        self._ports(system)
+        output, source = self._named
+        output.output(system), source.input(system)
 
     def value(self, motion: Trajectory) -> Tensor:
         return self.peak(motion).magnitude
 
     def peak(self, motion: Trajectory) -> ResponsePeak:
         """The largest response with its frequency, and whether it is at an end of the band."""
-        (output, row), actuator = self._ports(motion.system)
+        output, source = self._named
+        signal, row = output.output(motion.system)
+        actuator = source.input(motion.system)
 
         def probed() -> tuple[System, Ports]:
             ports = Ports(1)
-            return system_with_ports(motion.system, ports, [actuator], [output]), ports
+            return system_with_ports(motion.system, ports, [actuator], [signal]), ports
 
         system, ports = outside_transforms(probed)
         states = steady_states(system, [float(self.speed)], self.shaft, motion.designs)
@@ -134,43 +121,10 @@ class FrequencyResponse(OfVibrations):
         found = largest_response(states, ports, row, QUANTITIES.index(self.quantity), band)
         return ResponsePeak(found.magnitude, found.frequency / (2.0 * math.pi), found.where)
 
-    def _ports(self, system: System) -> tuple[tuple[signals.Signal, int], signals.Actuator]:
-        """The signal of the output with the number of its component, and the actuator."""
-        output = self._port(system, "output", self.output, "direction", "place")
-        source = self._port(system, "input", self.input, "input_direction", "input_place")
-        if isinstance(output, Frame):
-            assert self.direction is not None
-            signal = signals.PointPosition(output), axis_index(self.direction)
-        else:
-            signal = (signals.JointAngle if isinstance(output, Revolute) else signals.JointTravel)(output), 0
-        if isinstance(source, Frame):
-            assert self.input_direction is not None
-            return signal, signals.ForceOn(source, self.input_direction)
-        return signal, (signals.JointTorque if isinstance(source, Revolute) else signals.JointForce)(source)
-
-    def _port(self, system: System, argument: str, name: str, direction: str, place: str) -> Any:
-        """A joint, or a frame of a body."""
-        joints, at = {joint.name for joint in system.joints}, getattr(self, place)
-        if name in joints:
-            joint: Any = joint_named(system, name)
-            if not isinstance(joint, (Revolute, Prismatic)):
-                raise InputError(
-                    f"{argument} is {name!r}, a {type(joint).__name__}; allowed: revolute and prismatic joints, bodies"
-                )
-            for other in (direction, place):
-                if getattr(self, other) is not None:
-                    raise InputError(f"{other} is {getattr(self, other)!r} with joint {name!r}; allowed: with a body")
-            return joint
-        bodies = sorted(body.name for body in (*system.bodies, *system.beams))
-        if name not in bodies:
-            raise InputError(f"{argument} is {name!r}; allowed: joints {sorted(joints)}, bodies {bodies}")
-        if getattr(self, direction) is None:
-            raise InputError(f"{direction} is None with body {name!r}; allowed: 'x', 'y', 'z'")
-        body: Any = system.body(name)
-        if isinstance(body, RigidBody):
-            if at is not None and not isinstance(at, tuple):
-                raise InputError(f"{place} is {at!r} on the rigid body {name!r}; allowed: a point (x, y, z) [m]")
-            return body.at(*(at or ()))
-        if at is None or isinstance(at, tuple):
-            raise InputError(f"{place} is {at!r} on the flexible body {name!r}; allowed: a node")
-        return body.at(at)
+    @property
+    def _named(self) -> tuple[NamedPort, NamedPort]:
+        """Output and input."""
+        return (
+            NamedPort(self.output, self.direction, self.place, ("output", "direction", "place")),
+            NamedPort(self.input, self.input_direction, self.input_place, ("input", "input_direction", "input_place")),
+        )

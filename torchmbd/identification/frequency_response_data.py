@@ -26,7 +26,7 @@ from torchmbd.identification.table import Table
 from torchmbd.multibody.forces.signals import Actuator, Signal
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
-from torchmbd.vibrations.frequency_response import frequency_response
+from torchmbd.vibrations.frequency_response import QUANTITIES, frequency_response
 from torchmbd.vibrations.linear_system import Ports, checked_ports, system_with_ports
 
 PARTS = {"complex": ("real", "imaginary"), "polar": ("magnitude", "phase")}
@@ -41,8 +41,10 @@ class FrequencyResponseData(Measurement):
                 units may stand in the headings, else SI: [Hz], the unit of the output over that of the input, [rad]; nan is
                 a gap
     input       an actuator of the system, such as mbd.signals.JointTorque(joint)
-    outputs     name -> a signal of one number, such as mbd.signals.JointAngle(joint)
+    outputs     name -> a signal of one number, such as mbd.signals.JointAngle(joint); or a pair of a signal of three and a
+                direction: (mbd.signals.PointPosition(frame), "y")
     frequency   name of the column of frequencies
+    quantity    "displacement": the outputs are the signals; "velocity", "acceleration": their first, second rates in time
     form        what is compared: "complex", the real and the imaginary part, or "polar", the logarithm of the magnitude and the
                 phase
     deviation   name -> standard deviation of both parts, in the unit of the response or, of "polar", [-] and [rad]: a number,
@@ -61,8 +63,9 @@ class FrequencyResponseData(Measurement):
         self,
         data: Any,
         input: Actuator,
-        outputs: Mapping[str, Signal],
+        outputs: Mapping[str, Signal | tuple[Signal, str]],
         frequency: str = "frequency",
+        quantity: str = QUANTITIES[0],
         form: str = "complex",
         deviation: Mapping[str, Any] | None = None,
         **options: Any,
@@ -71,16 +74,23 @@ class FrequencyResponseData(Measurement):
             raise InputError(f"outputs is {outputs!r}; allowed: name -> signal, such as mbd.signals.JointAngle(joint)")
         if not isinstance(input, Actuator):
             raise InputError(f"input is {input!r}; allowed: an actuator, such as mbd.signals.JointTorque(joint)")
-        self.input, signals = checked_ports([input], list(outputs.values()))
+        pairs = {name: x if isinstance(x, tuple) and len(x) == 2 else (x, None) for name, x in outputs.items()}
+        self.input, signals = checked_ports([input], [signal for signal, _ in pairs.values()])
         check_options(self, options)
-        self.outputs, self.form, self.options = (
-            dict(zip(outputs, signals, strict=True)),
-            one_of("form", form, PARTS),
-            options,
-        )
-        for name, signal in self.outputs.items():
-            if signal.size != 1:
-                raise InputError(f"output {name!r} is {signal!r}, of {signal.size} numbers; allowed: a signal of one")
+        self.outputs, self.options = dict(zip(outputs, signals, strict=True)), options
+        self.form, self.order = one_of("form", form, PARTS), QUANTITIES.index(one_of("quantity", quantity, QUANTITIES))
+        self.rows: list[int] = []  # of the outputs among the numbers of all signals
+        first = 0
+        for name, (signal, direction) in pairs.items():
+            if (direction is None) != (signal.size == 1):
+                given = f"{signal!r}, of {signal.size} numbers" + (f", and {direction!r}" if direction else "")
+                raise InputError(
+                    f"output {name!r} is {given}; allowed: a signal of one, or a pair of a signal of three and 'x', 'y' or 'z'"
+                )
+            if direction is not None:
+                one_of(f"direction of output {name!r}", direction, "xyz")
+            self.rows.append(first + ("xyz".index(direction) if direction else 0))
+            first += signal.size
         self.f, measured = _table(data, frequency, list(outputs), self.form)
         self.present = {name: np.isfinite(m) for name, m in measured.items()}
         self.measured = {name: m[self.present[name]] for name, m in measured.items()}
@@ -119,7 +129,7 @@ class FrequencyResponseData(Measurement):
         places = {name: torch.from_numpy(np.flatnonzero(present)) for name, present in self.present.items()}
 
         def rows(rest: Any) -> list[Tensor]:
-            G = frequency_response(rest, ports, f)[..., 0]
+            G = frequency_response(rest, ports, f, self.rows, self.order)[..., 0]
             result = []
             for k, name in enumerate(self.outputs):
                 y, m = G[:, places[name], k], torch.from_numpy(self.measured[name])

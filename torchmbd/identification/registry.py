@@ -1,10 +1,8 @@
-"""The registry of measurements: names as experiment files spell them. A new one is one file here, and one line.
-
-FrequencyResponseData is of Python alone: files have no names for actuators and signals.
-"""
+"""The registry of measurements: names as experiment files spell them. A new one is one file here, and one line."""
 
 from __future__ import annotations
 
+from torchmbd.identification.frequency_response_data import FrequencyResponseData
 from torchmbd.identification.measurement import Measurement
 from torchmbd.identification.modal_data import ModalData
 from torchmbd.identification.static_curve import StaticCurve
@@ -14,4 +12,5 @@ MEASUREMENTS: dict[str, type[Measurement]] = {
     "time_series": TimeSeries,
     "modal_data": ModalData,
     "static_curve": StaticCurve,
+    "frequency_responses": FrequencyResponseData,
 }

@@ -21,6 +21,7 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.identification.channel import SENSOR, Channel
 from torchmbd.identification.experiment import Experiment
 from torchmbd.identification.fit_problem import FitProblem
+from torchmbd.identification.frequency_response_data import FrequencyResponseData
 from torchmbd.identification.modal_data import ModalData
 from torchmbd.identification.registry import MEASUREMENTS
 from torchmbd.identification.static_curve import StaticCurve
@@ -33,11 +34,18 @@ from torchmbd.study.assemble import in_si, links_in_si, point_in_si
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.file_errors import Fault
 from torchmbd.study.file_errors import Path as FaultPath
-from torchmbd.study.identify_schema import ChannelData, ExperimentData, IdentificationFile, Unknown
+from torchmbd.study.identify_schema import (
+    ChannelData,
+    ExperimentData,
+    IdentificationFile,
+    PortKeys,
+    Unknown,
+)
 from torchmbd.study.model import build_model, find_model, find_phases, find_response, option_faults
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import si_of
 from torchmbd.study.schema import UNITS, Motion
+from torchmbd.vibrations.ports_by_name import NamedPort
 
 _SENSOR_UNITS = {"delay": "s", "gain": ""}  # of an offset: that of the response
 _DEFAULTS = {"delay": 0.0, "gain": 1.0, "offset": 0.0}
@@ -129,10 +137,12 @@ class _Maker:
         """The experiment, or None with its faults."""
         path = ("identify", kind, name)
         system = self._system((*path, "options"), data.options)
+        makers = {
+            "modal_data": lambda: self._modal_data(path, data.modal_data),
+            "frequency_responses": lambda: self._frequency_responses(path, data.frequency_responses, system),
+        }
         made = [
-            self._of_file(path, kind, name, key, system)
-            if key != "modal_data"
-            else self._modal_data(path, data.modal_data)
+            makers[key]() if key in makers else self._of_file(path, kind, name, key, system)
             for key in MEASUREMENTS
             if getattr(data, key) is not None
         ]
@@ -200,6 +210,33 @@ class _Maker:
         shares |= {} if data.least_mac is None else {"least_mac": data.least_mac}
         make = partial(ModalData, data.frequencies, damping, data.shapes, sensors, data.modes, **shares)
         return self.faults.at(place, make)
+
+    def _frequency_responses(self, path: FaultPath, data: Any, system: System | None) -> FrequencyResponseData | None:
+        if system is None:
+            return None
+        place = (*path, "frequency_responses")
+
+        def port(x: PortKeys) -> NamedPort:
+            return NamedPort(x.name, x.direction, x.place)
+
+        def output(x: PortKeys) -> Any:
+            signal, row = port(x).output(system)
+            return signal if signal.size == 1 else (signal, "xyz"[row])
+
+        source = self.faults.at((*place, "input"), lambda: port(data.input).input(system))
+        outputs = {
+            name: self.faults.at((*place, "outputs", name), partial(output, x)) for name, x in data.outputs.items()
+        }
+        if source is None or None in outputs.values():
+            return None
+        keys = {key: getattr(data, key) for key in ("frequency", "quantity", "form", "deviation")}
+        spin = {} if data.spin is None else {"spin": data.spin}
+        make = partial(FrequencyResponseData, self.folder / data.file, source, outputs, **keys, **spin)
+        try:
+            return self.faults.at(place, make)
+        except OSError as error:
+            self.faults.append(Fault((*place, "file"), f": cannot be read: {error.strerror}"))
+            return None
 
     def _system(self, path: FaultPath, options: Mapping[str, Any]) -> System | None:
         if not options:

@@ -13,11 +13,13 @@ from pydantic import AfterValidator, Field, PositiveInt, model_validator
 from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, history_of
+from torchmbd.identification.frequency_response_data import PARTS
 from torchmbd.identification.losses import LOSSES
 from torchmbd.identification.registry import MEASUREMENTS
 from torchmbd.study.scenario_keys import Settings
 from torchmbd.study.schema import FUNCTION, Bounded, Motion, Starts, Tracking, units_fit
 from torchmbd.study.section import Numbers, Section, Unit, fault, one_of
+from torchmbd.vibrations.frequency_response import QUANTITIES
 
 _OF_CHANNEL = ("column", "unit", "deviation", "delay", "gain", "offset")
 
@@ -131,12 +133,49 @@ class ModalDataKeys(Section):
     least_mac: float | None = Field(default=None, gt=0, lt=1)
 
 
+class PortKeys(Section):
+    """A joint, or a point of a body in a direction.
+
+    name       of a joint (its motor, its angle or travel), or of a body
+    direction  `x`, `y` or `z` of the ground, of the force or the position of a body
+    place      a node of a flexible body, or x, y, z on a rigid one [m]; default: its origin
+    """
+
+    name: str
+    direction: str | None = None
+    place: str | int | list[float] | None = None
+
+
+class FrequencyResponseKeys(Section):
+    """Arguments of torchmbd.FrequencyResponseData: amplitudes of outputs by that of an input, in a file.
+
+    file       CSV file, relative to the experiment file
+    input      where the input acts: {name: hinge}, or {name: load, direction: y, place: [0.1, 0, 0]}
+    outputs    name -> where it is measured, as `input`; the file has two columns for each, "NAME real" and "NAME imaginary"
+    frequency  name of the column of frequencies
+    quantity   `displacement`, or its rates `velocity` and `acceleration`
+    form       `complex`, or `polar` for columns "NAME magnitude" and "NAME phase"
+    deviation  output -> standard deviation of both parts; default: estimated
+    spin       of a steady rotation, in ground axes [rad/s]
+    """
+
+    file: str
+    input: PortKeys
+    outputs: Annotated[dict[str, PortKeys], Len(min_length=1)]
+    frequency: str = "frequency"
+    quantity: Annotated[str, one_of(QUANTITIES)] = QUANTITIES[0]
+    form: Annotated[str, one_of(PARTS)] = "complex"
+    deviation: dict[str, float] = Field(default={})
+    spin: Annotated[list[float], Len(3, 3)] | None = None
+
+
 class ExperimentData(Section):
     """An experiment: what was measured, in one or several kinds, and in what it differs from the others.
 
     time_series   channels over time
     static_curve  channels at rest under several loads
     modal_data    frequencies, damping ratios and mode shapes
+    frequency_responses   amplitudes of outputs by that of an input
     set          parameters of the model that are no unknowns, with their values [SI]; of angles with a unit
     options      other arguments of the model's function in this experiment
     duration     of the motion [s]; default: until the last measured time
@@ -146,6 +185,7 @@ class ExperimentData(Section):
     time_series: TimeSeriesData | None = None
     static_curve: StaticCurveData | None = None
     modal_data: ModalDataKeys | None = None
+    frequency_responses: FrequencyResponseKeys | None = None
     set: Settings = Field(default={})
     options: dict[str, Any] = Field(default={})
     duration: float | None = Field(default=None, gt=0)

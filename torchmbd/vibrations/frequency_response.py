@@ -34,18 +34,25 @@ from torchmbd.vibrations.port_functions import PortFunctions
 from torchmbd.vibrations.spectrum import Spectrum
 from torchmbd.vibrations.statics import Equilibrium
 
+QUANTITIES = ("displacement", "velocity", "acceleration")  # an output and its rates, in the order of `Responses.order`
 
-def frequency_response(rest: Equilibrium, ports: Ports, frequencies: Tensor) -> Tensor:
+
+def frequency_response(
+    rest: Equilibrium, ports: Ports, frequencies: Tensor, rows: Sequence[int] | None = None, order: int = 0
+) -> Tensor:
     """G [lanes, frequencies, outputs, inputs], complex, at frequencies [Hz]; differentiable as the state is.
 
     rest   a state of a system with these ports
+    rows   numbers of the outputs among those of the ports; None: all.  order: 1, 2 for their first, second rate
     """
     dynamics, h = rest.dynamics, rest.signals.history  # pyright: ignore[reportAttributeAccessIssue]
     read = link_of_ports(dynamics).read
+    read = read if rows is None else read[list(rows)]
     problem = Responses(
         **arguments_of(dynamics, rest.t[-1], rest.rotation),
         functions=PortFunctions(dynamics.topology, rest.t[-1], ports, read),
         roots=2j * math.pi * frequencies,
+        order=order,
     )
     G = problem.of(h.q[-1], dynamics)
     return G.T.unflatten(1, (len(frequencies), len(read), ports.u.shape[-1]))
