@@ -59,15 +59,17 @@ def modal_data() -> FitProblem:
     return FitProblem({"row": mbd.Experiment(pendulum.row(), data)}, pendulum.ROW_UNKNOWNS)
 
 
-def frequency_response(form: str) -> FitProblem:
-    """Two outputs of a pendulum on a spring, pushed at its bob, near its resonance at 0.6 Hz."""
+def frequency_response(form: str, quantity: str) -> FitProblem:
+    """Three outputs of a pendulum on a spring, pushed at its bob, near its resonance at 0.6 Hz."""
     data = {"frequency": [0.3, 0.55, 0.62, 2.0], "angle": np.full(4, 0.1 - 0.3j), "rate": np.full(4, -0.2 + 0.1j)}
+    data |= {"tip": np.full(4, 0.02 + 0.1j)}
     model = pendulum.pushed()
     [hinge], [bob] = model.joints, model.bodies
     outputs = {"angle": mbd.signals.JointAngle(hinge), "rate": mbd.signals.JointRate(hinge)}
+    outputs |= {"tip": (mbd.signals.PointPosition(bob.at(0.1, -0.2, 0.0)), "x")}
     push = mbd.signals.ForceOn(bob.at(0.0, -0.2, 0.0), "x")
     deviation = dict.fromkeys(outputs, 0.1)
-    measured = mbd.FrequencyResponseData(data, push, outputs, form=form, deviation=deviation)
+    measured = mbd.FrequencyResponseData(data, push, outputs, form=form, quantity=quantity, deviation=deviation)
     return FitProblem({"pushed": mbd.Experiment(model, measured, settings={"push.x": 3.0})}, pendulum.UNKNOWNS)
 
 
@@ -75,8 +77,8 @@ CASES = {
     "time_series": time_series,
     "static_curve": static_curve,
     "modal_data": modal_data,
-    "complex responses": partial(frequency_response, "complex"),
-    "polar responses": partial(frequency_response, "polar"),
+    "frequency_responses": partial(frequency_response, "complex", "displacement"),
+    "polar accelerations": partial(frequency_response, "polar", "acceleration"),
 }
 
 

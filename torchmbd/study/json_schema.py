@@ -18,7 +18,15 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
-from torchmbd.identification import Channel, Experiment, ModalData, StaticCurve, TimeSeries, identify
+from torchmbd.identification import (
+    Channel,
+    Experiment,
+    FrequencyResponseData,
+    ModalData,
+    StaticCurve,
+    TimeSeries,
+    identify,
+)
 from torchmbd.identification.losses import LOSSES
 from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
@@ -27,9 +35,11 @@ from torchmbd.study import schema
 from torchmbd.study.identify_schema import (
     ChannelData,
     ExperimentData,
+    FrequencyResponseKeys,
     IdentificationFile,
     Identify,
     ModalDataKeys,
+    PortKeys,
     Prior,
     StaticCurveData,
     TimeSeriesData,
@@ -50,6 +60,7 @@ from torchmbd.study.schema import (
     Variable,
 )
 from torchmbd.study.study import Study
+from torchmbd.vibrations.ports_by_name import NamedPort
 
 #: Section of a file -> what is constructed of it. Its keys are described by its docstring, or by the first of these.
 CONSTRUCTORS: dict[type, Sequence[Any]] = {
@@ -73,6 +84,8 @@ CONSTRUCTORS: dict[type, Sequence[Any]] = {
     TimeSeriesData: (TimeSeries,),
     StaticCurveData: (StaticCurve,),
     ModalDataKeys: (ModalData,),
+    FrequencyResponseKeys: (FrequencyResponseData,),
+    PortKeys: (NamedPort,),
     ExperimentData: (Experiment,),
     schema.Motion: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), simulate),
 }
