@@ -230,3 +230,14 @@ def test_by_gains_in_closed_form():
         slopes = [torch.autograd.grad(part(z), [mass, gains], retain_graph=True) for z in (s, wanted)]
         for x, y in zip(*slopes, strict=True):
             assert_close(x, y, rtol=1e-10, atol=1e-14)
+
+
+def test_a_refusal_names_the_design():
+    """A hinge whose spring is slack in the second design."""
+    wheel = mbd.RigidBody("wheel", 1.0, (1.0, 1.0, 1.0))
+    hinge = mbd.Revolute(mbd.Ground().at(), wheel.at(), axis="z", name="hinge")
+    spring = mbd.RotationalSpringDamper(mbd.Ground().at(), wheel.at(), "z", stiffness=mbd.variable(4.0), name="spring")
+    k = torch.tensor([4.0, 0.0], dtype=torch.float64, requires_grad=True)
+    rest = mbd.equilibrium(mbd.System([wheel], [hinge], [spring]), designs={"spring.stiffness": k})
+    with pytest.raises(mbd.DesignFailure, match="eigenvalue 1 of lane 1 has no derivative: it is zero"):
+        rest.frequencies.sum().backward()

@@ -141,8 +141,8 @@ class _Eigenproblem:
                 places = [k % len(pairs) for k in slope.numbers]
                 blocks[slope.part, places, :, slope.lane] += slope.by.flatten(0, -2).T @ along
         if not self.symmetric:
-            for lane, spectrum in enumerate(self.spectra):
-                self._refuse_split(spectrum, pairs, blocks[..., lane])
+            for lane in range(lanes):
+                self._refuse_split(lane, pairs, blocks[..., lane])
         single = [k for k, (i, j) in enumerate(pairs) if i == j]
         tangents = self._shared(blocks[:, single], modes)[:, : len(self.numbers)]
         for lane, spectrum in enumerate(self.spectra):
@@ -160,11 +160,12 @@ class _Eigenproblem:
         for lane, spectrum in enumerate(self.spectra):
             for i, mode in enumerate(modes):
                 if spectrum.fault[mode] and bool(bars[:, i, :, lane].any()):
+                    where = self._where(lane)
                     raise DesignFailure(
-                        f"eigenvalue {mode + 1} has no derivative: it is {spectrum.fault[mode]}; {_HELD}"
+                        f"eigenvalue {mode + 1}{where} has no derivative: it is {spectrum.fault[mode]}; {_HELD}"
                     )
             if not self.symmetric:
-                self._refuse_unequal(spectrum, modes, bars[..., lane])
+                self._refuse_unequal(lane, modes, bars[..., lane])
         bars = self._shared(bars, modes)
         needed = bars.abs().amax((0, 2)).T.nonzero().flip(1).tolist()  # of many eigenvalues and lanes few may count
         terms = [Term(modes[i], modes[i], lane) for i, lane in needed]
@@ -196,17 +197,22 @@ class _Eigenproblem:
         same = (numbers[:, None] == numbers).to(x.dtype)
         return torch.einsum("ijl,pjkl->pikl", same / same.sum(1, keepdim=True), x)
 
-    def _refuse_unequal(self, spectrum: Spectrum, modes: Sequence[int], bars: Tensor) -> None:
-        """InputError for cotangents [parts, modes, rows] that differ among eigenvalues that coincide."""
+    def _where(self, lane: int) -> str:
+        """Which lane, for messages, where there are several."""
+        return f" of lane {lane}" if len(self.spectra) > 1 else ""
+
+    def _refuse_unequal(self, lane: int, modes: Sequence[int], bars: Tensor) -> None:
+        """DesignFailure for cotangents [parts, modes, rows] that differ among eigenvalues that coincide."""
+        spectrum = self.spectra[lane]
         for number in spectrum.cluster[list(modes)].unique():
             members = (spectrum.cluster[list(modes)] == number).nonzero()[:, 0]
             bar = bars[:, members]
             if float((bar - bar[:, :1]).abs().max()) > _UNEQUAL * float(bar.abs().max()):
-                raise _coincide(spectrum, [modes[i] for i in members.tolist()])
+                raise self._coincide(lane, [modes[i] for i in members.tolist()])
 
-    def _refuse_split(self, spectrum: Spectrum, pairs: Sequence[tuple[int, int]], blocks: Tensor) -> None:
-        """InputError where derivatives [parts, pairs, tangents] of eigenvalues that coincide differ along a direction."""
-        modes, _ = self._columns()
+    def _refuse_split(self, lane: int, pairs: Sequence[tuple[int, int]], blocks: Tensor) -> None:
+        """DesignFailure where derivatives [parts, pairs, tangents] of eigenvalues that coincide differ along a direction."""
+        spectrum, (modes, _) = self.spectra[lane], self._columns()
         for number in spectrum.cluster[modes].unique():
             members = (spectrum.cluster[modes] == number).nonzero()[:, 0].tolist()
             of = [k for k, (i, j) in enumerate(pairs) if i in members and j in members]
@@ -214,7 +220,14 @@ class _Eigenproblem:
             mean = torch.stack([blocks[:, k] for k, (i, j) in enumerate(pairs) if i == j and i in members]).mean(0)
             unit = torch.tensor([float(pairs[k][0] == pairs[k][1]) for k in of], dtype=block.dtype)[:, None]
             if bool(((block - unit * mean[:, None]).abs() > _UNEQUAL * block.abs().amax((0, 1))).any()):
-                raise _coincide(spectrum, [modes[i] for i in members])
+                raise self._coincide(lane, [modes[i] for i in members])
+
+    def _coincide(self, lane: int, modes: Sequence[int]) -> DesignFailure:
+        numbers, value = ", ".join(str(k + 1) for k in modes), self.spectra[lane].values[modes[0]].item()
+        return DesignFailure(
+            f"eigenvalues {numbers}{self._where(lane)} coincide at {value:.6g}: a single one has no derivative; allowed: "
+            "functions symmetric in them, such as SystemFrequency(cluster=...)"
+        )
 
     @property
     def _parts(self) -> int:
@@ -299,12 +312,3 @@ class _OfMatrices(_Eigenproblem):
             P = sum(torch.einsum("ijl,jkl->ikl", X, f * right) for X, f in ((M, s * s), (C, s), (K, s**0)))
             product = -(left.conj() * P).sum(0)
             return leaves, [product.real, product.imag]
-
-
-def _coincide(spectrum: Spectrum, modes: Sequence[int]) -> DesignFailure:
-    numbers = ", ".join(str(k + 1) for k in modes)
-    value = spectrum.values[modes[0]].item()
-    return DesignFailure(
-        f"eigenvalues {numbers} coincide at {value:.6g}: a single one has no derivative; allowed: functions symmetric in them, "
-        "such as SystemFrequency(cluster=...)"
-    )
