@@ -36,10 +36,10 @@ def test_critical_speeds_of_a_disk(mode):
     """sqrt(k / m) of both directions, and sqrt(k / (J + Jp)) of backward whirl; a thin disk has no forward one."""
     system, k = disk(), torch.tensor([8e3, 9e3], dtype=torch.float64)
     speeds = [math.sqrt(30.0 / 0.03), math.sqrt(5e3 / 2.0), math.sqrt(8e3 / 2.0)]
-    for number, wanted in enumerate(speeds, 1):
+    for number, expected in enumerate(speeds, 1):
         measure = mbd.CriticalSpeed(number, between=(10.0, 90.0), points=9, **DISK)
         made = measured(measure, system, {"bearing.stiffness_y": k}, gradients=mode)
-        assert float(made.value[0]) == pytest.approx(wanted, rel=1e-9)
+        assert float(made.value[0]) == pytest.approx(expected, rel=1e-9)
         slope = 0.5 / math.sqrt(8e3 * 2.0) if number == 3 else 0.0
         assert float(made.gradient[0, 0]) == pytest.approx(slope, rel=1e-8, abs=1e-12)
     assert float(made.value[1]) == pytest.approx(math.sqrt(9e3 / 2.0), rel=1e-9)
@@ -67,7 +67,7 @@ def test_whirls_that_coincide_have_a_critical_speed():
 @pytest.mark.thorough
 def test_rotor5_of_ross():
     """petrobras/ross, tests/test_rotor_assembly.py: found by a search over speeds, extrapolated to elements of no length."""
-    wanted, found = [86.10505, 86.60493, 198.93259, 207.97166], []
+    expected, found = [86.10505, 86.60493, 198.93259, 207.97166], []
     for elements in (10, 20):
         system = rotor(2.5, {1.0: 0.28, 1.5: 0.35}, (0.5, 2.0), (1e6, 1e6), elements)
         motion = mbd.simulate(system, 1e-5, steps=2)
@@ -78,7 +78,7 @@ def test_rotor5_of_ross():
                 for k, between in enumerate(ranges)
             ]
         )
-    for wide, narrow, number in zip(*found, wanted, strict=True):
+    for wide, narrow, number in zip(*found, expected, strict=True):
         assert (4.0 * narrow - wide) / 3.0 == pytest.approx(number, rel=1e-3)
 
 

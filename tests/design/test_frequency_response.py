@@ -42,8 +42,8 @@ def test_peak_and_gradient_of_one_mass():
     }
     k, d = x.values()
     zeta = d / (2.0 * (2.0 * k).sqrt())
-    wanted = 1.0 / (k * 2.0 * zeta * (1.0 - zeta**2).sqrt())
-    by = torch.autograd.grad(wanted.sum(), [k, d])
+    expected = 1.0 / (k * 2.0 * zeta * (1.0 - zeta**2).sqrt())
+    by = torch.autograd.grad(expected.sum(), [k, d])
     motion = short(mass(), designs={f"spring.{name}": y for name, y in x.items()}, gradients="reverse")
     options: dict[str, Any] = {"direction": "y", "input_direction": "y"}
     for measure in (
@@ -51,7 +51,7 @@ def test_peak_and_gradient_of_one_mass():
         mbd.FrequencyResponse("load", "load", (0.0, 10.0), input_place=(0.1, 0.0, 0.0), **options),
     ):
         peak = measure.peak(motion)
-        assert_close(peak.magnitude, wanted, rtol=1e-10, atol=0.0)
+        assert_close(peak.magnitude, expected, rtol=1e-10, atol=0.0)
         assert_close(peak.frequency, 5.0 * (1.0 - 2.0 * zeta**2).sqrt().detach() / (2.0 * math.pi), rtol=1e-7, atol=0.0)
         assert peak.where == ["peak"]
         for got, y in zip(torch.autograd.grad(peak.magnitude.sum(), [k, d]), by, strict=True):
@@ -82,10 +82,10 @@ def test_ends_of_the_band_are_told_apart():
     for band, end, f in (((2.0, 4.0), "lower end of the band", 2.0), ((0.1, 0.4), "upper end of the band", 0.4)):
         peak = mbd.FrequencyResponse("rail", "rail", band).peak(motion)
         w = 2.0 * math.pi * f
-        wanted = 1.0 / ((k - 2.0 * w * w) ** 2 + (2.0 * w) ** 2).sqrt()
+        expected = 1.0 / ((k - 2.0 * w * w) ** 2 + (2.0 * w) ** 2).sqrt()
         assert peak.where == [end]
-        assert_close(peak.magnitude, wanted, rtol=1e-10, atol=0.0)
-        got, by = (torch.autograd.grad(y.sum(), k)[0] for y in (peak.magnitude, wanted))
+        assert_close(peak.magnitude, expected, rtol=1e-10, atol=0.0)
+        got, by = (torch.autograd.grad(y.sum(), k)[0] for y in (peak.magnitude, expected))
         assert_close(got, by, rtol=1e-9, atol=0.0)
 
 
@@ -121,12 +121,12 @@ def test_of_a_bent_blade_in_rotation():
     assert reverse.gradient is not None
     assert_close(reverse.gradient, forward.gradient, rtol=1e-9, atol=1e-12)
     d = {names[0]: torch.tensor([[0.3, -0.7, 0.5, 1.0]], dtype=torch.float64), names[1]: torch.tensor([0.02]).double()}
-    wanted = 0.0
+    expected = 0.0
     for step, weight in ((1e-3, 8.0), (2e-3, -1.0)):
         up, down = (measured(measure, system, {n: x[n] + s * step * d[n] for n in names}) for s in (1.0, -1.0))
-        wanted = wanted + weight * (up - down).detach() / (12.0 * 1e-3)
+        expected = expected + weight * (up - down).detach() / (12.0 * 1e-3)
     along = torch.cat([d[n].flatten() for n in names])
-    assert_close(reverse.gradient @ along, wanted, rtol=1e-6, atol=0.0)
+    assert_close(reverse.gradient @ along, expected, rtol=1e-6, atol=0.0)
 
 
 def test_the_largest_of_many_narrow_peaks():

@@ -128,8 +128,8 @@ def test_campbell_clearance_of_a_blade():
         w = 2.0 * math.pi * mbd.equilibrium(blade(speed=speed), spin=(0.0, 0.0, speed)).frequencies[0, :2]
         rows.append(w[:, None] / (torch.tensor([1.0, 3.0]) * speed) - 1.0)
     e = torch.stack(rows, -1)
-    wanted = torch.maximum(e.amin(-1), (-e).amin(-1)).flatten()
-    assert_close(got[0].detach(), wanted, rtol=1e-8, atol=1e-10)
+    expected = torch.maximum(e.amin(-1), (-e).amin(-1)).flatten()
+    assert_close(got[0].detach(), expected, rtol=1e-8, atol=1e-10)
     (by,) = torch.autograd.grad(got.sum(), x)
     d = torch.randn(x.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     h = 1e-4

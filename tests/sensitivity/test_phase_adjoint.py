@@ -96,13 +96,13 @@ def test_the_gradient_is_that_of_forward_tangents(name, method):
     designs = torch.stack([ANGLES, ANGLES + tensor(0.5, 0.3)])
     forward, back = (finished(simulated(name, designs, way, method=method)) for way in WAYS)
     assert [motion.stats["gradients"] for motion in (forward, back)] == list(WAYS)
-    wanted, found = (differentiate(everything, motion) for motion in (forward, back))
-    assert_close(found.value, wanted.value, rtol=1e-12, atol=0)
-    assert wanted.gradient is not None
+    expected, found = (differentiate(everything, motion) for motion in (forward, back))
+    assert_close(found.value, expected.value, rtol=1e-12, atol=0)
+    assert expected.gradient is not None
     assert found.gradient is not None
-    size = wanted.gradient.abs().amax((0, 2))
+    size = expected.gradient.abs().amax((0, 2))
     assert float(size[:2].min()) > 0.0
-    assert float(((found.gradient - wanted.gradient).abs().amax((0, 2)) / size).max()) < 1e-8
+    assert float(((found.gradient - expected.gradient).abs().amax((0, 2)) / size).max()) < 1e-8
 
 
 @pytest.mark.thorough
@@ -157,10 +157,10 @@ def test_a_lane_that_never_gets_there_adds_nothing():
 
     found = differentiate(numbers, motion).gradient
     alone = mbd.simulate(pendulum(damping=1e-4), 0.05, steps=25, designs={NAME: designs[[there]]}, **own)
-    wanted = differentiate(numbers, alone.require_ok()).gradient
+    expected = differentiate(numbers, alone.require_ok()).gradient
     assert found is not None
-    assert wanted is not None
-    assert_close(found[there], wanted[0], rtol=1e-9, atol=0)
+    assert expected is not None
+    assert_close(found[there], expected[0], rtol=1e-9, atol=0)
     assert float(found[1 - there].abs().max()) == 0.0
 
 

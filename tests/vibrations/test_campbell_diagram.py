@@ -32,9 +32,9 @@ def test_whirl_crosses_and_passes_zero_in_the_turning_frame():
     speeds = torch.linspace(0.5, 12.5, 13, dtype=torch.float64)
     found = mbd.campbell(masses(), speeds, modes=6)
     assert found.status == ["ok"]
-    wanted = torch.stack([(w + n * speeds).abs() for w in (10.0, 14.0) for n in (-1, 0, 1)], 1) / (2.0 * math.pi)
-    order = wanted[0].argsort()
-    assert_close(found.frequencies[0], wanted[:, order], rtol=1e-7, atol=1e-7)
+    expected = torch.stack([(w + n * speeds).abs() for w in (10.0, 14.0) for n in (-1, 0, 1)], 1) / (2.0 * math.pi)
+    order = expected[0].argsort()
+    assert_close(found.frequencies[0], expected[:, order], rtol=1e-7, atol=1e-7)
     assert_close(found.speeds, speeds)
 
 
@@ -70,8 +70,8 @@ def test_designs_are_lanes_and_gradients_are_those_of_the_closed_form():
     found = frequencies(k)
     assert_close(found, w / (2.0 * math.pi), rtol=1e-8, atol=0.0)
     [reverse] = torch.autograd.grad(found.sum(), k)
-    [wanted] = torch.autograd.grad(w.sum() / (2.0 * math.pi), k)
-    assert_close(reverse, wanted, rtol=1e-7, atol=0.0)
+    [expected] = torch.autograd.grad(w.sum() / (2.0 * math.pi), k)
+    assert_close(reverse, expected, rtol=1e-7, atol=0.0)
     forward = torch.func.jvp(frequencies, (k.detach(),), (torch.ones(2, dtype=torch.float64),))[1]
     assert_close(forward.sum(1), reverse, rtol=1e-9, atol=0.0)
 

@@ -64,13 +64,13 @@ def test_beside_symmetry(offset, speed):
     k = torch.tensor([STIFFNESS[0] * (1.0 + offset)], dtype=torch.float64, requires_grad=True)
     w = frequencies(k, speed)
     assert len(w) == 4
-    wanted = [slope(x, k.item(), speed, 1) for x in w.tolist()]
-    largest = max(map(abs, wanted))
+    expected = [slope(x, k.item(), speed, 1) for x in w.tolist()]
+    largest = max(map(abs, expected))
     for i in range(4):
         (by,) = torch.autograd.grad(w[i], k, retain_graph=True)
-        assert by.item() == pytest.approx(wanted[i], rel=0.0, abs=ACCURACY * largest)
+        assert by.item() == pytest.approx(expected[i], rel=0.0, abs=ACCURACY * largest)
     (span,) = torch.autograd.grad((w[1] - w[0]).square(), k, retain_graph=True)
-    assert span.item() == pytest.approx(2.0 * (w[1] - w[0]).item() * (wanted[1] - wanted[0]), rel=0.0, abs=ACCURACY)
+    assert span.item() == pytest.approx(2.0 * (w[1] - w[0]).item() * (expected[1] - expected[0]), rel=0.0, abs=ACCURACY)
 
 
 @pytest.mark.thorough
@@ -83,11 +83,11 @@ def test_at_symmetry(speed):
     k = torch.tensor([STIFFNESS[0]], dtype=torch.float64, requires_grad=True)
     w = frequencies(k, speed)
     assert w[:2].tolist() == pytest.approx([math.sqrt(35.0)] * 2, rel=1e-12)
-    wanted = slope(math.sqrt(35.0), STIFFNESS[0], speed, 2)
+    expected = slope(math.sqrt(35.0), STIFFNESS[0], speed, 2)
     pair = w[:2]
     for f, inner in ((pair.sum(), 1.0), (pair.log().sum(), 35.0**-0.5), (pair.pow(-2).sum(), -2.0 * 35.0**-1.5)):
         (by,) = torch.autograd.grad(f, k, retain_graph=True)
-        assert by.item() == pytest.approx(inner * wanted, rel=ACCURACY)
+        assert by.item() == pytest.approx(inner * expected, rel=ACCURACY)
     (span,) = torch.autograd.grad((w[1] - w[0]).square(), k, retain_graph=True)
     assert abs(span.item()) < ACCURACY
     for f in (w[0], w[1], w[1] - w[0]):
@@ -101,4 +101,4 @@ def test_at_symmetry(speed):
 
     assert mean(k).item() == pytest.approx(math.sqrt(35.0) / (2.0 * math.pi), rel=1e-12)
     for by in (torch.autograd.grad(mean(k), k)[0], torch.func.jacfwd(mean)(k.detach())):
-        assert by.item() == pytest.approx(0.5 * wanted / (2.0 * math.pi), rel=ACCURACY)
+        assert by.item() == pytest.approx(0.5 * expected / (2.0 * math.pi), rel=ACCURACY)

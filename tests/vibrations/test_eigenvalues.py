@@ -31,12 +31,12 @@ def check(system: mbd.System, names: list[str], values: Values, rtol: float = 1e
     values(system, x).sum().backward()
     single = lambda b: values(system, {name: y[None] for name, y in b.items()})[0]  # noqa: E731
     forward, reverse = torch.func.jacfwd(single)(start), torch.func.jacrev(single)(start)
-    wanted = differences(lambda b: values(system, b), system, names)
+    expected = differences(lambda b: values(system, b), system, names)
     for name, y in x.items():
         assert y.grad is not None
         size = float(y.grad.abs().max())
         assert size > 0.0
-        for other, bound in ((forward, 1e-9), (reverse, 1e-9), (wanted, rtol)):
+        for other, bound in ((forward, 1e-9), (reverse, 1e-9), (expected, rtol)):
             assert_close(other[name], y.grad[0], rtol=0.0, atol=bound * size, msg=lambda m, n=name: f"{n}: {m}")
 
 
@@ -224,10 +224,12 @@ def test_by_gains_in_closed_form():
     for x in (mass, gains):
         x.requires_grad_()
     s = mbd.equilibrium(system, designs={"mass.mass": mass, "servo.weight": gains}).poles[0, 1]
-    wanted = (gains[0, 0, 1] + torch.sqrt(gains[0, 0, 1] ** 2 + 4.0 * mass[0] * gains[0, 0, 0] + 0j)) / (2.0 * mass[0])
-    assert_close(s, wanted, rtol=1e-12, atol=0.0)
+    expected = (gains[0, 0, 1] + torch.sqrt(gains[0, 0, 1] ** 2 + 4.0 * mass[0] * gains[0, 0, 0] + 0j)) / (
+        2.0 * mass[0]
+    )
+    assert_close(s, expected, rtol=1e-12, atol=0.0)
     for part in (lambda z: z.real, lambda z: z.imag):
-        slopes = [torch.autograd.grad(part(z), [mass, gains], retain_graph=True) for z in (s, wanted)]
+        slopes = [torch.autograd.grad(part(z), [mass, gains], retain_graph=True) for z in (s, expected)]
         for x, y in zip(*slopes, strict=True):
             assert_close(x, y, rtol=1e-10, atol=1e-14)
 

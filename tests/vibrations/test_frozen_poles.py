@@ -28,9 +28,9 @@ def test_of_a_pendulum_by_its_mass():
     mass = torch.tensor([1.5, 2.0], dtype=torch.float64, requires_grad=True)
     motion = mbd.simulate(swinging(), 0.6, steps=200, designs={"bob.mass": mass})
     s, angle = mbd.frozen_poles(motion, 0.3), mbd.Angle("bob", "z")(motion)[:, 100]
-    wanted = torch.sqrt(mass * 9.81 * 2.0 * torch.cos(angle) / (4.0 * mass + 0.1))
-    assert_close(s[:, 1].imag, wanted, rtol=1e-6, atol=0.0)
-    slopes = [torch.autograd.grad(x.sum(), mass, retain_graph=True)[0] for x in (s[:, 1].imag, wanted)]
+    expected = torch.sqrt(mass * 9.81 * 2.0 * torch.cos(angle) / (4.0 * mass + 0.1))
+    assert_close(s[:, 1].imag, expected, rtol=1e-6, atol=0.0)
+    slopes = [torch.autograd.grad(x.sum(), mass, retain_graph=True)[0] for x in (s[:, 1].imag, expected)]
     assert_close(slopes[0], slopes[1], rtol=1e-4, atol=0.0)
     assert float(slopes[1].abs().min()) > 1e-3
 
@@ -52,11 +52,11 @@ def test_of_a_flexible_double_pendulum():
     x = {name: y[None].clone().requires_grad_() for name, y in start.items()}
     value(x).sum().backward()
     forward, reverse = torch.func.jacfwd(single)(start), torch.func.jacrev(single)(start)
-    wanted = differences(value, system, names)
+    expected = differences(value, system, names)
     for name, y in x.items():
         assert y.grad is not None
         size = float(y.grad.abs().max())
-        for other, bound in ((forward, 1e-9), (reverse, 1e-9), (wanted, 1e-6)):
+        for other, bound in ((forward, 1e-9), (reverse, 1e-9), (expected, 1e-6)):
             assert_close(other[name], y.grad[0], rtol=0.0, atol=bound * size, msg=lambda m, n=name: f"{n}: {m}")
 
 
@@ -78,9 +78,9 @@ def test_by_the_duration_of_a_driven_motion():
         return mbd.frozen_poles(mbd.simulate(system, duration, steps=60))[0, 1].imag
 
     T, h = torch.tensor(0.6, dtype=torch.float64), 1e-4
-    wanted = ((swing(T + h) - swing(T - h)) / (2.0 * h)).item()
+    expected = ((swing(T + h) - swing(T - h)) / (2.0 * h)).item()
     for mode in (torch.func.jacrev, torch.func.jacfwd):
-        assert mode(swing)(T).item() == pytest.approx(wanted, rel=1e-6)
+        assert mode(swing)(T).item() == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_has_no_derivative_is_named():

@@ -66,9 +66,9 @@ def test_of_a_rotor_seen_from_the_ground():
     state = mbd.equilibrium(system, spin=(200.0, 0.0, 0.0), observer="ground", unstable=True)
     disk = system.body("disk0")
     linear = mbd.linearize(system, [mbd.signals.ForceOn(disk.at(), "y")], [mbd.signals.PointPosition(disk.at())], state)
-    got, wanted = (np.sort(np.abs(x.imag)) for x in (np.linalg.eigvals(linear.A), state.poles[0].numpy()))
-    assert wanted[:2].tolist() == [0.0, 0.0]  # the free spin, of which `got` has the root of rounding
-    np.testing.assert_allclose(got[2:], wanted[2:], rtol=1e-6)
+    got, expected = (np.sort(np.abs(x.imag)) for x in (np.linalg.eigvals(linear.A), state.poles[0].numpy()))
+    assert expected[:2].tolist() == [0.0, 0.0]  # the free spin, of which `got` has the root of rounding
+    np.testing.assert_allclose(got[2:], expected[2:], rtol=1e-6)
 
 
 def test_bad_arguments_are_named():
@@ -117,19 +117,19 @@ def test_the_difference_of_two_motions_follows_the_matrices():
     names = [f"rotation {axis} of {body!r}" for axis in "xyz" for body in T.names]
     rows = [names.index(name) for name in along[0].states[:4]]
     assert all(x.states == along[0].states for x in along)
-    wanted = torch.cat([x.flatten(1)[:, rows] for x in (turn, rate)], 1).numpy()
-    x, h = wanted[0], 2.0 * float(motion.t[1])
+    expected = torch.cat([x.flatten(1)[:, rows] for x in (turn, rate)], 1).numpy()
+    x, h = expected[0], 2.0 * float(motion.t[1])
     for before, between, after in zip(along[:-2:2], along[1:-1:2], along[2::2], strict=True):
         k1 = before.A @ x
         k2 = between.A @ (x + 0.5 * h * k1)
         k3 = between.A @ (x + 0.5 * h * k2)
         x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + after.A @ (x + h * k3))
-    np.testing.assert_allclose(x, wanted[-1], rtol=0.0, atol=1e-4 * np.abs(wanted[-1]).max())
-    assert np.abs(x - wanted[0]).max() > 0.1 * np.abs(x).max()
+    np.testing.assert_allclose(x, expected[-1], rtol=0.0, atol=1e-4 * np.abs(expected[-1]).max())
+    assert np.abs(x - expected[0]).max() > 0.1 * np.abs(x).max()
     first = T.names.index("first")
     axis = rotation_matrix(p[-1]).numpy()[:, :, first].T @ hinge.a.axes.numpy()[:, 0]
     wanted_outputs = [axis @ y[-1, :, first].numpy() for y in (turn, rate)]
-    np.testing.assert_allclose(along[-1].C @ wanted[-1], wanted_outputs, rtol=1e-4)
+    np.testing.assert_allclose(along[-1].C @ expected[-1], wanted_outputs, rtol=1e-4)
 
 
 def hinged(length: float) -> tuple[mbd.System, mbd.Joint]:

@@ -216,7 +216,7 @@ def test_frequencies_have_derivatives_in_every_mode():
     with forward_ad.dual_level():
         dual = forward_ad.unpack_dual(first(forward_ad.make_dual(angles, ones))).tangent
     reverse = torch.func.grad(first)(angles) @ ones
-    wanted = (first(angles + 1e-5 * ones) - first(angles - 1e-5 * ones)) / 2e-5
+    expected = (first(angles + 1e-5 * ones) - first(angles - 1e-5 * ones)) / 2e-5
     assert_close(forward, dual, rtol=1e-12, atol=0.0)
     assert_close(forward, reverse, rtol=1e-9, atol=0.0)
-    assert_close(forward, wanted, rtol=1e-6, atol=0.0)
+    assert_close(forward, expected, rtol=1e-6, atol=0.0)

@@ -59,8 +59,8 @@ def test_lanes_at_their_own_times_have_what_each_has_alone():
         for lane in range(3):
             h, t = (pick_lanes(y, [lane]) for y in (SIZES, TIMES))
             alone = step(lanes_of(dynamics, [0]), pick_states(x, [lane]), h, t + h)
-            for found, wanted in zip(pick_states(together, [lane]), alone, strict=True):
-                assert_close(found, wanted, rtol=1e-10, atol=1e-10)
+            for found, expected in zip(pick_states(together, [lane]), alone, strict=True):
+                assert_close(found, expected, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.thorough
@@ -69,10 +69,10 @@ def test_compiled_code_makes_the_steps_of_operators_of_torch(native, monkeypatch
     dynamics, x = states()
     step, compiled, made = GeneralizedAlpha().step_of_size, with_backend(dynamics, "native"), []
     with torch.no_grad():
-        wanted = step(dynamics, x, SIZES, TIMES + SIZES)
+        expected = step(dynamics, x, SIZES, TIMES + SIZES)
         far = step(dynamics, x._replace(vd=30.0 * x.vd), SIZES, TIMES + SIZES)
         monkeypatch.setattr(variable_step, "_from", lambda *_: made.append("by torch"))
-        for vd, states_of_torch in ((x.vd, wanted), (30.0 * x.vd, far)):
+        for vd, states_of_torch in ((x.vd, expected), (30.0 * x.vd, far)):
             found = step(compiled, x._replace(vd=vd), SIZES, TIMES + SIZES)
             for y, z in zip(found, states_of_torch, strict=True):
                 assert_close(y, z, rtol=1e-9, atol=1e-8)
@@ -84,12 +84,12 @@ def test_a_step_does_not_depend_on_its_estimate_and_is_nan_where_it_has_no_solut
     dynamics, x = states()
     step = GeneralizedAlpha().step_of_size
     with torch.no_grad():
-        wanted = step(dynamics, x, SIZES, TIMES + SIZES)
+        expected = step(dynamics, x, SIZES, TIMES + SIZES)
         far = x._replace(vd=x.vd + 1e7 * torch.sin(torch.arange(x.vd.numel(), dtype=torch.float64)).reshape(x.vd.shape))
         found = step(dynamics, x, SIZES, TIMES + SIZES, far)
-        for y, z in zip(found, wanted, strict=True):
+        for y, z in zip(found, expected, strict=True):
             assert_close(y, z, rtol=1e-8, atol=1e-7)
         h = SIZES * tensor(1.0, torch.nan, 1.0)
         broken = step(dynamics, x, h, TIMES + SIZES)
     assert torch.isfinite(broken.vd).flatten(0, 1).all(0).tolist() == [True, False, True]
-    assert_close(broken.q[..., [0, 2]], wanted.q[..., [0, 2]], rtol=0, atol=0)
+    assert_close(broken.q[..., [0, 2]], expected.q[..., [0, 2]], rtol=0, atol=0)
