@@ -210,3 +210,15 @@ def test_from_an_experiment_file():
     measure = measure_of({"frequency_response": spec})
     assert measure == mbd.FrequencyResponse("load", "rail", (0.1, 10), direction="y", place=(0.1, 0.0, 0.0), speed=0)
     assert float(measure(short(mass()))) == pytest.approx(0.1005037815259212, rel=1e-10)
+
+
+def test_a_response_of_zero_has_a_value_and_no_derivative():
+    """Across its rail the load does not move: zeros would be no derivative of the magnitude."""
+    system = mass()
+    across = mbd.FrequencyResponse("load", "rail", (0.1, 10.0), direction="x")
+    with torch.no_grad():
+        assert across(short(system)).item() == 0.0
+    with pytest.raises(
+        mbd.DesignFailure, match="a response that is zero has no derivative; allowed: an output that the"
+    ):
+        across(short(system, gradients="reverse"))

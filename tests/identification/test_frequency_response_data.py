@@ -116,3 +116,19 @@ def test_signals_of_another_system_are_refused():
     push, outputs = ports(pendulum.row())
     with pytest.raises(mbd.InputError, match="body"):
         mbd.Experiment(pendulum.row(), mbd.FrequencyResponseData(receptances(), push, outputs))
+
+
+@pytest.mark.parametrize(
+    ("pick", "message"),
+    [
+        (lambda joint, point: point, "output 'a' is .*, of 3 numbers; allowed: a signal of one, or a pair"),
+        (lambda joint, point: (joint, "x"), "output 'a' is .*, of 1 numbers, and 'x'; allowed: a signal of one, or a"),
+        (lambda joint, point: (point, "w"), "direction of output 'a' 'w' does not exist; allowed: x, y, z"),
+    ],
+)
+def test_outputs_of_several_numbers_need_a_direction(pick, message):
+    model = pendulum.row()
+    push, outputs = ports(model)
+    point = mbd.signals.PointPosition(model.joints[0].b.body.at())
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.FrequencyResponseData(receptances(), push, outputs | {"a": pick(outputs["a"], point)})

@@ -118,8 +118,8 @@ class FrequencyResponse(OfVibrations):
         states = steady_states(system, [float(self.speed)], self.shaft, motion.designs)
         low, high = self.band
         band = 2.0 * math.pi * low, 2.0 * math.pi * high
-        found = largest_response(states, ports, row, QUANTITIES.index(self.quantity), band)
-        return ResponsePeak(found.magnitude, found.frequency / (2.0 * math.pi), found.where)
+        largest = largest_response(states, ports, row, QUANTITIES.index(self.quantity), band)
+        return ResponsePeak(largest.magnitude, largest.frequency / (2.0 * math.pi), largest.where)
 
     @property
     def _named(self) -> tuple[NamedPort, NamedPort]:

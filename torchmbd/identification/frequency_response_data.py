@@ -83,9 +83,9 @@ class FrequencyResponseData(Measurement):
         first = 0
         for name, (signal, direction) in pairs.items():
             if (direction is None) != (signal.size == 1):
-                given = f"{signal!r}, of {signal.size} numbers" + (f", and {direction!r}" if direction else "")
+                text = f"{signal!r}, of {signal.size} numbers" + (f", and {direction!r}" if direction else "")
                 raise InputError(
-                    f"output {name!r} is {given}; allowed: a signal of one, or a pair of a signal of three and 'x', 'y' or 'z'"
+                    f"output {name!r} is {text}; allowed: a signal of one, or a pair of a signal of three and 'x', 'y' or 'z'"
                 )
             if direction is not None:
                 one_of(f"direction of output {name!r}", direction, "xyz")

@@ -22,12 +22,12 @@ _MOST = 100  # evaluations: a function that jumps takes about 50
 def roots(
     f: Callable[[Tensor, list[int]], Tensor], low: Tensor, high: Tensor, f_low: Tensor, f_high: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Roots [n] between low and high, and which were found; f(x, numbers): some of the functions, at x.
+    """Roots [n] between low and high, and which were solved; f(x, numbers): some of the functions, at x.
 
     Each root is the number at which its function was evaluated last.
     """
     a, b, fa, fb = high, low, f_high, f_low
-    t, found = fa / (fa - fb), torch.zeros_like(a, dtype=torch.bool)
+    t, solved = fa / (fa - fb), torch.zeros_like(a, dtype=torch.bool)
     active = f_low * f_high <= 0.0
     for _ in range(_MOST):
         some = torch.nonzero(active)[:, 0]
@@ -44,6 +44,6 @@ def roots(
         t = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
         t = torch.where(smooth, t, 0.5)
         step = torch.where(smooth, t * (b - a), b - a).abs()
-        found = found | (active & ((fa == 0.0) | (step <= _ROUND * a.abs())))
-        active = active & ~found & torch.isfinite(fa)
-    return a, found
+        solved = solved | (active & ((fa == 0.0) | (step <= _ROUND * a.abs())))
+        active = active & ~solved & torch.isfinite(fa)
+    return a, solved
