@@ -28,11 +28,11 @@ LAYERS = (
     {"vibrations"},
     {"optimization"},
     {"design"},
-    {"identification"},
     {"viz", "tracking", "examples"},
     {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.meshes", "extensions.nastran"},
     {"extensions.lamination", "extensions.matrices", "extensions.openmdao", "extensions.robots", "extensions.windio"},
     {"study"},
+    {"extensions.identification"},
     {"api", "cli"},
     {"__main__"},
 )

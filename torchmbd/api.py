@@ -66,16 +66,6 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import (
-    Channel,
-    Experiment,
-    FrequencyResponseData,
-    Identification,
-    ModalData,
-    StaticCurve,
-    TimeSeries,
-    identify,
-)
 from torchmbd.integrate import Event, Phase, Trajectory, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -201,7 +191,6 @@ __all__ = [
     "Campbell",
     "CampbellClearance",
     "Chain",
-    "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
@@ -219,7 +208,6 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
-    "Experiment",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -229,11 +217,9 @@ __all__ = [
     "Frequencies",
     "Frequency",
     "FrequencyResponse",
-    "FrequencyResponseData",
     "GivenSection",
     "Ground",
     "History",
-    "Identification",
     "InputError",
     "Integral",
     "Interface",
@@ -246,7 +232,6 @@ __all__ = [
     "Measure",
     "Mesh",
     "Min",
-    "ModalData",
     "OptimizationResult",
     "Phase",
     "Planar",
@@ -279,13 +264,11 @@ __all__ = [
     "SpringDamper",
     "StabilityLimit",
     "StabilityMargin",
-    "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
     "SystemFrequency",
-    "TimeSeries",
     "Torque",
     "Tradeoff",
     "Trajectory",
@@ -305,7 +288,6 @@ __all__ = [
     "frequencies",
     "frozen_poles",
     "history",
-    "identify",
     "latin_hypercube",
     "linearize",
     "load",

@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.beamdyn import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
     from torchmbd.extensions.fibers import *  # noqa: F403
+    from torchmbd.extensions.identification import *  # noqa: F403
     from torchmbd.extensions.lamination import *  # noqa: F403
     from torchmbd.extensions.matrices import *  # noqa: F403
     from torchmbd.extensions.meshes import *  # noqa: F403
@@ -27,6 +28,8 @@ NAMES = {
     "beamdyn": "read_beamdyn",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
     "fibers": "FiberCurvature FiberDivergence FiberField SteeredLaminate viz.fiber_paths",
+    "identification": "Channel Experiment FrequencyResponseData Identification ModalData StaticCurve TimeSeries identify "
+    "viz.data_and_model",
     "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
     "matrices": "read_matrix",
     "meshes": "read_mesh",
@@ -35,7 +38,7 @@ NAMES = {
     "robots": "read_mjcf read_urdf",
     "windio": "read_windio",
 }
-#: Registry (design/responses.py) -> name in experiment files -> "extension:class".
+#: Registry (design/responses.py, study/load.py) -> name in experiment files -> "extension:class".
 ENTRIES: dict[str, dict[str, str]] = {
     "responses": {},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
@@ -45,4 +48,5 @@ ENTRIES: dict[str, dict[str, str]] = {
         "fiber_divergence": "fibers:FiberDivergence",
         "lamination_region": "lamination:LaminationRegion",
     },
+    "experiments": {"identify": "identification:IDENTIFY"},
 }
