@@ -12,6 +12,8 @@ import pytest
 import torchmbd as mbd
 from torchmbd import registry
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.study.kind import Kind
+from torchmbd.study.load import KINDS
 
 FOLDER = Path(mbd.__file__ or "").parent / "extensions"
 
@@ -64,6 +66,7 @@ def test_a_registry_is_a_mapping():
 def test_every_entry_leads_to_a_class():
     for found in (RESPONSES, COMBINATORS, OF_DESIGN):
         assert all(isinstance(kind, type) for kind in found.values())
+    assert all(isinstance(kind, Kind) for kind in KINDS.values())
 
 
 @pytest.mark.extensions
