@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.math.module_call import call_module
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix

@@ -1,6 +1,6 @@
 """Ply strains, stresses and failure of a flexible plate along a motion.
 
-    stress(t) = basis w(t),      basis = ply values of the body's modes (fem/elements/ply_recovery.py)
+    stress(t) = basis w(t),      basis = ply values of the body's modes (fem/elements/plate.py)
 
 Points of a body run over its laminates, their cells, layers from the bottom, and the two faces of each layer;
 `points` names them.

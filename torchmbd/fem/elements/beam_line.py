@@ -6,8 +6,14 @@ node_sets  name -> node indices; a set of one node is a named node
 middles    of elements that are arcs of circles, on their arcs halfway   [m, 3], m; None: all are straight
 
 An element's x-axis runs from its start to its end, along the tangent of an arc. Branches and closed loops are allowed;
-parts must hang together.
-Checked in tests/fem/elements/test_beam_line.py.
+parts must hang together. Nodes may be functions of parameters, geometry as a design:
+
+    BeamLine(torch.nn.Parameter(nodes))               the nodes themselves: "rod.line.nodes"
+    BeamLine.straight(length=mbd.variable(0.3))       a length: "rod.line.length"
+    BeamLine(module)                                  any torch module without arguments that returns nodes [n, 3] [m]
+
+A module is evaluated for each design by itself, so it has no axis of lanes. Straight elements only.
+Checked in tests/fem/elements/test_beam_line.py, tests/sensitivity/test_node_variables.py.
 """
 
 from __future__ import annotations
@@ -25,19 +31,70 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature, unknown
-from torchmbd.fem.elements.beam_nodes import Straight, evaluate_nodes, node_module_of
 from torchmbd.fem.mesh.mesh import node_members
-from torchmbd.math.checked_numbers import indices, is_whole, reals
+from torchmbd.math.checked_numbers import indices, is_whole, parameter, reals
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import EXTENT, warn_unusual
 from torchmbd.math.variable import ParameterVector, is_variable, number
+
+
+class Nodes(nn.Module):
+    """Nodes that are a parameter [n, 3]."""
+
+    nodes: Tensor
+
+    def __init__(self, nodes: nn.Parameter):
+        super().__init__()
+        self.nodes = parameter("nodes of a BeamLine", nodes)
+
+    def forward(self) -> Tensor:
+        return self.nodes
+
+
+class Straight(nn.Module):
+    """Nodes at shares of a length [m]."""
+
+    positive = ("length",)
+    length: Tensor
+    _unit: Tensor
+
+    def __init__(self, length: Any, unit: Float[Tensor, "n 3"]):
+        super().__init__()
+        self.length = length
+        self.register_buffer("_unit", unit, persistent=False)
+
+    def forward(self) -> Tensor:
+        return self.length * self._unit
+
+
+def evaluate_nodes(shape: nn.Module) -> Tensor:
+    """Return the present nodes of a module [n, 3] without gradient; InputError where it returns something else."""
+    with torch.no_grad():
+        nodes = shape()
+    if not isinstance(nodes, Tensor) or nodes.dtype != torch.float64 or nodes.ndim != 2 or nodes.shape[1] != 3:
+        allowed = "nodes [n, 3] in float64"
+        raise InputError(f"the module of a BeamLine returns {nodes!r}; allowed: {allowed}")
+    return nodes.detach().clone()
+
+
+def varying_nodes(mesh: Any) -> bool:
+    """Whether the nodes of a mesh depend on the design."""
+    return getattr(mesh, "node_module", None) is not None
+
+
+def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:
+    """Nodes of a mesh in the present design [m]."""
+    if not varying_nodes(mesh):
+        return mesh.nodes
+    variables: ParameterVector = mesh.variables
+    return variables.evaluated()
 
 
 @checked_signature
 class BeamLine:
     """A chain or net of beam elements.
 
-    nodes      positions [n, 3] [m]; a torch.nn.Parameter, or a module that returns them, is a design variable (beam_nodes.py)
+    nodes      positions [n, 3] [m]; a torch.nn.Parameter, or a module that returns them, is a design variable
     elements   node pairs [m, 2]; default: each node with the next
     node_sets  name -> node indices; default: "start" and "end" of a chain
     middles    points halfway along elements that are arcs [m, 3] [m]
@@ -63,7 +120,9 @@ class BeamLine:
         node_sets: Mapping[str, Sequence[int]] | None = None,
         middles: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.node_module = node_module_of(nodes)
+        self.node_module = (
+            Nodes(nodes) if isinstance(nodes, nn.Parameter) else nodes if isinstance(nodes, nn.Module) else None
+        )
         self.variables = ParameterVector.of(self.node_module)
         numbers: Any = nodes if self.node_module is None else evaluate_nodes(self.node_module)
         self.nodes = reals("nodes of a BeamLine", numbers)
