@@ -11,11 +11,9 @@ from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLin
 from torchmbd.fem.elements.part import GivenElements, MassPoints, Part, PointMasses
 from torchmbd.fem.elements.plate import PlateMatrices, PlyBasis, ply_basis, ply_points
 from torchmbd.fem.elements.plates import MASSES, Plates, merge_plates
-from torchmbd.fem.elements.solids import CORNERS, solid_matrices
 from torchmbd.fem.elements.strains import FREEDOMS
 
 __all__ = [
-    "CORNERS",
     "ELEMENTS",
     "FREEDOMS",
     "MASSES",
@@ -41,5 +39,4 @@ __all__ = [
     "merge_plates",
     "ply_basis",
     "ply_points",
-    "solid_matrices",
 ]  # fmt: skip

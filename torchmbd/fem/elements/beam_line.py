@@ -26,12 +26,11 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.fem.mesh.mesh import node_members
+from torchmbd.fem.mesh.mesh_checks import connected_parts, repeated_rows
 from torchmbd.math.checked_numbers import indices, is_whole, parameter, reals
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import EXTENT, warn_unusual
@@ -206,11 +205,8 @@ def _check_nodes(nodes: Tensor) -> None:
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
     warn_unusual("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
-    duplicate = _repeated(nodes.numpy())
-    if duplicate:
-        raise InputError(
-            f"BeamLine: nodes {duplicate[0]} and {duplicate[1]} share one place {nodes[duplicate[1]].tolist()}; merge them"
-        )
+    for first, k in repeated_rows(nodes.numpy()):
+        raise InputError(f"BeamLine: nodes {first} and {k} share one place {nodes[k].tolist()}; merge them")
 
 
 def _check_elements(nodes: Tensor, elements: Tensor) -> None:
@@ -222,20 +218,16 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         raise InputError(
             f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
         )
-    duplicate = _repeated(np.sort(elements.numpy(), axis=1))
-    if duplicate:
-        raise InputError(
-            f"BeamLine: elements {duplicate[0]} and {duplicate[1]} are duplicates, nodes {elements[duplicate[1]].tolist()}"
-        )
+    for first, k in repeated_rows(np.sort(elements.numpy(), axis=1)):
+        raise InputError(f"BeamLine: elements {first} and {k} are duplicates, nodes {elements[k].tolist()}")
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()
     if len(short):
         k = int(short[0])
         raise InputError(f"BeamLine: element {k}, nodes {elements[k].tolist()}, has no length; merge its nodes")
     tail, head = elements.numpy().T
-    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    parts, stray = connected_parts(tail, head, n)
     if parts > 1:
-        stray = int(np.flatnonzero(label != label[0])[0])
         raise InputError(
             f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
         )
@@ -254,10 +246,3 @@ def _check_middles(ends: Tensor, middles: Tensor) -> None:
             f"BeamLine: middle of element {k} is at {middles[k].tolist()}; allowed: as far from its start as from its end, "
             "on an arc of at most half a turn"
         )
-
-
-def _repeated(rows: np.ndarray) -> tuple[int, int] | None:
-    """The first row that repeats an earlier one, and that one."""
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(rows)))
-    return (int(first[inverse.ravel()[again[0]]]), int(again[0])) if len(again) else None

@@ -8,17 +8,18 @@ Those with nodes on sides are serendipity elements: quadratic, isoparametric. Ma
 of the others in the ratio of int N_k^2 dV (E. Hinton, T. Rock, O. C. Zienkiewicz, 1976), as int N_k is negative at corners.
 Source: E. L. Wilson, R. L. Taylor et al., Incompatible displacement models, 1973; R. L. Taylor, P. J. Beresford, E. L.
 Wilson, IJNME 10 (1976) 1211-1219.
-Checked in tests/fem/elements/test_solids.py.
+Checked in tests/extensions/nastran/test_solids.py.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import product
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from torchmbd.fem.shape_functions import shape_functions, simplex_powers
 
 _G = 1.0 / math.sqrt(3.0)
 _BRICK = torch.tensor(
@@ -41,7 +42,7 @@ def _shapes(nodes: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Values [g, k] and derivatives [g, k, 3] of shape functions at Gauss points, their weights [g], and the points [g, 3]."""
     degree = 1 if nodes in CORNERS else 2
     line = [(-_G, 1.0), (_G, 1.0)] if degree == 1 else [(-math.sqrt(0.6), 5 / 9), (0.0, 8 / 9), (math.sqrt(0.6), 5 / 9)]
-    flat = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]  # powers on a triangle
+    flat = simplex_powers(degree)
     if nodes in (4, 10):
         corners = _numbers([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         a, b = (5.0 + 3.0 * math.sqrt(5.0)) / 20.0, (5.0 - math.sqrt(5.0)) / 20.0
@@ -58,23 +59,12 @@ def _shapes(nodes: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         corners = _BRICK
         points = _numbers([[x, y, z] for x, _ in line for y, _ in line for z, _ in line])
         weights = _numbers([u * v * w for _, u in line for _, v in line for _, w in line])
-        # All of degree two at most, where factors that stand linearly do not count.
         powers = [
             (i, j, k) for i, j, k in product(range(degree + 1), repeat=3) if sum(n for n in (i, j, k) if n > 1) <= 2
         ]
     middles = [(corners[i] + corners[j]) / 2.0 for i, j in _SIDES.get(nodes, ())]
-    exponents = torch.tensor(powers)
-    shapes = torch.linalg.inv(_monomials(exponents, torch.stack([*corners, *middles])))  # coefficients [monomial, k]
-    slopes = torch.stack([_monomials(exponents, points, r) @ shapes for r in range(3)], -1)
-    return _monomials(exponents, points) @ shapes, slopes, weights, points
-
-
-def _monomials(powers: Tensor, at: Tensor, by: int | None = None) -> Tensor:
-    """Monomials at points [g, 3], or their derivatives by one coordinate [g, k]."""
-    factors = at[:, None] ** powers
-    if by is not None:
-        factors[..., by] = powers[:, by] * at[:, None, by] ** (powers[:, by] - 1).clamp_min(0)
-    return factors.prod(-1)
+    N, slopes = shape_functions(torch.stack([*corners, *middles]), powers, points)
+    return N, slopes, weights, points
 
 
 def _strains(slopes: Float[Tensor, "... k 3"]) -> Float[Tensor, "... 6 k3"]:
