@@ -8,7 +8,6 @@ tests/extensions/nastran/test_solids.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import product
 
 import torch
@@ -26,16 +25,15 @@ def shape_functions(
     return _monomials(exponents, points) @ coefficients, torch.stack(slopes, -1)
 
 
-def simplex_powers(degree: int) -> list[tuple[int, int]]:
+def simplex_powers(degree: int) -> list[tuple[int, ...]]:
     """Powers on a triangle of this degree."""
     return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
 
 
-def serendipity_powers(degree: int, dimensions: int) -> Iterator[tuple[int, ...]]:
+def serendipity_powers(degree: int, dimensions: int) -> list[tuple[int, ...]]:
     """Powers on a square or a cube with nodes on its sides: of this degree, linear factors not counted."""
-    for powers in product(range(degree + 1), repeat=dimensions):
-        if sum(n for n in powers if n > 1) <= 2:
-            yield powers
+    every = product(range(degree + 1), repeat=dimensions)
+    return [powers for powers in every if sum(n for n in powers if n > 1) <= 2]
 
 
 def _monomials(powers: Tensor, at: Tensor, by: int | None = None) -> Tensor:

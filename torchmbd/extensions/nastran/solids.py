@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.fem.shape_functions import shape_functions, simplex_powers
+from torchmbd.fem.shape_functions import serendipity_powers, shape_functions, simplex_powers
 
 _G = 1.0 / math.sqrt(3.0)
 _BRICK = torch.tensor(
@@ -59,9 +59,7 @@ def _shapes(nodes: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         corners = _BRICK
         points = _numbers([[x, y, z] for x, _ in line for y, _ in line for z, _ in line])
         weights = _numbers([u * v * w for _, u in line for _, v in line for _, w in line])
-        powers = [
-            (i, j, k) for i, j, k in product(range(degree + 1), repeat=3) if sum(n for n in (i, j, k) if n > 1) <= 2
-        ]
+        powers = serendipity_powers(degree, 3)
     middles = [(corners[i] + corners[j]) / 2.0 for i, j in _SIDES.get(nodes, ())]
     N, slopes = shape_functions(torch.stack([*corners, *middles]), powers, points)
     return N, slopes, weights, points

@@ -143,8 +143,8 @@ class IsotropicPly(Lamina):
     loss: float | Tensor = 0.0
 
     def __post_init__(self) -> None:
-        numbers = (number(x) for x in (self.E, self.nu, self.density))
-        Ply.isotropic(*numbers, self.strength, self.loss)  # the checks of a ply
+        E, nu, density = (number(x) for x in (self.E, self.nu, self.density))
+        Ply.isotropic(E, nu, density, self.strength, self.loss)  # the checks of a ply
 
     @property
     def E1(self) -> float | Tensor:

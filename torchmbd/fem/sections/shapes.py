@@ -51,6 +51,6 @@ def corners(nodes: int) -> Tensor:
 def shape(nodes: int, points: Tensor) -> tuple[Tensor, Tensor]:
     """Shape functions [g, nodes] and their natural derivatives [g, nodes, 2] at points [g, 2]."""
     degree, x = 1 if nodes in (3, 4) else 2, corners(nodes)
-    powers = simplex_powers(degree) if nodes in (3, 6) else list(serendipity_powers(degree, 2))
+    powers = simplex_powers(degree) if nodes in (3, 6) else serendipity_powers(degree, 2)
     places = x if degree == 1 else torch.cat([x, (x + x.roll(-1, 0)) / 2.0])
-    return shape_functions(places, powers, points)  # pyright: ignore[reportArgumentType]
+    return shape_functions(places, powers, points)
