@@ -46,8 +46,8 @@ class Solver:
 
     factor: BlockFactor
 
-    def __init__(self, form: Form) -> None:
-        self.form, self.layout = form, partition(form, Diagonal(form.size))
+    def __init__(self, form: Form, layout: Partition | None = None) -> None:
+        self.form, self.layout = form, layout or partition(form, Diagonal(form.size))
 
     def factorize(self, values: Tensor, fault: str) -> None:
         """Factorize A of values [lane, *entry]; InputError says its lane and `fault` where it is not positive definite."""

@@ -18,8 +18,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.reduction.blocks import Solver
-from torchmbd.fem.reduction.forms import Sparse, check
+from torchmbd.fem.reduction.forms import Diagonal, Sparse, check
 from torchmbd.fem.reduction.operator_call import StaticDerivative
+from torchmbd.fem.reduction.partition import partition
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.vmap import batch_first
 
@@ -29,13 +30,16 @@ class StaticLoads:
 
     def __init__(self, pattern: Pattern) -> None:
         self.form = Sparse(pattern, symmetric=True)
+        self.layout = partition(
+            self.form, Diagonal(pattern.size)
+        )  # here, for a transform of torch.func hides its numbers
 
     def __call__(self, K: SparseMatrix, F: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes N k"]:
         """K^-1 F. Raises InputError where K is not positive definite."""
         lanes = np.broadcast_shapes(K.values.shape[:-1], F.shape[:-2])
         values = K.values.expand(*lanes, -1).reshape(-1, K.pattern.nnz)
         columns = F.expand(*lanes, *F.shape[-2:]).reshape(-1, *F.shape[-2:])
-        displacements: Any = _Displacements.apply(Solver(self.form), values, columns)
+        displacements: Any = _Displacements.apply(Solver(self.form, self.layout), values, columns)
         return displacements.reshape(*lanes, *F.shape[-2:])
 
 
