@@ -48,7 +48,7 @@ from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import Pencil, cotangent, tangent
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import apply_as_lanes
 
 Matrix = Tensor | SparseMatrix
 CLUSTER = 1e-6
@@ -204,10 +204,7 @@ class _Basis(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple:
-        K, M = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[3]), (M, in_dims[4])))
-        vectors, stiffness = _Basis.apply(pencil, n, cluster, K.flatten(0, 1), M.flatten(0, 1))
-        lanes = (info.batch_size, K.shape[1])
-        return (vectors.unflatten(0, lanes), stiffness.unflatten(0, lanes)), (0, 0)
+        return apply_as_lanes(partial(_Basis.apply, pencil, n, cluster), info, in_dims[3:], K, M)
 
     @staticmethod
     def jvp(ctx: Any, _pencil: Any, _n: Any, _cluster: Any, dK: Tensor | None, dM: Tensor | None) -> Any:

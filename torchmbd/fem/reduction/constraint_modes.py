@@ -37,7 +37,7 @@ from torchmbd.fem.reduction.operator_call import ModeDerivative
 from torchmbd.fem.reduction.transport import Pencil
 from torchmbd.math.checked_numbers import indices
 from torchmbd.math.sparse import Pattern, SparseMatrix
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import apply_as_lanes
 
 
 def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Tensor, Tensor]:
@@ -136,9 +136,7 @@ class _ConstraintModes(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, K: Tensor, M: Tensor) -> tuple:
-        K, M = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[1]), (M, in_dims[2])))
-        outputs = _ConstraintModes.apply(split, K.flatten(0, 1), M.flatten(0, 1))
-        return tuple(o.unflatten(0, (info.batch_size, K.shape[1])) for o in outputs), (0, 0)
+        return apply_as_lanes(partial(_ConstraintModes.apply, split), info, in_dims[1:], K, M)
 
     @staticmethod
     def jvp(ctx: Any, _split: Any, dK: Tensor | None, _dM: Any) -> Any:

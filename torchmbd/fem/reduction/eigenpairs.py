@@ -53,6 +53,7 @@ tests/sensitivity/test_eigen_near_gaps.py.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,10 +69,9 @@ from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, parse_pencil, rou
 from torchmbd.fem.reduction.forms import Diagonal, Form, Sparse
 from torchmbd.fem.reduction.spectral import chained
 from torchmbd.fem.reduction.transport import Pencil
-from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.gradients import all_true
 from torchmbd.math.sparse import SparseMatrix
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import FirstDerivative, apply_as_lanes, batch_first
 
 UNEQUAL = 1e-4  # of cotangents; less is what distinct eigenvalues of a cluster make of a symmetric function
 NOISE = 1e-9  # relative gap at which rounding enters differences of functions of two eigenvalues by 2e-7
@@ -279,9 +279,7 @@ class ModeSeparation(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor) -> tuple[Tensor, int]:
-        wide = [batch_first(x, dim, info.batch_size) for x, dim in zip(tensors, in_dims[1:], strict=True)]
-        turns = ModeSeparation.apply(pencil, *(x.flatten(0, 1) for x in wide))
-        return turns.unflatten(0, (info.batch_size, -1)), 0
+        return apply_as_lanes(partial(ModeSeparation.apply, pencil), info, in_dims[1:], *tensors)
 
 
 def _turn(G: Array, H: Array, apart: Array) -> Array:

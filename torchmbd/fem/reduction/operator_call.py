@@ -17,8 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.first_derivative import FirstDerivative
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import FirstDerivative, batch_first
 
 #: From tensors of the design, then of T directions [lane, T, ...] or None, to two new tensors [lane, T, ...].
 Rule = Callable[..., tuple[Tensor, Tensor]]

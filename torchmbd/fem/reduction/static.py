@@ -22,7 +22,7 @@ from torchmbd.fem.reduction.forms import Diagonal, Sparse, check
 from torchmbd.fem.reduction.operator_call import StaticDerivative
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.math.sparse import Pattern, SparseMatrix
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import apply_as_lanes
 
 
 class StaticLoads:
@@ -60,9 +60,7 @@ class _Displacements(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, solver: Solver, K: Tensor, F: Tensor) -> tuple[Tensor, int]:
-        K, F = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[1]), (F, in_dims[2])))
-        displacements: Any = _Displacements.apply(solver, K.flatten(0, 1), F.flatten(0, 1))
-        return displacements.unflatten(0, (info.batch_size, -1)), 0
+        return apply_as_lanes(partial(_Displacements.apply, solver), info, in_dims[1:], K, F)
 
     @staticmethod
     def jvp(ctx: Any, _solver: None, dK: Tensor | None, dF: Tensor | None) -> Any:

@@ -37,9 +37,8 @@ from torch import Tensor
 
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.warping import WarpingProblem, solve
-from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import FirstDerivative, apply_as_lanes
 from torchmbd.process import one_thread
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
@@ -103,7 +102,7 @@ class _Compliance(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _apply_flattened(_Compliance.apply, info, in_dims, problem, x, D)
+        return apply_as_lanes(partial(_Compliance.apply, problem), info, in_dims[1:], x, D)
 
     @staticmethod
     def jvp(ctx: Any, _: Any, dx: Tensor | None, dD: Tensor | None) -> Tensor:
@@ -138,7 +137,7 @@ class _Jacobian(FirstDerivative):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, f: FunctionType, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _apply_flattened(partial(_Jacobian.apply, f), info, in_dims[1:], problem, x, D)
+        return apply_as_lanes(partial(_Jacobian.apply, f, problem), info, in_dims[2:], x, D)
 
 
 @one_thread()
@@ -208,13 +207,6 @@ def _pairs(g: SectionGeometry, first: Tensor, second: Tensor, layers: int) -> Fl
         a, b = (x[:, elements].flatten(1, 2).flatten(2) for x in (weighted, second))  # [lane, points, 6 columns]
         result[:, :, :, k] = (a.mT @ b).unflatten(-1, (6, q)).unflatten(-3, (6, p)).permute(0, 2, 4, 1, 3)
     return result
-
-
-def _apply_flattened(
-    function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, *tensors: Tensor
-) -> tuple[Tensor, int]:
-    full = [batch_first(y, dim, info.batch_size) for y, dim in zip(tensors, in_dims[1:], strict=True)]
-    return function(problem, *(y.flatten(0, 1) for y in full)).unflatten(0, full[0].shape[:2]), 0
 
 
 def _columns(matrix: Tensor) -> Tensor:
