@@ -31,6 +31,7 @@ LAYERS = (
     {"identification"},
     {"viz", "tracking", "examples"},
     {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.meshes", "extensions.nastran"},
+    {"extensions.native"},
     {"extensions.lamination", "extensions.matrices", "extensions.openmdao", "extensions.robots", "extensions.windio"},
     {"study"},
     {"api", "cli"},

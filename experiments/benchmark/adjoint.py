@@ -13,7 +13,7 @@ import torch
 import torchmbd as mbd
 from experiments.benchmark.cases import compilation, compiled_ready, crank3, differentiable_motion, interleaved
 from experiments.benchmark.report import Cell, Grid, Result, Settings
-from torchmbd.integrate.native import library
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 
 LANES, STEPS = 32, 500
@@ -30,7 +30,7 @@ def adjoint(settings: Settings) -> Result:
 
     @torch.no_grad()
     def steps() -> None:
-        integrator.integrate(library.with_backend(values, "native"), case.duration, STEPS)
+        integrator.integrate(with_backend(values, "native"), case.duration, STEPS)
 
     def backward() -> float:
         found, leaves = differentiable_motion(moving, case.duration, STEPS)

@@ -17,8 +17,8 @@ from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.processes import fresh, resident_mb
 from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.examples.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.fem.elements import Plates
-from torchmbd.math.codegen.compiler import unavailable
 
 STEPS = 800  # that Exudyn is compared with, at equal accuracy
 

@@ -17,7 +17,7 @@ from experiments.benchmark.cases import compilation, crank3, interleaved
 from experiments.benchmark.report import Cell, Grid, Result, Settings
 from torchmbd.design.response import Measure
 from torchmbd.examples import slider_crank
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 
 FEW, MANY = 1, 32
 DESIGNS, STEPS = 8, 400

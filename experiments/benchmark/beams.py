@@ -32,7 +32,7 @@ from experiments.benchmark.cases import (
 from experiments.benchmark.motion import accuracy
 from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
 from experiments.peers.exudyn_beams import CRANK, INERTIA, ROD, SLIDER, TORQUE, Rod, simulations
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
 

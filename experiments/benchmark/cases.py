@@ -16,12 +16,13 @@ import torchmbd as mbd
 from experiments.peers import closed_loops, exudyn_peer
 from torchmbd.design.spline import Spline
 from torchmbd.examples import slider_crank
+from torchmbd.extensions.native import library
+from torchmbd.extensions.native.codegen.compiler import unavailable
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.motion import Motion
-from torchmbd.integrate.native import library
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
@@ -139,7 +140,7 @@ def motion(
     """The motion stage of a batch: from frozen dynamics to `responses` of what is observed."""
     with torch.no_grad():
         integrator = integrator_of(DEFAULT, options).with_defaults(dynamics.topology)
-        history = integrator.integrate(library.with_backend(dynamics, "auto"), duration, steps).history
+        history = integrator.integrate(with_backend(dynamics, "auto"), duration, steps).history
         U = observed(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
@@ -213,7 +214,7 @@ def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
         if not build and not all(library.path_of(dynamics.condensed(), kind).exists() for kind in ("step", "adjoint")):
             return False
         try:
-            native = library.with_backend(dynamics, "native").condensed()
+            native = with_backend(dynamics, "native").condensed()
         except mbd.InputError:
             return False
         return library.library(native, "adjoint") is not None

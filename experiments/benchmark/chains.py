@@ -30,7 +30,7 @@ from experiments.benchmark.cases import (
 )
 from experiments.benchmark.motion import accuracy
 from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair
 
 LINKS = (5, 10, 20, 50)

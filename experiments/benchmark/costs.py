@@ -34,8 +34,9 @@ from experiments.benchmark.report import Cell, Grid, Result, Settings
 from experiments.paper import gradients
 from experiments.peers import exudyn_peer
 from torchmbd.examples import slider_crank
-from torchmbd.integrate.native import library
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native import library
+from torchmbd.extensions.native.codegen.compiler import unavailable
+from torchmbd.integrate.backend import with_backend
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
 
@@ -248,7 +249,7 @@ def main(arguments: list[str]) -> None:
     elif what == "ready":
         dynamics = (pendulum(50) if arguments[1] == "chain" else loops()).dynamics(1, gradients=False)
         begin = time.perf_counter()
-        native = library.with_backend(dynamics, "native")
+        native = with_backend(dynamics, "native")
         library.library(native.condensed())
         print(json.dumps({"seconds": time.perf_counter() - begin}))
     elif what == "compile":

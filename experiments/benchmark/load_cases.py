@@ -18,7 +18,7 @@ from experiments.benchmark.motion import Row, measured
 from experiments.benchmark.report import Grid, Result, Settings
 from experiments.peers import exudyn_peer
 from torchmbd.examples import slider_crank
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 
 DURATION, STEPS = 0.4, 200
 DAMAGE = mbd.FatigueDamage("arm", exponent={"11": 14.0, "22": 10.0, "12": 10.0}, repeats=1e6)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from experiments.benchmark.processes import ROOT, lines
 from experiments.benchmark.report import Cell, Grid, Result, Settings
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.study.run import UNVERIFIED
 
 JOB = ROOT / "configs" / "slider_crank" / "l3_energy_integral.yaml"
