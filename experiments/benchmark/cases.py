@@ -46,16 +46,16 @@ class Case:
 
     @property
     def count(self) -> int:
-        own = dict(self.system.named_parameters())
-        return sum(own[name].numel() for name in self.variables)
+        parameters = dict(self.system.named_parameters())
+        return sum(parameters[name].numel() for name in self.variables)
 
     def designs(self, lanes: int) -> dict[str, Tensor]:
         """Designs [lanes, ...], the same in every run."""
-        own = dict(self.system.named_parameters())
+        parameters = dict(self.system.named_parameters())
         make = torch.Generator().manual_seed(7)
         result = {}
         for name, width in self.variables.items():
-            x = own[name].detach()
+            x = parameters[name].detach()
             result[name] = x + width * (2.0 * torch.rand(lanes, *x.shape, generator=make, dtype=x.dtype) - 1.0)
         return result
 
@@ -153,7 +153,7 @@ def differentiable_motion(
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
     integrator = GeneralizedAlpha().with_defaults(dynamics.topology)
-    made = ReverseIntegration(
+    integration = ReverseIntegration(
         names=tuple(data),
         designs=(),
         differentiated=tuple(moving),
@@ -164,11 +164,11 @@ def differentiable_motion(
         model=model,
         integrator=integrator,
     )
-    outputs: Any = Motion.apply(made, *data.values())
+    outputs: Any = Motion.apply(integration, *data.values())
     q, v, vd, lam = outputs[:4]
-    history = History(q, v, vd, lam, made.expansion(data))
-    found = responses_of(duration, observed(replace(dynamics, data=data), history)[0])
-    return found, {name: data[name] for name in moving}
+    history = History(q, v, vd, lam, integration.expansion(data))
+    responses = responses_of(duration, observed(replace(dynamics, data=data), history)[0])
+    return responses, {name: data[name] for name in moving}
 
 
 def motion_backwards(
@@ -178,18 +178,18 @@ def motion_backwards(
 
     names   of data; the gradients are then by these alone, [2, n, lanes]
     """
-    found, leaves = differentiable_motion(dynamics, duration, steps, names, observed)
-    rows = found.sum(-1)
+    responses, leaves = differentiable_motion(dynamics, duration, steps, names, observed)
+    rows = responses.sum(-1)
     slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, list(leaves.values()), weights, retain_graph=True))(
         torch.eye(2, dtype=torch.float64)
     )
     if names:
-        return found.detach(), torch.cat([by.flatten(1, -3)[:, :, 0] for by in slopes], 1)
+        return responses.detach(), torch.cat([by.flatten(1, -3)[:, :, 0] for by in slopes], 1)
     parts = [
         torch.einsum("rkl,kbl->rlb", by.flatten(1, -3)[:, :, 0], dynamics.data[name].tangent.flatten(0, -3))
         for name, by in zip(leaves, slopes, strict=True)
     ]
-    return found.detach(), torch.stack(parts).sum(0)
+    return responses.detach(), torch.stack(parts).sum(0)
 
 
 @contextlib.contextmanager
@@ -229,6 +229,6 @@ def interleaved(functions: Mapping[str, Callable[[], object]], repeat: int) -> d
     for _ in range(repeat):
         for name, function in functions.items():
             start = time.process_time()
-            own = function()
-            seconds[name].append(own if isinstance(own, float) else time.process_time() - start)
-    return {name: min(found) for name, found in seconds.items()}
+            spent = function()
+            seconds[name].append(spent if isinstance(spent, float) else time.process_time() - start)
+    return {name: min(times) for name, times in seconds.items()}

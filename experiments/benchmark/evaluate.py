@@ -65,9 +65,9 @@ def _functions(case: Case, lanes: int, steps: int) -> dict[str, Callable[[], obj
         integrator.integrate(with_backend(values, "auto"), case.duration, steps)
 
     def adjoint() -> float:
-        found, leaves = differentiable_motion(moving, case.duration, steps)
+        responses, leaves = differentiable_motion(moving, case.duration, steps)
         start = time.process_time()
-        pulled(found.sum(-1), list(leaves.values()))
+        pulled(responses.sum(-1), list(leaves.values()))
         return time.process_time() - start
 
     return {

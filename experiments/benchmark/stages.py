@@ -52,11 +52,11 @@ def stage_of(frame: FrameType | None) -> str:
     first = "other"
     while frame is not None:
         where = f"{frame.f_code.co_filename}:{frame.f_code.co_name}"
-        found = next((stage for part, stage in STAGES.items() if part in where), None)
-        if found in WHOLE:
-            return found  # type: ignore[return-value]
-        if found is not None and first == "other":
-            first = found
+        name = next((stage for part, stage in STAGES.items() if part in where), None)
+        if name in WHOLE:
+            return name  # type: ignore[return-value]
+        if name is not None and first == "other":
+            first = name
         frame = frame.f_back
     return first
 
