@@ -22,7 +22,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.reduction.forms import Diagonal, Form, lane_name
 from torchmbd.fem.reduction.partition import Partition, form_sums, partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT
-from torchmbd.math.compiled_products import Factor, compiled_products
+from torchmbd.math.products import Factor, compiled_products
 
 SMALL = 64  # largest number of rows of blocks that compiled code eliminates; LAPACK is faster for larger ones
 
