@@ -12,6 +12,8 @@ import pytest
 import torchmbd as mbd
 from torchmbd import registry
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.integrate.backend import BACKENDS
+from torchmbd.math.products import PRODUCTS
 from torchmbd.study.kind import Kind
 from torchmbd.study.load import KINDS
 
@@ -64,8 +66,9 @@ def test_a_registry_is_a_mapping():
 
 @pytest.mark.extensions
 def test_every_entry_leads_to_a_class():
-    for found in (RESPONSES, COMBINATORS, OF_DESIGN):
+    for found in (RESPONSES, COMBINATORS, OF_DESIGN, BACKENDS):
         assert all(isinstance(kind, type) for kind in found.values())
+    assert all(callable(products) for products in PRODUCTS.values())
     assert all(isinstance(kind, Kind) for kind in KINDS.values())
 
 

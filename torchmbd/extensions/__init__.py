@@ -19,7 +19,9 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.matrices import *  # noqa: F403
     from torchmbd.extensions.meshes import *  # noqa: F403
     from torchmbd.extensions.nastran import *  # noqa: F403
+    from torchmbd.extensions.native import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
+    from torchmbd.extensions.paraview import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
 
@@ -34,12 +36,16 @@ NAMES = {
     "matrices": "read_matrix",
     "meshes": "read_mesh",
     "nastran": "read_bdf",
+    "native": "",
     "openmdao": "openmdao_component",
+    "paraview": "viz.save_mesh viz.save_modes viz.save_motion",
     "robots": "read_mjcf read_urdf",
     "windio": "read_windio",
 }
-#: Registry (design/responses.py, study/load.py) -> name in experiment files -> "extension:class".
+#: Registry (design/responses.py, study/load.py, integrate/backend.py, math/products.py) -> name -> "extension:class".
 ENTRIES: dict[str, dict[str, str]] = {
+    "backends": {"native": "native:NativeBackend"},
+    "products": {"native": "native:compiled_products"},
     "responses": {},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
     "of_design": {

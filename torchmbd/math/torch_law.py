@@ -2,7 +2,7 @@
 
 A law that leaves torch either raises in the derivative, or gives a slope of zero without a word (`float(t)`). The latter is
 found by differences: where values change smoothly, the slope of torch must not be zero.
-Checked in tests/multibody/joints/test_laws.py, tests/multibody/forces/test_user_laws.py.
+Checked in tests/multibody/joints/test_laws.py, tests/extensions/native/test_user_laws.py.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from torchmbd.errors import InputError, user_line
 OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
 PLACES = (0.0, 0.013, 0.11, 0.57, 1.3)  # of the argument, where slopes are compared
 STEP = 1e-4
-SMOOTH = (
-    0.1  # of a difference over two steps: the change from one step to the other beyond which the law bends or jumps
-)
+#: Of a difference over two steps: the change from one step to the other beyond which the law bends or jumps.
+SMOOTH = 0.1
 
 
 def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str) -> None:

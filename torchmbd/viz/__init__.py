@@ -17,7 +17,6 @@ from torchmbd.viz.film import film
 from torchmbd.viz.mode_motion import animate_mode, mode_motion
 from torchmbd.viz.parallel_coordinates import parallel_coordinates
 from torchmbd.viz.spectra import campbell, root_locus
-from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
 
 __all__ = [
     "animate",
@@ -35,9 +34,6 @@ __all__ = [
     "parallel_coordinates",
     "root_locus",
     "save",
-    "save_mesh",
-    "save_modes",
-    "save_motion",
     "weighted_parts",
 ]
 
