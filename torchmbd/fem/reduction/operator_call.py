@@ -24,11 +24,12 @@ Rule = Callable[..., tuple[Tensor, Tensor]]
 _rules: dict[int, Rule] = {}
 _numbers = count()
 _NAME = "torchmbd::apply_rule"
-torch.library.define(_NAME, "(int number, Tensor?[] tensors) -> (Tensor, Tensor)")
+# Not one argument Tensor?[]: the batched gradients do not look into lists.
+torch.library.define(_NAME, "(int number, Tensor a, Tensor? b, Tensor? c, Tensor? d) -> (Tensor, Tensor)")
 
 
 @torch.library.impl(_NAME, "cpu")
-def _apply_rule(number: int, tensors: list[Tensor | None]) -> tuple[Tensor, Tensor]:
+def _apply_rule(number: int, *tensors: Tensor | None) -> tuple[Tensor, Tensor]:
     return _rules[number](*tensors)
 
 
@@ -37,10 +38,10 @@ class _RuleDerivative(FirstDerivative):
 
     @staticmethod
     def forward(rule: Rule, state: int, *tensors: Tensor | None) -> tuple[Tensor, Tensor]:
-        number = next(_numbers)
-        _rules[number] = rule
+        number, size = next(_numbers), len(tensors)
+        _rules[number] = lambda *padded: rule(*padded[:size])
         try:
-            return torch.ops.torchmbd.apply_rule(number, tensors)
+            return torch.ops.torchmbd.apply_rule(number, *tensors, *[None] * (4 - size))
         finally:
             del _rules[number]
 
