@@ -20,16 +20,12 @@ from torchmbd.design import (
     AtTimes,
     BucklingFactor,
     BucklingIndex,
-    CampbellClearance,
     Constraint,
-    CriticalSpeed,
-    DampingRatio,
     DesignSpace,
     Displacement,
     Final,
     Frequencies,
     Frequency,
-    FrequencyResponse,
     History,
     Integral,
     Mass,
@@ -42,10 +38,7 @@ from torchmbd.design import (
     Reaction,
     RelativeDisplacement,
     SmoothMax,
-    StabilityLimit,
-    StabilityMargin,
     StrainEnergy,
-    SystemFrequency,
     Tradeoff,
     Velocity,
     WeightedSum,
@@ -76,7 +69,7 @@ from torchmbd.identification import (
     TimeSeries,
     identify,
 )
-from torchmbd.integrate import Event, Phase, Trajectory, simulate
+from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -127,7 +120,6 @@ from torchmbd.optimization import (
 from torchmbd.optimization.multistart import multistart
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
-from torchmbd.vibrations import Campbell, Equilibrium, LinearSystem, campbell, equilibrium, frozen_poles, linearize
 
 if TYPE_CHECKING:
     from torchmbd.study.stored_run import LoadedStudy
@@ -198,17 +190,13 @@ __all__ = [
     "BucklingFactor",
     "BucklingIndex",
     "Bushing",
-    "Campbell",
-    "CampbellClearance",
     "Chain",
     "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
     "Controller",
-    "CriticalSpeed",
     "Cylindrical",
-    "DampingRatio",
     "DesignFailure",
     "DesignSpace",
     "Differences",
@@ -228,7 +216,6 @@ __all__ = [
     "Frame",
     "Frequencies",
     "Frequency",
-    "FrequencyResponse",
     "FrequencyResponseData",
     "GivenSection",
     "Ground",
@@ -238,7 +225,6 @@ __all__ = [
     "Integral",
     "Interface",
     "Laminate",
-    "LinearSystem",
     "Mass",
     "Max",
     "MbdError",
@@ -277,14 +263,11 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
-    "StabilityLimit",
-    "StabilityMargin",
     "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
-    "SystemFrequency",
     "TimeSeries",
     "Torque",
     "Tradeoff",
@@ -294,7 +277,6 @@ __all__ = [
     "Vibrations",
     "WeightedSum",
     "buckling",
-    "campbell",
     "craig_bampton",
     "deg",
     "eigenpair_branches",
@@ -303,11 +285,9 @@ __all__ = [
     "examples",
     "forces",
     "frequencies",
-    "frozen_poles",
     "history",
     "identify",
     "latin_hypercube",
-    "linearize",
     "load",
     "measure",
     "mesh",

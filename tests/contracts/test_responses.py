@@ -201,7 +201,7 @@ def difference(x: Tensor, step: float) -> Tensor:
 
 #: Of bodies that the pendulum does not have: tests/extensions/fibers/test_variables.py, test_measures.py,
 #: tests/extensions/lamination/test_region.py; of the whole system at rest or in rotation, which the pendulum is not:
-#: tests/design/test_system_vibrations.py, test_critical_values.py, test_frequency_response.py.
+#: tests/extensions/vibrations/measures/test_system_vibrations.py, test_critical_values.py, test_frequency_response.py.
 OF_SYSTEM = [
     "system_frequency",
     "damping_ratio",

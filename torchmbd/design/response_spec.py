@@ -35,6 +35,7 @@ from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.errors import InputError, nearest
+from torchmbd.registry import not_installed
 
 SUM, FUNCTION, SCALED, AGGREGATE = "weighted_sum", "function", "scaled", "aggregate"
 SEVERAL: dict[str, Callable[[Any, Any], Any]] = {"sum": add, "difference": sub, "product": mul, "quotient": truediv}
@@ -240,7 +241,7 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
     # Of several keys the name is the one that resembles a name: the others are its options, such as a window.
     key = max(spec, key=lambda key: max(SequenceMatcher(None, str(key), name).ratio() for name in names))
-    raise SpecError((*path, key), f"unknown name{nearest(key, names)}")
+    raise SpecError((*path, key), f"unknown name{nearest(key, names)}{not_installed(key)}")
 
 
 def _from_word(kind: type, spec: Any, path: Path) -> Any:

@@ -14,8 +14,6 @@ from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
-from torchmbd.design.critical_values import CriticalSpeed, StabilityLimit
-from torchmbd.design.frequency_response import FrequencyResponse
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -41,7 +39,6 @@ from torchmbd.design.measures import (
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.response import History, Measure
-from torchmbd.design.system_vibrations import CampbellClearance, DampingRatio, StabilityMargin, SystemFrequency
 from torchmbd.registry import Registry
 
 RESPONSES: Registry[type[History]] = Registry(
@@ -82,12 +79,5 @@ OF_DESIGN: Registry[type[Measure]] = Registry(
         "frequency": Frequency,
         "frequencies": Frequencies,
         "mass": Mass,
-        "system_frequency": SystemFrequency,
-        "damping_ratio": DampingRatio,
-        "stability_margin": StabilityMargin,
-        "critical_speed": CriticalSpeed,
-        "campbell_clearance": CampbellClearance,
-        "stability_limit": StabilityLimit,
-        "frequency_response": FrequencyResponse,
     },
 )

@@ -20,9 +20,10 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.nastran import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
+    from torchmbd.extensions.vibrations import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
 
-#: Extension -> its public names, `mbd.<name>`; `viz.` before those of pictures.
+#: Extension, or a module in it, -> its public names, `mbd.<name>`; `viz.` before those of pictures.
 NAMES = {
     "beamdyn": "read_beamdyn",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
@@ -33,9 +34,12 @@ NAMES = {
     "nastran": "read_bdf",
     "openmdao": "openmdao_component",
     "robots": "read_mjcf read_urdf",
+    "vibrations": "Campbell CampbellClearance CriticalSpeed DampingRatio FrequencyResponse LinearSystem StabilityLimit"
+    " StabilityMargin SystemFrequency campbell frozen_poles linearize",
+    "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
     "windio": "read_windio",
 }
-#: Registry (design/responses.py) -> name in experiment files -> "extension:class".
+#: Registry (design/responses.py, integrate/equilibrium.py) -> name, as in experiment files -> "module:class".
 ENTRIES: dict[str, dict[str, str]] = {
     "responses": {},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
@@ -44,5 +48,16 @@ ENTRIES: dict[str, dict[str, str]] = {
         "fiber_curvature": "fibers:FiberCurvature",
         "fiber_divergence": "fibers:FiberDivergence",
         "lamination_region": "lamination:LaminationRegion",
+        "system_frequency": "vibrations:SystemFrequency",
+        "damping_ratio": "vibrations:DampingRatio",
+        "stability_margin": "vibrations:StabilityMargin",
+        "critical_speed": "vibrations:CriticalSpeed",
+        "campbell_clearance": "vibrations:CampbellClearance",
+        "stability_limit": "vibrations:StabilityLimit",
+        "frequency_response": "vibrations:FrequencyResponse",
+    },
+    "of_equilibrium": {
+        "eigenvalues": "vibrations.eigenvalues:eigenvalues",
+        "damping_ratios": "vibrations.spectrum:damping_ratios",
     },
 }

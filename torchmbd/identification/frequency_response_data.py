@@ -18,6 +18,8 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.errors import InputError, checked_signature, one_of
+from torchmbd.extensions.vibrations.frequency_response import QUANTITIES, frequency_response
+from torchmbd.extensions.vibrations.linear_system import Ports, checked_ports, system_with_ports
 from torchmbd.identification.channel import checked_deviation
 from torchmbd.identification.measurement import Block, Measurement, Prediction
 from torchmbd.identification.modal_data import check_options
@@ -26,8 +28,6 @@ from torchmbd.identification.table import Table
 from torchmbd.multibody.forces.signals import Actuator, Signal
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
-from torchmbd.vibrations.frequency_response import QUANTITIES, frequency_response
-from torchmbd.vibrations.linear_system import Ports, checked_ports, system_with_ports
 
 PARTS = {"complex": ("real", "imaginary"), "polar": ("magnitude", "phase")}
 

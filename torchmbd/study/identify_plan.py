@@ -18,6 +18,7 @@ import numpy as np
 from torchmbd.design.response_spec import SpecError, history_of
 from torchmbd.design.words import unit as unit_of
 from torchmbd.errors import InputError, nearest
+from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.identification.channel import SENSOR, Channel
 from torchmbd.identification.experiment import Experiment
 from torchmbd.identification.fit_problem import FitProblem
@@ -45,7 +46,6 @@ from torchmbd.study.model import build_model, find_model, find_phases, find_resp
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import si_of
 from torchmbd.study.schema import UNITS, Motion
-from torchmbd.vibrations.ports_by_name import NamedPort
 
 _SENSOR_UNITS = {"delay": "s", "gain": ""}  # of an offset: that of the response
 _DEFAULTS = {"delay": 0.0, "gain": 1.0, "offset": 0.0}

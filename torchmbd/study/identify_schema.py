@@ -13,13 +13,13 @@ from pydantic import AfterValidator, Field, PositiveInt, model_validator
 from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, history_of
+from torchmbd.extensions.vibrations.frequency_response import QUANTITIES
 from torchmbd.identification.frequency_response_data import PARTS
 from torchmbd.identification.losses import LOSSES
 from torchmbd.identification.registry import MEASUREMENTS
 from torchmbd.study.scenario_keys import Settings
 from torchmbd.study.schema import FUNCTION, Bounded, Motion, Starts, Tracking, units_fit
 from torchmbd.study.section import Numbers, Section, Unit, fault, one_of
-from torchmbd.vibrations.frequency_response import QUANTITIES
 
 _OF_CHANNEL = ("column", "unit", "deviation", "delay", "gain", "offset")
 

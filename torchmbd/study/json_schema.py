@@ -18,6 +18,7 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.identification import (
     Channel,
     Experiment,
@@ -60,7 +61,6 @@ from torchmbd.study.schema import (
     Variable,
 )
 from torchmbd.study.study import Study
-from torchmbd.vibrations.ports_by_name import NamedPort
 
 #: Section of a file -> what is constructed of it. Its keys are described by its docstring, or by the first of these.
 CONSTRUCTORS: dict[type, Sequence[Any]] = {

@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.response import Measure
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
@@ -19,7 +20,6 @@ from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
 from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
-from torchmbd.study.vibration_pictures import draw_vibrations
 from torchmbd.viz import (
     animate,
     convergence,
@@ -214,5 +214,18 @@ def _motion_pictures(
     def draw(figure: Callable[..., Any], files: Sequence[str], **options: Any) -> None:
         save_figure(figure, files, journal, console, **options)
 
-    for page in draw_vibrations(motion, problem, labels, study.question or study.name, draw, journal.folder):
-        journal.file(page)
+    by_drawing: dict[Callable[..., list[Any]], list[Measure]] = {}
+    for measure in _with_operands(
+        problem.stated_objective, *(constraint.measure for constraint in problem.constraints)
+    ):
+        if (drawing := type(measure).drawing) is not None:
+            by_drawing.setdefault(drawing, []).append(measure)
+    for drawing, drawn in by_drawing.items():
+        for page in drawing(drawn, motion, labels, study.question or study.name, draw, journal.folder):
+            journal.file(page)
+
+
+def _with_operands(*measures: Measure) -> Iterator[Measure]:
+    for measure in measures:
+        yield measure
+        yield from _with_operands(*measure.operands)
