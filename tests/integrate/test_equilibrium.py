@@ -203,6 +203,7 @@ def test_stresses_of_an_equilibrium():
     assert_close(one[:, 0], other[:, -1], rtol=1e-6, atol=1e-3)
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 def test_frequencies_have_derivatives_in_every_mode():
     """Once they had values only, and dual numbers were refused."""

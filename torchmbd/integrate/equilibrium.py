@@ -265,7 +265,7 @@ def equilibrium(
     or unstable equilibrium is returned: its frequencies are zero or nan, and freedoms without stiffness stay where they are.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
-    >>> round(rest.frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]
+    >>> round(rest.vibrations[0].frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]
     (0.3525, True)
     """
     if not isinstance(system, System):

@@ -214,15 +214,18 @@ def _motion_pictures(
     def draw(figure: Callable[..., Any], files: Sequence[str], **options: Any) -> None:
         save_figure(figure, files, journal, console, **options)
 
+    for page in draw_measures(problem, motion, labels, study.question or study.name, draw, journal.folder):
+        journal.file(page)
+
+
+def draw_measures(problem: Problem, *arguments: Any) -> list[Any]:
+    """Draw what the measures of a problem bring with them (`Measure.drawing`, with its arguments); return the pages."""
     by_drawing: dict[Callable[..., list[Any]], list[Measure]] = {}
-    for measure in _with_operands(
-        problem.stated_objective, *(constraint.measure for constraint in problem.constraints)
-    ):
+    outer = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
+    for measure in _with_operands(*outer):
         if (drawing := type(measure).drawing) is not None:
             by_drawing.setdefault(drawing, []).append(measure)
-    for drawing, drawn in by_drawing.items():
-        for page in drawing(drawn, motion, labels, study.question or study.name, draw, journal.folder):
-            journal.file(page)
+    return [page for drawing, measures in by_drawing.items() for page in drawing(measures, *arguments)]
 
 
 def _with_operands(*measures: Measure) -> Iterator[Measure]:

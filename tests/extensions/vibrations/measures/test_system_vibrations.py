@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.extensions.vibrations.test_eigenvalues import angles_of, blade
+from torchmbd.design.words import heading
 
 pytestmark = pytest.mark.thorough
 
@@ -188,3 +189,17 @@ def test_axes_as_arrays_are_those_as_words():
     assert by_array == mbd.SystemFrequency(1, axis=(0.0, 0.0, 1.0))
     problem = mbd.Problem(carriage(), 1e-4, by_array, [by_array >= 0.01], steps=2)
     assert problem.evaluate(problem.start[None], False)[0].status == "ok"
+
+
+@pytest.mark.parametrize(
+    ("response", "said"),
+    [
+        (mbd.SystemFrequency(1), "system frequency [Hz]"),
+        (mbd.SystemFrequency(2, speed=30.0, axis="x"), "system frequency 2 at 30 rad/s [Hz]"),
+        (mbd.DampingRatio(1, speed=30.0), "damping ratio at 30 rad/s"),
+        (mbd.CriticalSpeed(2), "critical speed 2 [rad/s]"),
+        (mbd.CampbellClearance(), "campbell clearance"),
+    ],
+)
+def test_vibrations_of_the_system_have_number_and_speed(response, said):
+    assert heading(response) == said

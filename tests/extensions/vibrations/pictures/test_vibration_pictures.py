@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.extensions.vibrations.pictures.vibration_pictures import draw_vibrations
+from torchmbd.study.report import draw_measures
 from torchmbd.viz import campbell, root_locus
 
 LABELS = ["start design", "best design"]
@@ -47,7 +47,7 @@ def pictures(
         figure(**arguments)
         drawn.update(dict.fromkeys(files, (figure, arguments)))
 
-    pages = draw_vibrations(motion, problem, LABELS, "a bar", draw, folder)
+    pages = draw_measures(problem, motion, LABELS, "a bar", draw, folder)
     return drawn, [page.name for page in pages]
 
 

@@ -100,7 +100,8 @@ class FrequencyResponse(OfVibrations):
 
     def check(self, system: System) -> None:
         output, source = self._named
-        output.output(system), source.input(system)
+        output.output(system)
+        source.input(system)
 
     def value(self, motion: Trajectory) -> Tensor:
         return self.peak(motion).magnitude
