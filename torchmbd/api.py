@@ -18,8 +18,6 @@ from torchmbd.design import (
     AtPeaks,
     AtTime,
     AtTimes,
-    BucklingFactor,
-    BucklingIndex,
     Constraint,
     DesignSpace,
     Displacement,
@@ -105,7 +103,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Buckling, Vibrations, buckling, frequencies
+from torchmbd.multibody.statics import Vibrations, frequencies
 from torchmbd.multibody.system import Chain, Dynamics, System, split
 from torchmbd.optimization import (
     OptimizationResult,
@@ -186,9 +184,6 @@ __all__ = [
     "BeamElement",
     "BeamLine",
     "BeamState",
-    "Buckling",
-    "BucklingFactor",
-    "BucklingIndex",
     "Bushing",
     "Chain",
     "Channel",
@@ -276,7 +271,6 @@ __all__ = [
     "Velocity",
     "Vibrations",
     "WeightedSum",
-    "buckling",
     "craig_bampton",
     "deg",
     "eigenpair_branches",

@@ -1,8 +1,6 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
 from torchmbd.design.angle import Angle
-from torchmbd.design.buckling_factor import BucklingFactor
-from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
@@ -37,8 +35,8 @@ from torchmbd.design.tradeoff import Tradeoff
 from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
-    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "BucklingFactor",
-    "BucklingIndex", "Constraint", "DesignSpace", "Displacement", "Final", "Frequencies", "Frequency", "History", "Integral",
-    "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress", "Position", "Problem", "Reaction",
-    "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
+    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "Constraint",
+    "DesignSpace", "Displacement", "Final", "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean",
+    "Measure", "Min", "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax",
+    "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
 ]  # fmt: skip

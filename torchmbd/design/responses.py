@@ -11,8 +11,6 @@ test runs over these.
 from __future__ import annotations
 
 from torchmbd.design.angle import Angle
-from torchmbd.design.buckling_factor import BucklingFactor
-from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.histories import (
     Acceleration,
@@ -52,7 +50,6 @@ RESPONSES: Registry[type[History]] = Registry(
         "relative_displacement": RelativeDisplacement,
         "reaction": Reaction,
         "angle": Angle,
-        "buckling_index": BucklingIndex,
         "ply_failure": PlyFailure,
         "ply_stress": PlyStress,
     },
@@ -75,7 +72,6 @@ COMBINATORS: Registry[type[Measure]] = Registry(
 OF_DESIGN: Registry[type[Measure]] = Registry(
     "of_design",
     {
-        "buckling_factor": BucklingFactor,
         "frequency": Frequency,
         "frequencies": Frequencies,
         "mass": Mass,

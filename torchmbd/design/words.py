@@ -36,8 +36,6 @@ UNITS = {
     "frequency": "Hz",
     "frequencies": "Hz",
     "mass": "kg",
-    "buckling_factor": "",
-    "buckling_index": "",
 }
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
 Response = History | Measure

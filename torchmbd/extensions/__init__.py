@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.beamdyn import *  # noqa: F403
+    from torchmbd.extensions.buckling import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
     from torchmbd.extensions.fibers import *  # noqa: F403
     from torchmbd.extensions.lamination import *  # noqa: F403
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
 #: Extension, or a module in it, -> its public names, `mbd.<name>`; `viz.` before those of pictures.
 NAMES = {
     "beamdyn": "read_beamdyn",
+    "buckling": "Buckling BucklingFactor BucklingIndex buckling",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
     "fibers": "FiberCurvature FiberDivergence FiberField SteeredLaminate viz.fiber_paths",
     "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
@@ -41,9 +43,10 @@ NAMES = {
 }
 #: Registry (design/responses.py, integrate/equilibrium.py) -> name, as in experiment files -> "module:class".
 ENTRIES: dict[str, dict[str, str]] = {
-    "responses": {},
+    "responses": {"buckling_index": "buckling:BucklingIndex"},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
     "of_design": {
+        "buckling_factor": "buckling:BucklingFactor",
         "fatigue_damage": "fatigue:FatigueDamage",
         "fiber_curvature": "fibers:FiberCurvature",
         "fiber_divergence": "fibers:FiberDivergence",

@@ -9,7 +9,7 @@ the full eigenproblem at the time of the largest index must have no larger index
 Differentiable, forward and reverse, in K, the stress states and c; equal indices have the mean of their derivatives. V has no
 derivative, as the derivative of an index does not need it at this tolerance.
 Source: Y. Saad, Numerical Methods for Large Eigenvalue Problems (2011), chapter 8 (Davidson's method).
-Checked in tests/design/test_buckling_index.py: against the full eigenproblem at all times.
+Checked in tests/extensions/buckling/test_buckling_index.py: against the full eigenproblem at all times.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.extensions.buckling.eigenproblem import GUARD, NONE, inverse_factors, lowest_vectors
 from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
-from torchmbd.multibody.statics.eigenproblem import GUARD, NONE, inverse_factors, lowest_vectors
 from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
 
 # Largest residual in the norm of K^-1, as a share of the largest index. In the motion of a plate values had errors of 1e-9,

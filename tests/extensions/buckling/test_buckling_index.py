@@ -16,8 +16,10 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
 from torchmbd.design.response_spec import history_of, measure_of
-from torchmbd.multibody.statics import BucklingSeries, UnitLoads, eigenproblem
-from torchmbd.results.body_loads import body_loads, interpolations
+from torchmbd.extensions.buckling import eigenproblem
+from torchmbd.extensions.buckling.body_loads import body_loads, interpolations
+from torchmbd.extensions.buckling.buckling_series import BucklingSeries
+from torchmbd.extensions.buckling.unit_loads import UnitLoads
 
 pytestmark = pytest.mark.usefixtures("compiled")
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)

@@ -8,7 +8,7 @@ of the retained modes, and the static ones of all others.
 Differentiable, forward and reverse, in every parameter of the body, and in Psi and Kr.
 Source: R. L. Bisplinghoff, H. Ashley, R. L. Halfman, Aeroelasticity (1955) (mode acceleration); D. J. Rixen, "Generalized mode
 acceleration methods", 2001 (residual flexibility).
-Checked in tests/design/test_buckling_index.py.
+Checked in tests/extensions/buckling/test_buckling_index.py.
 """
 
 from __future__ import annotations

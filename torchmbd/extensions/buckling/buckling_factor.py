@@ -3,29 +3,28 @@
     BucklingFactor("panel", {"right": (-1e3, 0, 0)}, {"left": "all"}) >= 1.5
 
 The factor is infinite, without a gradient, for a design that the loads do not buckle.
-Checked in tests/contracts/test_responses.py, tests/multibody/statics/test_buckling.py.
+Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 from torch import Tensor, nn
 
-from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.measures import Max
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.buckling.buckling import BucklingCase, reciprocal
+from torchmbd.extensions.buckling.buckling_index import BucklingIndex
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.digest import digest
 from torchmbd.math.module_call import call_module, outside_transforms
-from torchmbd.multibody.statics import BucklingCase
-from torchmbd.multibody.statics.buckling import reciprocal
 from torchmbd.multibody.system import System
 
 _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = (
@@ -55,6 +54,7 @@ class BucklingFactor(Measure):
     3.0
     """
 
+    unit: ClassVar[str] = ""
     body: str
     loads: Mapping[Any, Sequence[float]] | None = None
     supports: Mapping[Any, str | Sequence[float | None]] | None = None

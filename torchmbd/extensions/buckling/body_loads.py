@@ -3,7 +3,7 @@
 Joints and forces act on attached vectors (system/equations.py). Those of frames on the same node, or on the same mean of
 several nodes (an InterpolationConstraint), add up to a force and a moment at its center.
 Differentiable as the motion is.
-Checked in tests/design/test_buckling_index.py.
+Checked in tests/extensions/buckling/test_buckling_index.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -11,11 +10,11 @@ from torch import Tensor, nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.multibody.statics.test_vibrations import CARBON, panel, richardson, tube
+from torchmbd.extensions.buckling import eigenproblem
+from torchmbd.extensions.buckling.buckling import BucklingCase
+from torchmbd.extensions.buckling.nodal_loads import spread
 from torchmbd.fem.elements import Beams, GivenElements
-from torchmbd.multibody.statics import BucklingCase, eigenproblem
-from torchmbd.multibody.statics.nodal_loads import spread
-
-CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
 
 
 class Factors(nn.Module):
@@ -25,25 +24,6 @@ class Factors(nn.Module):
 
     def forward(self) -> Tensor:
         return self.case(self.number).factors
-
-
-def panel(cells: tuple[int, int] = (4, 3), kind: str = "quad") -> mbd.FlexibleBody:
-    laminate = mbd.Laminate(CARBON, [0.3, -0.5, 1.0], [1e-3, 2e-3, 1.5e-3])
-    mesh = mbd.mesh.rectangle(1.0, 0.7, cells, kind)
-    return mbd.FlexibleBody.plate("panel", mesh, laminate, modes=2, reference="left_edge")
-
-
-def tube(elements: int = 4) -> mbd.FlexibleBody:
-    section = mbd.sections.tube(0.03, CARBON, [0.3, -0.3, -0.3, 0.3], 5e-4)
-    return mbd.FlexibleBody.beam("tube", mbd.BeamLine.straight(1.0, elements), section, modes=2, reference="start")
-
-
-def richardson(f: Callable[[Tensor], Tensor], x: Tensor, h: float) -> Tensor:
-    def central(h: float) -> Tensor:
-        steps = h * torch.eye(x.numel(), dtype=x.dtype).unflatten(1, x.shape)
-        return torch.stack([(f(x + e) - f(x - e)) / (2.0 * h) for e in steps], -1).unflatten(-1, x.shape)
-
-    return (4.0 * central(h / 2.0) - central(h)) / 3.0
 
 
 def check_gradients(model: Factors, name: str, step: float) -> None:

@@ -6,14 +6,14 @@ The index is 1 / buckling factor of the stress at that time: of the retained mod
 displacements that inertia, gravity, joints and forces make besides (multibody/statics/unit_loads.py). Where it is one, the body
 buckles on its supports under loads that stay as they are.
 Assumed: as of `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the undeformed.
-Checked in tests/contracts/test_responses.py, tests/design/test_buckling_index.py.
+Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling_index.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import torch
@@ -22,14 +22,15 @@ from torch import Tensor, nn
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.buckling.body_loads import body_loads, interpolations
+from torchmbd.extensions.buckling.buckling_series import BucklingSeries
+from torchmbd.extensions.buckling.unit_loads import UnitLoads
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.digest import digest
 from torchmbd.math.module_call import call_module, outside_transforms
 from torchmbd.multibody.bodies import FlexibleBeam
-from torchmbd.multibody.statics import BucklingSeries, UnitLoads
 from torchmbd.multibody.system import System
-from torchmbd.results.body_loads import body_loads, interpolations
 
 _SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()  # body -> digest of supports
 
@@ -53,6 +54,7 @@ class BucklingIndex(History):
     Constraint(...)
     """
 
+    unit: ClassVar[str] = ""
     body: str
     supports: Mapping[Any, str | Sequence[float | None]] | None = None
     number: int = 1

@@ -11,7 +11,7 @@ each has the mean of their derivatives (fem/reduction/spectral.py). Shapes are n
 Assumed: u is small; the loads grow together, forces keep their directions, moments on beams turn by half of the rotation of
 their node (semitangential: J. H. Argyris and others, Comput. Methods Appl. Mech. Eng. 14 (1978) 401-451).
 Source: O. C. Zienkiewicz and R. L. Taylor, The Finite Element Method, vol. 2.
-Checked in tests/multibody/statics/test_buckling.py, tests/validation/test_buckling.py.
+Checked in tests/extensions/buckling/test_buckling.py, tests/extensions/buckling/test_closed_forms.py.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.buckling.eigenproblem import eigenproblem
+from torchmbd.extensions.buckling.nodal_loads import Loads, NodalLoads
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies import FlexibleBody
-from torchmbd.multibody.statics.eigenproblem import eigenproblem
-from torchmbd.multibody.statics.nodal_loads import Loads, NodalLoads
 from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
 
 

@@ -3,7 +3,7 @@
 A side t between i and j may bend to a parabola with the deflection (1/8) t x (phi_j - phi_i) at its middle: moments f x t / 12
 at j, and the opposite at i, do the work of a uniform load on it.
 
-Checked in tests/multibody/statics/test_buckling.py.
+Checked in tests/extensions/buckling/test_buckling.py.
 """
 
 from __future__ import annotations
