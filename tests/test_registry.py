@@ -14,6 +14,8 @@ from torchmbd import registry
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.response_spec import measure_of
 from torchmbd.errors import InputError
+from torchmbd.integrate.backend import BACKENDS
+from torchmbd.math.products import PRODUCTS
 
 FOLDER = Path(mbd.__file__ or "").parent / "extensions"
 
@@ -29,7 +31,8 @@ def tables(monkeypatch):
 def test_a_name_of_a_missing_extension_tells_which(tables):
     tables(
         SimpleNamespace(
-            NAMES={"robots_of_others": "read_robot"}, ENTRIES={"of_design": {"wear": "robots_of_others:Wear"}}
+            NAMES={"robots_of_others": "read_robot"},
+            ENTRIES={"responses": {}, "combinators": {}, "of_design": {"wear": "robots_of_others:Wear"}},
         )
     )
     with pytest.raises(
@@ -38,9 +41,7 @@ def test_a_name_of_a_missing_extension_tells_which(tables):
         mbd.read_robot  # noqa: B018
     assert "read_robot" not in mbd.__all__
     assert "wear" not in registry.Registry("of_design", {"mass": mbd.Mass})
-    with pytest.raises(
-        InputError, match=r"unknown name; allowed.*; it is of the extension robots_of_others, which is not"
-    ):
+    with pytest.raises(InputError, match=r"unknown name; allowed.*; the extension robots_of_others is not installed"):
         measure_of({"wear": {"body": "pin"}})
 
 
@@ -82,8 +83,9 @@ def test_a_registry_is_a_mapping():
 
 @pytest.mark.extensions
 def test_every_entry_leads_to_a_class():
-    for found in (RESPONSES, COMBINATORS, OF_DESIGN):
+    for found in (RESPONSES, COMBINATORS, OF_DESIGN, BACKENDS):
         assert all(isinstance(kind, type) for kind in found.values())
+    assert all(callable(products) for products in PRODUCTS.values())
 
 
 @pytest.mark.extensions

@@ -222,14 +222,15 @@ def cache(*, clear: bool = False) -> int:
     clear
         Remove them all; other files of the folder stay.
     """
-    from torchmbd.math.codegen import build_cache
+    from torchmbd.integrate.backend import BACKENDS
     from torchmbd.process import cache_folder
 
     console = Console()
-    for path, size, ready in build_cache.entries():
-        console.print(f"{path.name}  {size / 2**20:6.1f} MiB  {'ready' if ready else 'left over'}", soft_wrap=True)
-    if clear:
-        build_cache.clear()
+    for backend in [BACKENDS[name]() for name in BACKENDS]:
+        for path, size, ready in backend.files():
+            console.print(f"{path.name}  {size / 2**20:6.1f} MiB  {'ready' if ready else 'left over'}", soft_wrap=True)
+        if clear:
+            backend.clear_files()
     console.print(f"{'cleared' if clear else 'in'} {cache_folder()}", soft_wrap=True)
     return 0
 

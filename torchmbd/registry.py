@@ -2,7 +2,7 @@
 
 torchmbd/extensions/__init__.py has the tables. No other file of the core names that folder (torchmbd/__init__.py for type
 checkers), and none imports what is in it; without the folder the tables are empty.
-Checked in tests/test_registry.py.
+Checked in tests/test_registry.py, tests/integrate/test_backend.py.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ class Registry(MutableMapping[str, T]):
     """
 
     def __init__(self, name: str, entries: Mapping[str, T]) -> None:
+        self._name = name
         self._entries: dict[str, Any] = {**entries, **_entries(name)}
 
     def __getitem__(self, name: str) -> T:
@@ -32,6 +33,16 @@ class Registry(MutableMapping[str, T]):
             module, kind = entry.split(":")
             entry = self._entries[name] = getattr(import_module(f"{EXTENSIONS}.{module}"), kind)
         return entry
+
+    def missing(self, name: str) -> str | None:
+        """Why a name of extensions is not there; None if it is, or if no extension has it."""
+        if name in self._entries:
+            return None
+        tables = _tables()
+        if tables is None:
+            return f"{EXTENSIONS} is not installed"
+        entry = tables.ENTRIES[self._name].get(name)
+        return None if entry is None else f"the extension {_extension(entry)} is not installed"
 
     def __setitem__(self, name: str, kind: T) -> None:
         self._entries[name] = kind
@@ -60,15 +71,6 @@ def public(name: str) -> Any:
                 raise AttributeError(f"mbd.{name} is of the extension {_extension(module)}, which is not installed")
             return getattr(import_module(f"{EXTENSIONS}.{module}"), name.rpartition(".")[2])
     raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
-
-
-def not_installed(name: str) -> str:
-    """What a message adds about a name that no registry has: what would add it and is not installed; "" if nothing would."""
-    tables = _tables()
-    if tables is None:
-        return f"; {EXTENSIONS} is not installed"
-    entry = next((entries[name] for entries in tables.ENTRIES.values() if name in entries), "")
-    return f"; it is of the extension {_extension(entry)}, which is not installed" if entry else ""
 
 
 def public_names() -> list[str]:

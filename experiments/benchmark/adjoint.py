@@ -13,7 +13,7 @@ import torch
 import torchmbd as mbd
 from experiments.benchmark.cases import compilation, compiled_ready, crank3, differentiable_motion, interleaved
 from experiments.benchmark.report import Cell, Grid, Result, Settings
-from torchmbd.integrate.native import library
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 
 LANES, STEPS = 32, 500
@@ -30,12 +30,12 @@ def adjoint(settings: Settings) -> Result:
 
     @torch.no_grad()
     def steps() -> None:
-        integrator.integrate(library.with_backend(values, "native"), case.duration, STEPS)
+        integrator.integrate(with_backend(values, "native"), case.duration, STEPS)
 
     def backward() -> float:
-        found, leaves = differentiable_motion(moving, case.duration, STEPS)
+        responses, leaves = differentiable_motion(moving, case.duration, STEPS)
         start = time.process_time()
-        torch.autograd.grad(found[1].sum(), list(leaves.values()))
+        torch.autograd.grad(responses[1].sum(), list(leaves.values()))
         return time.process_time() - start
 
     @torch.no_grad()
@@ -53,5 +53,5 @@ def adjoint(settings: Settings) -> Result:
         seconds = interleaved(functions, 2 * settings.repeat)
     figures["adjoint_ratio"] = seconds["backward"] / seconds["steps"]
     figures["no_grad_ratio"] = seconds["simulate, no_grad"] / (seconds["structure stage"] + seconds["steps"])
-    rows: list[list[Cell]] = [[name, 1e3 * found / LANES] for name, found in seconds.items()]
+    rows: list[list[Cell]] = [[name, 1e3 * total / LANES] for name, total in seconds.items()]
     return Result(figures, [Grid(f"gradients beside values, {LANES} designs", ["what", "ms per design"], rows)])

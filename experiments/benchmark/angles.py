@@ -17,8 +17,8 @@ from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.processes import fresh, resident_mb
 from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.examples.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.fem.elements import Plates
-from torchmbd.math.codegen.compiler import unavailable
 
 STEPS = 800  # that Exudyn is compared with, at equal accuracy
 
@@ -61,10 +61,10 @@ def measured(cells: tuple[int, int], zones: tuple[int, int], steps: int, repeat:
         measure(mbd.simulate(system, DURATION * steps / STEPS, steps=steps)).sum().backward()
 
     gradient()
-    found = interleaved({"values": values, "gradient": gradient}, repeat)
-    found["angles"] = sum(x.numel() for x in system.parameters() if x.requires_grad)
-    found["freedoms"] = len(system.body("rod").free)
-    return found | {"gb": resident_mb() / 1024}
+    figures = interleaved({"values": values, "gradient": gradient}, repeat)
+    figures["angles"] = sum(x.numel() for x in system.parameters() if x.requires_grad)
+    figures["freedoms"] = len(system.body("rod").free)
+    return figures | {"gb": resident_mb() / 1024}
 
 
 def many_angles(settings: Settings) -> Result:
@@ -75,14 +75,14 @@ def many_angles(settings: Settings) -> Result:
         return Result(figures)
     if settings.quick:
         with compilation(False):
-            found = [measured((6, 2), (6, 2), 20, settings.repeat)]
+            measurements = [measured((6, 2), (6, 2), 20, settings.repeat)]
     else:
-        found = [fresh("experiments.benchmark.angles", *sizes.split()) for sizes in ("24 4 24 4", "82 20 50 20")]
-        few, many = (x["gradient"] / x["values"] for x in found)
-        figures = {"many_angles": few, "many_angles_3000": many, "many_angles_gb": found[1]["gb"]}
+        measurements = [fresh("experiments.benchmark.angles", *sizes.split()) for sizes in ("24 4 24 4", "82 20 50 20")]
+        few, many = (x["gradient"] / x["values"] for x in measurements)
+        figures = {"many_angles": few, "many_angles_3000": many, "many_angles_gb": measurements[1]["gb"]}
     rows = [
         [x["angles"], x["freedoms"], 1e3 * x["values"], 1e3 * x["gradient"], x["gradient"] / x["values"], x["gb"]]
-        for x in found
+        for x in measurements
     ]
     columns = ["angles", "freedoms", "simulation ms", "gradient ms", "in simulations", "GB"]
     return Result(figures, [Grid("many angles, one design", columns, rows)])

@@ -17,7 +17,7 @@ from experiments.benchmark.cases import compilation, crank3, interleaved
 from experiments.benchmark.report import Cell, Grid, Result, Settings
 from torchmbd.design.response import Measure
 from torchmbd.examples import slider_crank
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 
 FEW, MANY = 1, 32
 DESIGNS, STEPS = 8, 400
@@ -37,21 +37,21 @@ def batches(settings: Settings) -> Result:
         seconds = interleaved(functions, 4 * settings.repeat)
     figures["batch_fixed_ms"] = 1e3 * (seconds["one design"] - seconds["structure stage"] / MANY)
     figures["failure_ratio"] = (seconds["failure"] - seconds["energy"]) / seconds["simulation"]
-    rows: list[list[Cell]] = [[name, 1e3 * found] for name, found in seconds.items()]
+    rows: list[list[Cell]] = [[name, 1e3 * total] for name, total in seconds.items()]
     return Result(figures, [Grid("batches and failure, slider-crank", ["what", "ms"], rows)])
 
 
 def _batches() -> dict[str, Callable[[], object]]:
     case, energy = crank3(), mbd.StrainEnergy("rod")
     problem = mbd.Problem(case.system, case.duration / 20, mbd.Integral(energy), [mbd.Max(energy) <= 1.0], steps=25)
-    one = case.designs(FEW)[ANGLES].numpy()
+    design = case.designs(FEW)[ANGLES].numpy()
     many = {ANGLES: case.designs(MANY)[ANGLES].requires_grad_()}
 
     def stage() -> None:
         data = case.system.reduced(many).data
         sum(x.sum() for x in data.values() if x.requires_grad).backward()  # type: ignore[union-attr]
 
-    return {"one design": lambda: problem.evaluate(one, True), "structure stage": stage}
+    return {"one design": lambda: problem.evaluate(design, True), "structure stage": stage}
 
 
 def _failure() -> dict[str, Callable[[], object]]:

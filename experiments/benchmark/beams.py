@@ -32,7 +32,7 @@ from experiments.benchmark.cases import (
 from experiments.benchmark.motion import accuracy
 from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
 from experiments.peers.exudyn_beams import CRANK, INERTIA, ROD, SLIDER, TORQUE, Rod, simulations
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
 
@@ -89,9 +89,9 @@ class _Matrices(nn.Module):
 def peer(system: mbd.System, designs: dict[str, Tensor], cable: bool = False) -> list[Callable[[float, int], Any]]:
     """Simulations of Exudyn (duration, steps) -> Run, whose U is the square of the deflection."""
     beam: Any = system.body("rod")
-    own = {name.removeprefix("rod."): x for name, x in designs.items()}
+    parameters = {name.removeprefix("rod."): x for name, x in designs.items()}
     with torch.no_grad():
-        K, M = functional_call(_Matrices(beam.section), own, ())
+        K, M = functional_call(_Matrices(beam.section), parameters, ())
     rods = [Rod(k, m, len(beam.mesh.elements)) for k, m in zip(K, M.expand_as(K), strict=True)]
     return [simulations(rod, off_the_chord, cable) for rod in rods]
 
@@ -105,30 +105,30 @@ def beams(settings: Settings) -> Result:
 
 
 def _measured(case: Case, settings: Settings) -> Result:
-    one, many = (case.dynamics(lanes, gradients=False) for lanes in (1, LANES))
+    single, many = (case.dynamics(lanes, gradients=False) for lanes in (1, LANES))
     moving = case.dynamics(LANES, gradients=True)
-    assert compiled_ready(one), case.title
+    assert compiled_ready(single), case.title
 
     def measured(run: Callable[[float, int], Any]) -> Callable[[int], Tensor]:
         def responses(steps: int) -> Tensor:
-            found = run(case.duration, steps)
+            peer_run = run(case.duration, steps)
             return measures(
-                torch.tensor(found.t, dtype=torch.float64), torch.tensor(found.U, dtype=torch.float64)[None]
+                torch.tensor(peer_run.t, dtype=torch.float64), torch.tensor(peer_run.U, dtype=torch.float64)[None]
             )
 
         return responses
 
-    ours = accuracy(lambda steps: motion(one, case.duration, steps, deflection)[0], LADDER, CONVERGED, TOLERANCE)
+    ours = accuracy(lambda steps: motion(single, case.duration, steps, deflection)[0], LADDER, CONVERGED, TOLERANCE)
     functions: dict[str, Callable[[], object]] = {
-        "beam_values_x1": lambda: motion(one, case.duration, ours.steps, deflection) and None,
+        "beam_values_x1": lambda: motion(single, case.duration, ours.steps, deflection) and None,
         "beam_values_x32": lambda: motion(many, case.duration, ours.steps, deflection) and None,
         "beam_gradient_x32": lambda: motion_backwards(moving, case.duration, ours.steps, observed=deflection) and None,
     }
-    found = {"torchmbd": ours}
+    accuracies = {"torchmbd": ours}
     if settings.peer:
         for name, cable in (("exact beam", False), ("ANCF cable", True)):
             (run,) = peer(case.system, case.designs(1), cable)
-            found[name] = theirs = accuracy(measured(run), LADDER, CONVERGED, TOLERANCE)
+            accuracies[name] = theirs = accuracy(measured(run), LADDER, CONVERGED, TOLERANCE)
             functions[name] = lambda run=run, steps=theirs.steps: run(case.duration, steps).seconds
     for function in functions.values():
         function()
@@ -137,16 +137,16 @@ def _measured(case: Case, settings: Settings) -> Result:
     result = Result()
     for key in KEYS:
         kind = "ANCF cable" if key == "beam_cable_x1" else "exact beam"
-        own = "beam_values_x1" if key == "beam_cable_x1" else key
-        mine = seconds[own] / (LANES if own.endswith("x32") else 1)
+        name = "beam_values_x1" if key == "beam_cable_x1" else key
+        mine = seconds[name] / (LANES if name.endswith("x32") else 1)
         other = seconds[kind] * (case.count + 1 if "gradient" in key else 1) if settings.peer else None
         result.figures[key] = ratio(other, mine)
-        steps = found[kind].steps if settings.peer else None
+        steps = accuracies[kind].steps if settings.peer else None
         rows.append([key, ours.steps, steps, 1e3 * mine, None if other is None else 1e3 * other, ratio(other, mine)])
     columns = ["what", "steps", "steps of Exudyn", "torchmbd", "Exudyn", "Exudyn / torchmbd"]
     result.tables.append(Grid(f"{case.title}: milliseconds per design", columns, rows))
     exact = [
-        [name, x.steps, 1e3 * math.sqrt(float(x.converged[0, 0])), x.peak, x.integral] for name, x in found.items()
+        [name, x.steps, 1e3 * math.sqrt(float(x.converged[0, 0])), x.peak, x.integral] for name, x in accuracies.items()
     ]
     columns = ["code", "steps", "converged max. deflection [mm]", "error of max", "of integral"]
     result.tables.append(Grid(f"{case.title}: accuracy in time", columns, exact))

@@ -16,12 +16,13 @@ import torchmbd as mbd
 from experiments.peers import closed_loops, exudyn_peer
 from torchmbd.design.spline import Spline
 from torchmbd.examples import slider_crank
+from torchmbd.extensions.native import library
+from torchmbd.extensions.native.codegen.compiler import unavailable
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.motion import Motion
-from torchmbd.integrate.native import library
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
@@ -45,16 +46,16 @@ class Case:
 
     @property
     def count(self) -> int:
-        own = dict(self.system.named_parameters())
-        return sum(own[name].numel() for name in self.variables)
+        parameters = dict(self.system.named_parameters())
+        return sum(parameters[name].numel() for name in self.variables)
 
     def designs(self, lanes: int) -> dict[str, Tensor]:
         """Designs [lanes, ...], the same in every run."""
-        own = dict(self.system.named_parameters())
+        parameters = dict(self.system.named_parameters())
         make = torch.Generator().manual_seed(7)
         result = {}
         for name, width in self.variables.items():
-            x = own[name].detach()
+            x = parameters[name].detach()
             result[name] = x + width * (2.0 * torch.rand(lanes, *x.shape, generator=make, dtype=x.dtype) - 1.0)
         return result
 
@@ -139,7 +140,7 @@ def motion(
     """The motion stage of a batch: from frozen dynamics to `responses` of what is observed."""
     with torch.no_grad():
         integrator = integrator_of(DEFAULT, options).with_defaults(dynamics.topology)
-        history = integrator.integrate(library.with_backend(dynamics, "auto"), duration, steps).history
+        history = integrator.integrate(with_backend(dynamics, "auto"), duration, steps).history
         U = observed(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
@@ -152,7 +153,7 @@ def differentiable_motion(
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
     integrator = GeneralizedAlpha().with_defaults(dynamics.topology)
-    made = ReverseIntegration(
+    integration = ReverseIntegration(
         names=tuple(data),
         designs=(),
         differentiated=tuple(moving),
@@ -163,11 +164,11 @@ def differentiable_motion(
         model=model,
         integrator=integrator,
     )
-    outputs: Any = Motion.apply(made, *data.values())
+    outputs: Any = Motion.apply(integration, *data.values())
     q, v, vd, lam = outputs[:4]
-    history = History(q, v, vd, lam, made.expansion(data))
-    found = responses_of(duration, observed(replace(dynamics, data=data), history)[0])
-    return found, {name: data[name] for name in moving}
+    history = History(q, v, vd, lam, integration.expansion(data))
+    responses = responses_of(duration, observed(replace(dynamics, data=data), history)[0])
+    return responses, {name: data[name] for name in moving}
 
 
 def motion_backwards(
@@ -177,18 +178,18 @@ def motion_backwards(
 
     names   of data; the gradients are then by these alone, [2, n, lanes]
     """
-    found, leaves = differentiable_motion(dynamics, duration, steps, names, observed)
-    rows = found.sum(-1)
+    responses, leaves = differentiable_motion(dynamics, duration, steps, names, observed)
+    rows = responses.sum(-1)
     slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, list(leaves.values()), weights, retain_graph=True))(
         torch.eye(2, dtype=torch.float64)
     )
     if names:
-        return found.detach(), torch.cat([by.flatten(1, -3)[:, :, 0] for by in slopes], 1)
+        return responses.detach(), torch.cat([by.flatten(1, -3)[:, :, 0] for by in slopes], 1)
     parts = [
         torch.einsum("rkl,kbl->rlb", by.flatten(1, -3)[:, :, 0], dynamics.data[name].tangent.flatten(0, -3))
         for name, by in zip(leaves, slopes, strict=True)
     ]
-    return found.detach(), torch.stack(parts).sum(0)
+    return responses.detach(), torch.stack(parts).sum(0)
 
 
 @contextlib.contextmanager
@@ -213,7 +214,7 @@ def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
         if not build and not all(library.path_of(dynamics.condensed(), kind).exists() for kind in ("step", "adjoint")):
             return False
         try:
-            native = library.with_backend(dynamics, "native").condensed()
+            native = with_backend(dynamics, "native").condensed()
         except mbd.InputError:
             return False
         return library.library(native, "adjoint") is not None
@@ -228,6 +229,6 @@ def interleaved(functions: Mapping[str, Callable[[], object]], repeat: int) -> d
     for _ in range(repeat):
         for name, function in functions.items():
             start = time.process_time()
-            own = function()
-            seconds[name].append(own if isinstance(own, float) else time.process_time() - start)
-    return {name: min(found) for name, found in seconds.items()}
+            spent = function()
+            seconds[name].append(spent if isinstance(spent, float) else time.process_time() - start)
+    return {name: min(times) for name, times in seconds.items()}

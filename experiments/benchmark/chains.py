@@ -30,7 +30,7 @@ from experiments.benchmark.cases import (
 )
 from experiments.benchmark.motion import accuracy
 from experiments.benchmark.report import Cell, Grid, Result, Settings, ratio
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair
 
 LINKS = (5, 10, 20, 50)
@@ -57,14 +57,14 @@ def _all(cases: dict[str, Callable[[], Case]], settings: Settings) -> Result:
     with compilation(True):
         for name, build in cases.items():
             case = build()
-            found, steps, seconds = _beside(case, settings)
-            result.figures[name] = found if settings.peer else None
+            accuracies, steps, seconds = _beside(case, settings)
+            result.figures[name] = accuracies if settings.peer else None
             for key in KEYS:
-                own = 1e3 * seconds[key] / (LANES if key.endswith("8") else 1)
+                ours = 1e3 * seconds[key] / (LANES if key.endswith("8") else 1)
                 other = (
                     1e3 * seconds["peer"] * (case.count + 1 if key == "gradient_x8" else 1) if settings.peer else None
                 )
-                rows.append([name, key, *steps, own, other, ratio(other, own)])
+                rows.append([name, key, *steps, ours, other, ratio(other, ours)])
     columns = ["mechanism", "what", "steps", "steps of Exudyn", "torchmbd", "Exudyn", "Exudyn / torchmbd"]
     result.tables.append(Grid("milliseconds per design", columns, rows))
     return result
@@ -72,11 +72,11 @@ def _all(cases: dict[str, Callable[[], Case]], settings: Settings) -> Result:
 
 def _beside(case: Case, settings: Settings) -> tuple[dict[str, float | None], list[Cell], dict[str, float]]:
     """Ratios by name, steps of both codes, and seconds of batches here and of one simulation there."""
-    one, many = (case.dynamics(lanes, gradients=False) for lanes in (1, LANES))
-    assert compiled_ready(one), case.title
-    ours = accuracy(lambda steps: motion(one, case.duration, steps)[0], LADDER, CONVERGED)
+    single, many = (case.dynamics(lanes, gradients=False) for lanes in (1, LANES))
+    assert compiled_ready(single), case.title
+    ours = accuracy(lambda steps: motion(single, case.duration, steps)[0], LADDER, CONVERGED)
     functions: dict[str, Callable[[], object]] = {
-        "values_x1": lambda: motion(one, case.duration, ours.steps) and None,
+        "values_x1": lambda: motion(single, case.duration, ours.steps) and None,
         "values_x8": lambda: motion(many, case.duration, ours.steps) and None,
         "gradient_x8": lambda: motion_backwards(many, case.duration, ours.steps, _varying()) and None,
     }
@@ -85,9 +85,9 @@ def _beside(case: Case, settings: Settings) -> tuple[dict[str, float | None], li
         (run,) = case.peer(case.system, case.designs(1))
 
         def measured(steps: int) -> torch.Tensor:
-            found = run(case.duration, steps)
+            peer_run = run(case.duration, steps)
             return measures(
-                torch.tensor(found.t, dtype=torch.float64), torch.tensor(found.U, dtype=torch.float64)[None]
+                torch.tensor(peer_run.t, dtype=torch.float64), torch.tensor(peer_run.U, dtype=torch.float64)[None]
             )
 
         peer = accuracy(measured, LADDER, CONVERGED)

@@ -13,7 +13,7 @@ import torchmbd as mbd
 from experiments.benchmark.cases import compilation
 from experiments.benchmark.report import Grid, Result, Settings
 from experiments.models import five_bar
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.optimization import OptimizationResult
 
 ITERATIONS = (6, 20)  # of the optimizer

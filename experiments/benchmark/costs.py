@@ -34,8 +34,9 @@ from experiments.benchmark.report import Cell, Grid, Result, Settings
 from experiments.paper import gradients
 from experiments.peers import exudyn_peer
 from torchmbd.examples import slider_crank
-from torchmbd.integrate.native import library
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native import library
+from torchmbd.extensions.native.codegen.compiler import unavailable
+from torchmbd.integrate.backend import with_backend
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
 
@@ -52,14 +53,14 @@ def structure(settings: Settings) -> Result:
     kinds = {"values": "values_ms", "with tangents": "structure_ms", "with gradient": "reverse_ms"}
     for layers, designs in ((3, 4),) if settings.quick else ((3, 1), (3, 32), (4, 32), (10, 32)):
         with compilation(True):
-            found = rod(designs=designs, layers=layers) if unavailable() is None else None
+            fastest = rod(designs=designs, layers=layers) if unavailable() is None else None
         with compilation(False):
             eager = rod(designs=designs, layers=layers)
-        found = found or eager
-        size = [layers, designs, int(found["freedoms"])]
-        rows += [[*size, what, found[k], eager[k]] for what, k in kinds.items()]
+        fastest = fastest or eager
+        size = [layers, designs, int(fastest["freedoms"])]
+        rows += [[*size, what, fastest[k], eager[k]] for what, k in kinds.items()]
         if (layers, designs) == (3, 32):
-            figures = {"structure_ms": found["structure_ms"], "structure_reverse_ms": found["reverse_ms"]}
+            figures = {"structure_ms": fastest["structure_ms"], "structure_reverse_ms": fastest["reverse_ms"]}
     columns = ["angles", "designs", "freedoms", "what", "compiled", "eager"]
     return Result(figures, [Grid("structure stage, processor ms per design", columns, rows)])
 
@@ -200,9 +201,9 @@ def long(settings: Settings) -> Result:
         return Result(figures)
     rows = []
     for name, phases in (("long_gb", 1), ("long_phases_gb", 3)):
-        found = fresh_process("long", str(LONG), str(phases), TORCHMBD_COMPILE="1")
-        figures[name] = found["mb"] / 1024
-        rows.append([LONG, phases, found["seconds"], found["mb"]])
+        run = fresh_process("long", str(LONG), str(phases), TORCHMBD_COMPILE="1")
+        figures[name] = run["mb"] / 1024
+        rows.append([LONG, phases, run["seconds"], run["mb"]])
     table = Grid("gradient of one long motion, checkpoint=20", ["steps", "phases", "CPU s", "MB"], rows)
     return Result(figures, [table])
 
@@ -248,7 +249,7 @@ def main(arguments: list[str]) -> None:
     elif what == "ready":
         dynamics = (pendulum(50) if arguments[1] == "chain" else loops()).dynamics(1, gradients=False)
         begin = time.perf_counter()
-        native = library.with_backend(dynamics, "native")
+        native = with_backend(dynamics, "native")
         library.library(native.condensed())
         print(json.dumps({"seconds": time.perf_counter() - begin}))
     elif what == "compile":

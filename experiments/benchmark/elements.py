@@ -42,10 +42,10 @@ def seconds(function: Callable[[], object]) -> float:
 def section() -> tuple[int, float, float]:
     """Elements, seconds of the stiffness, seconds with the derivative by all angles."""
     angles = mbd.deg([20.0, -50.0, 75.0, 0.0])
-    made = mbd.sections.box(0.2, 0.1, ply=CARBON, angles=angles, thickness=1e-3, cells=(210, 104, 2))
-    value = seconds(made.stiffness)
-    both = seconds(lambda: made.stiffness()[3, 4].backward())
-    return len(made.mesh.layer), value, both
+    section = mbd.sections.box(0.2, 0.1, ply=CARBON, angles=angles, thickness=1e-3, cells=(210, 104, 2))
+    value = seconds(section.stiffness)
+    both = seconds(lambda: section.stiffness()[3, 4].backward())
+    return len(section.mesh.layer), value, both
 
 
 def plate(kind: str) -> tuple[int, float, float]:
@@ -54,10 +54,10 @@ def plate(kind: str) -> tuple[int, float, float]:
     mesh = mbd.mesh.rectangle(1.2, 0.7, (120, 68), kind)
     start = time.process_time()
     body = mbd.FlexibleBody.plate("plate", mesh, laminate, modes=10)
-    made = time.process_time() - start
+    assembly = time.process_time() - start
     with torch.no_grad():
         stage = seconds(body.structure)
-    return len(body.free), made, stage
+    return len(body.free), assembly, stage
 
 
 def published() -> None:
@@ -65,9 +65,11 @@ def published() -> None:
     print("computed / reference, on the usual mesh and on meshes twice and four times as fine")
     print(f"{'problem: quantity':44s}" + "   ".join(f"{kind:19s}" for kind in ELEMENTS))
     for name, problem in PROBLEMS.items():
-        found = {kind: [problem(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
-        for quantity in found["triangle"][0]:
-            columns = [", ".join(f"{ratios[quantity]:.3f}" for ratios in own) for own in found.values()]
+        by_kind = {kind: [problem(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
+        for quantity in by_kind["triangle"][0]:
+            columns = [
+                ", ".join(f"{ratios[quantity]:.3f}" for ratios in kind_ratios) for kind_ratios in by_kind.values()
+            ]
             print(f"{name + ': ' + quantity:44s}" + "   ".join(columns))
 
 
@@ -93,12 +95,12 @@ def bending() -> None:
     print("computed / reference, quadrilaterals of the usual mesh and of meshes twice and four times as fine")
     print(f"{'problem: quantity':44s}" + "   ".join(f"{name:19s}" for name in kinds))
     for name, problem in PROBLEMS.items():
-        found = []
+        by_kind = []
         for strains in kinds.values():
             with mock.patch.object(quad, "plate_strains", strains):
-                found.append([problem("quad", n) for n in (1, 2, 4)])
-        for quantity in found[0][0]:
-            columns = [", ".join(f"{ratios[quantity]:.3f}" for ratios in own) for own in found]
+                by_kind.append([problem("quad", n) for n in (1, 2, 4)])
+        for quantity in by_kind[0][0]:
+            columns = [", ".join(f"{ratios[quantity]:.3f}" for ratios in kind_ratios) for kind_ratios in by_kind]
             print(f"{name + ': ' + quantity:44s}" + "   ".join(columns))
 
 
@@ -114,8 +116,8 @@ def laminated() -> None:
             return cantilever(lambda s, t: (3 * s, 0.5 * t, 0.0), (6 * n, n), kind, laminate, {1: 1.0, 2: 1.0})
 
         fine = deflection("quad", 16)
-        found = {kind: [deflection(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
-        columns = [", ".join(f"{u[way] / fine[way]:.3f}" for u in found[kind]) for way in "vw" for kind in ELEMENTS]
+        by_kind = {kind: [deflection(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
+        columns = [", ".join(f"{u[way] / fine[way]:.3f}" for u in by_kind[kind]) for way in "vw" for kind in ELEMENTS]
         print(f"{degrees!s:18s}" + "  ".join(f"{column:22s}" for column in columns))
 
 
@@ -143,7 +145,7 @@ def stage() -> None:
         runs = {kind: stages(kind, lanes) for kind in ELEMENTS}
         for name, k in (("alone", 0), ("with tangents", 1)):
             spent = [{kind: seconds(runs[kind][k]) for kind in ELEMENTS} for _ in range(12)][2:]
-            least = {kind: min(own[kind] for own in spent) for kind in ELEMENTS}
+            least = {kind: min(run[kind] for run in spent) for kind in ELEMENTS}
             ratio = least["quad"] / least["triangle"]
             print(f"{lanes} designs, {name}: {1e3 * least['quad']:.0f} ms, {ratio:.2f} times as long as with triangles")
 
@@ -153,8 +155,10 @@ def cost() -> None:
     elements, value, both = section()
     print(f"section of {elements} elements: 6 x 6 in {value:.2f} s, with derivatives in {both:.2f} s")
     for kind in ELEMENTS:
-        freedoms, made, stage = plate(kind)
-        print(f"plate of {freedoms} freedoms ({kind}s): made in {made:.2f} s, 10 modes and invariants in {stage:.2f} s")
+        freedoms, assembly, stage = plate(kind)
+        print(
+            f"plate of {freedoms} freedoms ({kind}s): made in {assembly:.2f} s, 10 modes and invariants in {stage:.2f} s"
+        )
 
 
 def main() -> None:

@@ -73,11 +73,11 @@ def errors(settings: Settings) -> Result:
     names = list(MECHANISMS)[:2] if settings.quick else list(MECHANISMS)
     rows, shares, unresolved = [], [], 0
     for name in names:
-        found = effectivities(MECHANISMS[name])
-        texts = ["not resolved" if x is None else "-" if math.isnan(x) else x for x in found.values()]
+        by_kind = effectivities(MECHANISMS[name])
+        texts = ["not resolved" if x is None else "-" if math.isnan(x) else x for x in by_kind.values()]
         rows.append([name, MECHANISMS[name].steps, *texts])
-        shares += [x for x in found.values() if x is not None and not math.isnan(x)]
-        unresolved += sum(x is None for x in found.values())
+        shares += [x for x in by_kind.values() if x is not None and not math.isnan(x)]
+        unresolved += sum(x is None for x in by_kind.values())
     good = sum(LOW <= x <= HIGH for x in shares) / max(1, len(shares))
     columns = ["mechanism", "steps", *(kind for kind in responses(MECHANISMS[names[0]]))]
     title = f"estimated over true error by steps: {100 * good:.0f} % of {len(shares)} within {LOW:g} to {HIGH:g}"
@@ -107,11 +107,11 @@ def effectivities(mechanism: Mechanism) -> dict[str, float | None]:
     motion, fine, finer = (
         mbd.simulate(system, mechanism.duration, steps=k * mechanism.steps, gradients="none") for k in (1, 4, 8)
     )
-    found: dict[str, float | None] = {}
+    effectivity: dict[str, float | None] = {}
     for kind, response in responses(mechanism).items():
         error = motion.error_of(response, modes=False, mesh=False)
         values = [response(x).item() for x in (fine, finer)]
         true = values[1] + (values[1] - values[0]) / 3.0 - error.value.item()
         known = abs(true) > SMALL * abs(error.value.item())
-        found[kind] = None if not error.resolved.all() else error.by_steps.item() / true if known else math.nan
-    return found
+        effectivity[kind] = None if not error.resolved.all() else error.by_steps.item() / true if known else math.nan
+    return effectivity

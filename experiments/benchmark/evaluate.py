@@ -15,7 +15,7 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, differentiable_motion, interleaved
 from experiments.benchmark.report import Grid, Result, Settings
-from torchmbd.integrate.native import library
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 
 DESIGNS, FIGURE, STEPS = (1, 4, 16, 32, 128), 32, 500
@@ -62,12 +62,12 @@ def _functions(case: Case, lanes: int, steps: int) -> dict[str, Callable[[], obj
 
     @torch.no_grad()
     def motion() -> None:
-        integrator.integrate(library.with_backend(values, "auto"), case.duration, steps)
+        integrator.integrate(with_backend(values, "auto"), case.duration, steps)
 
     def adjoint() -> float:
-        found, leaves = differentiable_motion(moving, case.duration, steps)
+        responses, leaves = differentiable_motion(moving, case.duration, steps)
         start = time.process_time()
-        pulled(found.sum(-1), list(leaves.values()))
+        pulled(responses.sum(-1), list(leaves.values()))
         return time.process_time() - start
 
     return {

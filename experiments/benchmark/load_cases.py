@@ -18,7 +18,7 @@ from experiments.benchmark.motion import Row, measured
 from experiments.benchmark.report import Grid, Result, Settings
 from experiments.peers import exudyn_peer
 from torchmbd.examples import slider_crank
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 
 DURATION, STEPS = 0.4, 200
 DAMAGE = mbd.FatigueDamage("arm", exponent={"11": 14.0, "22": 10.0, "12": 10.0}, repeats=1e6)
@@ -61,16 +61,16 @@ def load_cases(settings: Settings) -> Result:
     if unavailable() is not None:
         return Result(figures)
     with compilation(not settings.quick):
-        own = problem(4, (3, 2), (4, 2), 20) if settings.quick else problem(100, (25, 2), (24, 2), STEPS)
-        x = own.start[None]
-        motion = own.motions(x[0])  # built before the clock starts
+        scenarios = problem(4, (3, 2), (4, 2), 20) if settings.quick else problem(100, (25, 2), (24, 2), STEPS)
+        x = scenarios.start[None]
+        motion = scenarios.motions(x[0])  # built before the clock starts
         ways = {
-            "simulations": lambda: own.motions(x[0]),
-            "values": lambda: own.evaluate(x, False),
-            "gradient": lambda: own.evaluate(x, True),
+            "simulations": lambda: scenarios.motions(x[0]),
+            "values": lambda: scenarios.evaluate(x, False),
+            "gradient": lambda: scenarios.evaluate(x, True),
         }
         seconds = interleaved(ways, settings.repeat)
-        error = _error(own, x[0])
+        error = _error(scenarios, x[0])
     ratio = seconds["gradient"] / seconds["simulations"]
     rows = [[motion.lanes, x.shape[1], *(1e3 * seconds[name] for name in ways), ratio, error]]
     columns = ["cases", "variables", "simulations ms", "with damage ms", "gradient ms", "in simulations", "error"]
@@ -89,18 +89,18 @@ def load_cases(settings: Settings) -> Result:
     return Result({"load_cases": ratio, "load_cases_error": error, **peer.figures}, [table, *peer.tables])
 
 
-def _error(own: mbd.Scenarios, x: np.ndarray) -> float:
+def _error(scenarios: mbd.Scenarios, x: np.ndarray) -> float:
     """Largest relative error of a slope by Richardson's differences, of the cases that have one.
 
     In the others the ranking of cycles or the worst point changes between the designs: differences of two widths disagree.
     All variables add to the slope along the direction, of random components with the signs of the gradient: where they cancel,
     rounding of the modes is 1e-6 of the differences.
     """
-    [name], cases = own.space.variables, list(own.scenarios.values())
+    [name], cases = scenarios.space.variables, list(scenarios.scenarios.values())
     designs = {key: torch.stack([case[key] for case in cases]) for key in cases[0]}
-    angles = own.space.designs(x[None])[name].repeat(len(cases), 1, 1).requires_grad_()
+    angles = scenarios.space.designs(x[None])[name].repeat(len(cases), 1, 1).requires_grad_()
     motion = mbd.simulate(
-        own.system, own.duration, designs={**designs, name: angles}, steps=own.steps, variables=[name]
+        scenarios.system, scenarios.duration, designs={**designs, name: angles}, steps=scenarios.steps, variables=[name]
     )
     gradient = DAMAGE.value_and_gradient(motion).gradient
     assert gradient is not None
@@ -108,7 +108,8 @@ def _error(own: mbd.Scenarios, x: np.ndarray) -> float:
     along = np.abs(np.random.default_rng(5).normal(size=len(x))) * np.sign(G.mean(0))
     exact = G @ along
     one, two = (
-        (DAMAGE(own.motions(x + h * along)) - DAMAGE(own.motions(x - h * along))) / (2 * h) for h in (1e-4, 2e-4)
+        (DAMAGE(scenarios.motions(x + h * along)) - DAMAGE(scenarios.motions(x - h * along))) / (2 * h)
+        for h in (1e-4, 2e-4)
     )
     smooth = ((one / two - 1.0).abs() < 1e-5).numpy()
     difference = ((4.0 * one - two) / 3.0).numpy()

@@ -52,13 +52,13 @@ def accuracy(
 ) -> Accuracy:
     """Climb the ladder with `run`: steps -> peak and integral [2, designs]; the last rung where none is enough."""
     exact = run(converged)
-    found = Accuracy(0, float("nan"), float("nan"), exact)
+    result = Accuracy(0, float("nan"), float("nan"), exact)
     for steps in ladder:
         error = (run(steps) / exact - 1.0).abs().amax(1)
-        found = Accuracy(steps, float(error[0]), float(error[1]), exact)
+        result = Accuracy(steps, float(error[0]), float(error[1]), exact)
         if float(error.max()) <= tolerance:
             break
-    return found
+    return result
 
 
 def peer_runs(case: Case, lanes: int) -> list[Callable[[float, int], Any]]:
@@ -76,9 +76,9 @@ def both_accuracies(case: Case, settings: Settings) -> tuple[Accuracy, Accuracy 
     runs = peer_runs(case, LOOKED_AT)
 
     def peer(steps: int) -> Tensor:
-        found = [run(case.duration, steps) for run in runs]
+        peers = [run(case.duration, steps) for run in runs]
         return torch.stack(
-            [measures(torch.tensor(x.t, dtype=torch.float64), torch.tensor(x.U, dtype=torch.float64)) for x in found], 1
+            [measures(torch.tensor(x.t, dtype=torch.float64), torch.tensor(x.U, dtype=torch.float64)) for x in peers], 1
         )
 
     return ours, accuracy(peer)
@@ -136,10 +136,10 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
             if row.compiled:
                 run()  # loads the library
             seconds = interleaved(functions, settings.repeat if row.compiled else min(settings.repeat, 3))
-        own = seconds["ours"] / row.lanes
+        mine = seconds["ours"] / row.lanes
         other = seconds["peer"] * (case.count + 1 if row.gradients else 1) if peer else None
-        result.figures[row.figure] = ratio(other, own)
-        lines.append([row.what, row.lanes, 1e3 * own, None if other is None else 1e3 * other, ratio(other, own)])
+        result.figures[row.figure] = ratio(other, mine)
+        lines.append([row.what, row.lanes, 1e3 * mine, None if other is None else 1e3 * other, ratio(other, mine)])
     title = f"{case.title}: milliseconds per design"
     result.tables.append(Grid(title, ["what", "lanes", "torchmbd", "Exudyn", "Exudyn / torchmbd"], lines))
     result.tables.append(_accuracies(case, ours, peer))
@@ -153,10 +153,10 @@ def _run(dynamics: Any, duration: float, steps: int, row: Row) -> Callable[[], o
 
 def _accuracies(case: Case, ours: Accuracy, peer: Accuracy | None) -> Grid:
     lines = []
-    for name, found in (("torchmbd", ours), ("Exudyn", peer)):
-        if found is not None:
-            apart = (found.converged / ours.converged - 1.0).abs().amax(1)
-            lines.append([name, found.steps, found.peak, found.integral, float(apart[0]), float(apart[1])])
+    for name, accuracy in (("torchmbd", ours), ("Exudyn", peer)):
+        if accuracy is not None:
+            apart = (accuracy.converged / ours.converged - 1.0).abs().amax(1)
+            lines.append([name, accuracy.steps, accuracy.peak, accuracy.integral, float(apart[0]), float(apart[1])])
     columns = ["code", "steps", "error of max U", "of integral of U", "converged max U: apart", "integral: apart"]
     return Grid(f"{case.title}: accuracy ({LOOKED_AT} designs, worst)", columns, lines)
 

@@ -55,28 +55,28 @@ def _peer_measures(X: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
     """Peak and integral of U [designs, 2], and the seconds that the peer integrated."""
     from experiments.peers.exudyn_peer import slider_crank
 
-    found = [
+    runs = [
         run(DURATION, steps) for run in slider_crank(_worker["system"], {ANGLES: torch.tensor(X, dtype=torch.float64)})
     ]
     values = torch.stack(
-        [measures(torch.tensor(x.t, dtype=torch.float64), torch.tensor(x.U, dtype=torch.float64)) for x in found]
+        [measures(torch.tensor(x.t, dtype=torch.float64), torch.tensor(x.U, dtype=torch.float64)) for x in runs]
     )
-    return values.numpy(), sum(x.seconds for x in found)
+    return values.numpy(), sum(x.seconds for x in runs)
 
 
 class PeerProblem:
     """The same problem, evaluated by the peer; gradients by forward differences."""
 
-    def __init__(self, own: mbd.Problem, pool: Any, steps: int):
-        self.own, self.pool, self.steps = own, pool, steps
+    def __init__(self, ours: mbd.Problem, pool: Any, steps: int):
+        self.own, self.pool, self.steps = ours, pool, steps
         self.start, self.lower, self.upper, self.names, self.period = (
-            own.start,
-            own.lower,
-            own.upper,
-            own.names,
-            own.period,
+            ours.start,
+            ours.lower,
+            ours.upper,
+            ours.names,
+            ours.period,
         )
-        self.equalities = own.equalities
+        self.equalities = ours.equalities
         self.seconds = 0.0
 
     @cached_property
@@ -85,9 +85,9 @@ class PeerProblem:
 
     def _measures(self, X: np.ndarray) -> np.ndarray:
         parts = [x for x in np.array_split(X, PROCESSES) if len(x)]
-        found = self.pool.starmap(_peer_measures, [(x, self.steps) for x in parts])
-        self.seconds += sum(seconds for _, seconds in found)
-        return np.concatenate([values for values, _ in found])
+        answers = self.pool.starmap(_peer_measures, [(x, self.steps) for x in parts])
+        self.seconds += sum(seconds for _, seconds in answers)
+        return np.concatenate([values for values, _ in answers])
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n]."""
@@ -122,8 +122,8 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
     if settings.quick:
         return Result({"multistart": None})
     use_one_thread()  # as the command line does
-    own = own_problem(steps)
-    ready = compiled_ready(own.system.dynamics())
+    ours = own_problem(steps)
+    ready = compiled_ready(ours.system.dynamics())
     rows: list[list[Cell]] = []
     total = {"ours": 0.0, "peer": 0.0}
     with multiprocessing.get_context("spawn").Pool(PROCESSES, _begin, (bool(settings.peer),)) as pool:
@@ -138,7 +138,7 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
             rows.append([f"torchmbd, {method}", seconds, *_summary(study), None])
             if not settings.peer:
                 continue
-            peer = PeerProblem(own, pool, steps)
+            peer = PeerProblem(ours, pool, steps)
             _ = peer.limit  # known before the clock starts, as to our processes
             seconds, study = run(peer, method, starts, iterations)
             total["peer"] += seconds

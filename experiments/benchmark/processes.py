@@ -35,11 +35,11 @@ def lines(
             command, cwd=folder, env=known, stdout=subprocess.PIPE, stderr=errors, text=True
         ) as child:
             assert child.stdout is not None
-            found = [(time.perf_counter() - began, line.rstrip("\n")) for line in child.stdout]
+            lines = [(time.perf_counter() - began, line.rstrip("\n")) for line in child.stdout]
         errors.seek(0)
         if child.returncode not in codes:
             raise ChildFailure(f"{' '.join(command)} ended with {child.returncode}\n{errors.read().strip()}")
-    return found
+    return lines
 
 
 def fresh(module: str, *arguments: str, folder: Path = ROOT, **environment: str) -> dict[str, Any]:

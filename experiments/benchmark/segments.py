@@ -18,8 +18,8 @@ from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.report import Grid, Result, Settings
 from experiments.models import sar_antenna_whole
 from torchmbd.examples import slider_crank
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.integrate.phase import Phase
-from torchmbd.math.codegen.compiler import unavailable
 
 ANGLES, STEP, ANTENNA_STEPS, REPEATS = "rod.laminate.angles", 2e-4, 4000, 2  # STEP [s] resolves the rod
 WAYS = {"values": False, "gradient": True}

@@ -25,7 +25,6 @@ STAGES = {  # part of a path, or path:function -> stage
     "importlib._bootstrap": "imports",
     "native/library.py:_load": "compile",
     "codegen/compiler.py:load": "compile",
-    "math/compiled_products.py:_library": "compile",
     "study/report.py:save_pictures": "pictures",
     "torchmbd/tracking/": "tracking",
     "study/journal.py": "tracking",
@@ -38,6 +37,7 @@ STAGES = {  # part of a path, or path:function -> stage
     "system/system.py:reduced": "structure",
     "torchmbd/fem/": "structure",
     "torchmbd/integrate/": "steps",
+    "extensions/native/": "steps",
     "torchmbd/multibody/": "steps",
     "torch/autograd/": BACKWARD,
     "torchmbd/design/": "responses",
@@ -52,11 +52,11 @@ def stage_of(frame: FrameType | None) -> str:
     first = "other"
     while frame is not None:
         where = f"{frame.f_code.co_filename}:{frame.f_code.co_name}"
-        found = next((stage for part, stage in STAGES.items() if part in where), None)
-        if found in WHOLE:
-            return found  # type: ignore[return-value]
-        if found is not None and first == "other":
-            first = found
+        name = next((stage for part, stage in STAGES.items() if part in where), None)
+        if name in WHOLE:
+            return name  # type: ignore[return-value]
+        if name is not None and first == "other":
+            first = name
         frame = frame.f_back
     return first
 

@@ -10,7 +10,7 @@ import torchmbd as mbd
 from experiments.benchmark.cases import compilation, interleaved
 from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.examples import slider_crank
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 
 LANES, FEW, MANY = 32, 400, 4400
 

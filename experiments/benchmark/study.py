@@ -15,7 +15,7 @@ from pathlib import Path
 
 from experiments.benchmark.processes import ROOT, lines
 from experiments.benchmark.report import Cell, Grid, Result, Settings
-from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.study.run import UNVERIFIED
 
 JOB = ROOT / "configs" / "slider_crank" / "l3_energy_integral.yaml"
@@ -58,9 +58,9 @@ def _run(folder: Path, quick: bool, compiled: bool) -> dict[str, float]:
     }
     job = ["run", str(JOB), *(QUICK if quick else []), "--fresh"]
     *shown, (_, last) = lines("experiments.benchmark.stages", *job, folder=folder, codes=(0, UNVERIFIED), **environment)
-    found = {mark: next(at for at, line in shown if text in line) for mark, text in MARKS.items()}
-    found["last line"] = shown[-1][0]
+    marks = {mark: next(at for at, line in shown if text in line) for mark, text in MARKS.items()}
+    marks["last line"] = shown[-1][0]
     stages = json.loads(last)
-    found |= {name: stages.get(name, (0.0, 0.0))[0] for name in (*STAGES, "threads")}
+    marks |= {name: stages.get(name, (0.0, 0.0))[0] for name in (*STAGES, "threads")}
     wall, processor = (sum(x[k] for name, x in stages.items() if name != "threads") for k in (1, 0))
-    return found | {"idle": wall - processor}
+    return marks | {"idle": wall - processor}

@@ -161,8 +161,8 @@ def start() -> None:
     file = ROOT / "configs" / "slider_crank" / "l3_energy_integral.yaml"
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file), "--fresh"]
-        own = ("TORCHMBD_STORE", "MLFLOW_TRACKING_URI")
-        environment = {key: value for key, value in os.environ.items() if key not in own}
+        variables = ("TORCHMBD_STORE", "MLFLOW_TRACKING_URI")
+        environment = {key: value for key, value in os.environ.items() if key not in variables}
         environment["PYTHONPATH"] = str(ROOT)
         for store in ("fresh store", "store that is there"):
             began = time.perf_counter()

@@ -164,9 +164,9 @@ def faults(text: str) -> list[str]:
             if not (PACKAGE / path).is_file() or name not in _defined(PACKAGE / path):
                 wrong.append(f"drawing: {path} has no {name}")
     pairs = zip(_numbers(text), _numbers(renewed(text)), strict=True) if not wrong else ()
-    for (what, said), (_, found) in pairs:
-        if abs(said - found) > max(SHARE * found, FEW):
-            wrong.append(f"{what}: {said} lines on the page, {found} in the source")
+    for (what, on_page), (_, count) in pairs:
+        if abs(on_page - count) > max(SHARE * count, FEW):
+            wrong.append(f"{what}: {on_page} lines on the page, {count} in the source")
     return wrong
 
 

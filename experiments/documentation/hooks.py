@@ -41,10 +41,10 @@ def on_page_content(html: str, **_: Any) -> str:
     return _MATH.sub(_mathml, html)
 
 
-def _mathml(found: re.Match[str]) -> str:
+def _mathml(match: re.Match[str]) -> str:
     from latex2mathml.converter import convert  # pyright: ignore[reportMissingImports]
 
-    text = unescape(found[2]).strip().removeprefix("\\(").removeprefix("\\[")[:-2]
-    if found[1] == "span":
+    text = unescape(match[2]).strip().removeprefix("\\(").removeprefix("\\[")[:-2]
+    if match[1] == "span":
         return convert(text, display="inline")
     return f'<div class="equation">{convert(text, display="block")}</div>'

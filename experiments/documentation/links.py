@@ -40,11 +40,11 @@ class _Page(HTMLParser):
 
 def read(folder: Path) -> dict[Path, _Page]:
     """All pages of a site."""
-    found = {}
+    pages = {}
     for file in sorted(folder.rglob("*.html")):
-        found[file.resolve()] = page = _Page()
+        pages[file.resolve()] = page = _Page()
         page.feed(file.read_text(encoding="utf-8"))
-    return found
+    return pages
 
 
 def _links(pages: dict[Path, _Page]) -> Iterator[Link]:
@@ -60,7 +60,7 @@ def external(pages: dict[Path, _Page]) -> Counter[str]:
 
 def broken(pages: dict[Path, _Page], folder: Path) -> list[Link]:
     """Links inside the site that lead nowhere; those that begin with a slash begin at its folder."""
-    found = []
+    dead = []
     for link in sorted(set(_links(pages))):
         parts = urlsplit(link.target)
         if parts.scheme or parts.netloc:
@@ -71,8 +71,8 @@ def broken(pages: dict[Path, _Page], folder: Path) -> list[Link]:
         file = file / "index.html" if file.is_dir() else file
         known = unquote(parts.fragment) in pages[file].anchors if file in pages else not parts.fragment
         if not file.exists() or not known:
-            found.append(link)
-    return found
+            dead.append(link)
+    return dead
 
 
 def main() -> None:

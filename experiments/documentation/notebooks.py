@@ -42,7 +42,10 @@ def notebook(page: Path) -> dict[str, Any]:
     for block in FENCE.finditer(text):
         code = _code(block)
         if code:
-            cells += [("markdown", _plain(text[at : block.start()], page)), *(("code", one) for one in code)]
+            cells += [
+                ("markdown", _plain(text[at : block.start()], page)),
+                *(("code", cell) for cell in code),
+            ]
             at = block.end()
     cells.append(("markdown", _plain(text[at:], page)))
     cells.insert(1, ("code", _FIRST))
@@ -69,13 +72,13 @@ def _code(block: re.Match[str]) -> list[str]:
 
 def sources(session: str) -> list[str]:
     """What is typed in a session, a cell up to each printed result."""
-    found, rest = [], ""
+    pieces, rest = [], ""
     for example in doctest.DocTestParser().get_examples(session):
         rest += example.source
         if example.want:
-            found.append(rest)
+            pieces.append(rest)
             rest = ""
-    return [*found, rest] if rest else found
+    return [*pieces, rest] if rest else pieces
 
 
 def _plain(text: str, page: Path) -> str:

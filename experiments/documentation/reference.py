@@ -54,9 +54,9 @@ def group(names: str) -> str:
 
 
 def _path(name: str) -> str:
-    found = getattr(mbd, name)
-    module = getattr(found, "__module__", None)  # a module has none
-    return found.__name__ if module is None else f"{module}.{found.__qualname__}"
+    entry = getattr(mbd, name)
+    module = getattr(entry, "__module__", None)  # a module has none
+    return entry.__name__ if module is None else f"{module}.{entry.__qualname__}"
 
 
 def file(path: str) -> str:

@@ -81,8 +81,8 @@ def main() -> int:
     known = [x for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
     if arguments.only not in (None, *known):
         parser.error(f"--only is {arguments.only!r}; allowed: one of {known}")
-    found = [(name, x) for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
-    todo = {f"{name}: {x}": (name, x) for name, x in found if arguments.only in (None, x)}
+    sections = [(name, x) for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
+    todo = {f"{name}: {x}": (name, x) for name, x in sections if arguments.only in (None, x)}
 
     def record(line: str) -> None:
         print(line, flush=True)

@@ -120,10 +120,10 @@ def derivative_errors(
         K, M, _, _ = family.exact(b)
         return gauge_free(*route(K, M, family.n))
 
-    truth, found = torch.func.jacfwd(exact)(b), torch.func.jacfwd(routed)(b)
+    truth, derivatives = torch.func.jacfwd(exact)(b), torch.func.jacfwd(routed)(b)
     return {
         name: max(
-            (torch.linalg.norm(found[name][..., k] - t) / torch.linalg.norm(t)).item()
+            (torch.linalg.norm(derivatives[name][..., k] - t) / torch.linalg.norm(t)).item()
             for k, t in enumerate(dt.unbind(-1))
         )
         for name, dt in truth.items()

@@ -71,20 +71,20 @@ def build(
     rod_point where the rods end on panel 3, x and +-y from its center: a place of the mesh [m]
     stowed    angle of panel 2 from panel 1 [rad]
     """
-    for name, given, allowed in (
+    for name, choice, allowed in (
         ("law", law, LAWS),
         ("rods", rods, ROD_JOINTS),
         ("trusses", trusses, ("rigid", "beam", "tube")),
         ("reduction", reduction, ("vibration", "craig-bampton")),
     ):
-        if given not in allowed:
-            raise mbd.InputError(f"{name} is {given!r}; allowed: {', '.join(allowed)}")
+        if choice not in allowed:
+            raise mbd.InputError(f"{name} is {choice!r}; allowed: {', '.join(allowed)}")
     ground, truss, (x, y) = mbd.Ground(), Truss(trusses, radius, tuple(truss_angles)), rod_point
     flat, level = folded(stowed), folded(stowed - STOWED)  # axes of panel 2, of panel 3 and its parallel, the crank
     center2, center3 = HALF * flat[:, 0], LENGTH * flat[:, 0] + HALF * level[:, 0]
     places = [{"position": x + arm * A[:, 2], "axes": A} for x, A in ((center2, flat), (center3, level))]
-    made = panels(angles, angles3, places, modes, cells, mass, reduction, hub, (x, y))
-    panel2, panel3 = (Panel(body, arm) for body in made)
+    bodies = panels(angles, angles3, places, modes, cells, mass, reduction, hub, (x, y))
+    panel2, panel3 = (Panel(body, arm) for body in bodies)
     tip = center2 + (HALF + x) * level[:, 0]
     crank, crank_hub, crank_tip = truss.between("crank", center2, tip, clamped=True)
     ends = [center3 + level @ torch.tensor([x, side * y, 0.0], dtype=torch.float64) for side in (-1, 1)]

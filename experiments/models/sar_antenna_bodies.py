@@ -130,13 +130,13 @@ def panels(
     axle = torch.nonzero(mesh.nodes[:, 0].abs() < hub + 1e-9)[:, 0].tolist()
     ends = [(rod_point[0], side * rod_point[1]) for side in (-1, 1)]
     other = stack if angles3 is None else laminate(angles3)
-    given = ("panel2", stack, axle, CORNERS), ("panel3", other, "center", (*CORNERS[:2], *ends))
-    made = []
-    for (name, own, reference, joints), place in zip(given, places, strict=True):
+    plates = ("panel2", stack, axle, CORNERS), ("panel3", other, "center", (*CORNERS[:2], *ends))
+    bodies = []
+    for (name, layup, reference, joints), place in zip(plates, places, strict=True):
         kept = [node_at(mesh, name, *joint) for joint in joints] if reduction == "craig-bampton" else ()
         options = {"reference": reference, "mass": mass, "reduction": reduction, "interface": kept}
-        made.append(mbd.FlexibleBody.plate(name, mesh, own, modes, **options, **place))
-    return made
+        bodies.append(mbd.FlexibleBody.plate(name, mesh, layup, modes, **options, **place))
+    return bodies
 
 
 def node_at(mesh: mbd.Mesh, name: str, x: float, y: float) -> int:

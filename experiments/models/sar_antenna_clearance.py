@@ -89,8 +89,8 @@ def _surface(body: Any, local: Tensor) -> Tensor:
     u = body.displacements[..., 2]
     grid = u[..., _grid(body)].flatten(0, 1)[:, None]  # [lanes times, 1, ny, nx]
     at = torch.stack([local[..., 0] / HALF, local[..., 1] / (WIDTH / 2)], -1).flatten(0, 1)[:, None]
-    found = torch.nn.functional.grid_sample(grid, at, align_corners=True, padding_mode="border")
-    return found[:, 0, 0].unflatten(0, u.shape[:2])
+    heights = torch.nn.functional.grid_sample(grid, at, align_corners=True, padding_mode="border")
+    return heights[:, 0, 0].unflatten(0, u.shape[:2])
 
 
 def _grid(body: Any) -> Tensor:

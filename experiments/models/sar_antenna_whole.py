@@ -118,9 +118,9 @@ def deployed(designs: Sequence[Sequence[float]] | None = None, steps: int = 4000
         )
     angles = torch.stack([mbd.deg(list(design)) for design in designs])
     system = whole(designs[0], **options)
-    given: dict[str, Any] = FLEXIBLE | INTEGRATOR[options.get("trusses", "rigid")]
+    settings: dict[str, Any] = FLEXIBLE | INTEGRATOR[options.get("trusses", "rigid")]
     return mbd.simulate(
-        system, DURATION, steps=steps, phases=phases(), designs={ANGLES: angles}, gradients="none", **given
+        system, DURATION, steps=steps, phases=phases(), designs={ANGLES: angles}, gradients="none", **settings
     )
 
 

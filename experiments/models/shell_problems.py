@@ -48,8 +48,8 @@ class Model:
 
     def at(self, nodes: str | Sequence[int], freedoms: Sequence[int] = range(6)) -> np.ndarray:
         """Freedoms of a node set."""
-        own = self.mesh.node_set(nodes) if isinstance(nodes, str) else nodes
-        return (6 * np.asarray(list(own))[:, None] + np.asarray(list(freedoms))).ravel()
+        numbers = self.mesh.node_set(nodes) if isinstance(nodes, str) else nodes
+        return (6 * np.asarray(list(numbers))[:, None] + np.asarray(list(freedoms))).ravel()
 
     def uniform(self, force: float) -> None:
         """Load the area with a force along z [N/m2]."""
@@ -57,7 +57,9 @@ class Model:
 
     def solved(self, held: Mapping[str, Sequence[int]], *more: int) -> np.ndarray:
         """Displacements with the freedoms of node sets held."""
-        fixed = np.concatenate([np.asarray(more, dtype=int), *(self.at(name, own) for name, own in held.items())])
+        fixed = np.concatenate(
+            [np.asarray(more, dtype=int), *(self.at(name, numbers) for name, numbers in held.items())]
+        )
         free = np.setdiff1d(np.arange(len(self.load)), fixed)
         u, inner = np.zeros(len(self.load)), self.K[free][:, free].tocsc()
         u[free] = scipy.sparse.linalg.splu(inner).solve(self.load[free])
@@ -72,13 +74,13 @@ def _share(count: int) -> np.ndarray:
 
 def cantilever(place: Place, cells: tuple[int, int], kind: str, law: Law, references: Mapping[int, float]) -> Ratios:
     """Mean end displacements under unit end forces."""
-    found = {}
+    ratios = {}
     for way, reference in references.items():
         model = Model(place, cells, kind, law)
         tip = model.at(RIGHT, [way])
         model.load[tip] = share = _share(len(tip))
-        found["uvw"[way]] = float(share @ model.solved({LEFT: range(6)})[tip]) / reference
-    return found
+        ratios["uvw"[way]] = float(share @ model.solved({LEFT: range(6)})[tip]) / reference
+    return ratios
 
 
 def straight(kind: str, n: int, lean: tuple[float, float] = (0.0, 0.0)) -> Ratios:
@@ -143,10 +145,10 @@ def hemisphere(kind: str, n: int) -> Ratios:
         return 10 * math.sin(polar) * math.cos(around), 10 * math.sin(polar) * math.sin(around), 10 * math.cos(polar)
 
     model = Model(place, (8 * n, 8 * n), kind, (6.825e7, 0.3, 0.04), (0.3, 0.2, 1.0))
-    one, two = model.at("corner_left_top")[0], model.at("corner_right_top")[0]
-    model.load[one], model.load[two + V] = 1.0, -1.0
-    u = model.solved({LEFT: [V, PHI1, PHI3], RIGHT: [U, PHI2, PHI3]}, int(one + W))
-    return {"load": float(u[one]) / 0.0940}
+    first, second = model.at("corner_left_top")[0], model.at("corner_right_top")[0]
+    model.load[first], model.load[second + V] = 1.0, -1.0
+    u = model.solved({LEFT: [V, PHI1, PHI3], RIGHT: [U, PHI2, PHI3]}, int(first + W))
+    return {"load": float(u[first]) / 0.0940}
 
 
 def cylinder(kind: str, n: int) -> Ratios:
@@ -171,9 +173,9 @@ _PLATES = {
 
 def plates(kind: str, n: int, aspect: int = 1) -> Ratios:
     """Quarters of the 2 x (2 aspect) plate with 4 x 4 cells: simply supported and clamped, uniform and central load."""
-    found = {}
-    for (own, clamped, central), reference in _PLATES.items():
-        if own != aspect:
+    ratios = {}
+    for (shape, clamped, central), reference in _PLATES.items():
+        if shape != aspect:
             continue
         model = Model(lambda s, t: (s, aspect * t, 0.0), (4 * n, 4 * n), kind, (1.7472e7, 0.3, 1e-4))
         center = model.at("corner_left_bottom", [W])[0]
@@ -190,8 +192,8 @@ def plates(kind: str, n: int, aspect: int = 1) -> Ratios:
         }
         plane = model.at(range(len(model.mesh.nodes)), [U, V, PHI3])
         name = f"{'clamped' if clamped else 'supported'}, {'central' if central else 'uniform'}"
-        found[name] = float(model.solved(held, *plane)[center]) / reference
-    return found
+        ratios[name] = float(model.solved(held, *plane)[center]) / reference
+    return ratios
 
 
 def morley(kind: str, n: int, thickness: float = 0.01) -> Ratios:

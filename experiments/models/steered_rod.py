@@ -83,8 +83,8 @@ def best_straight(cells: tuple[int, int], samples: int = 200, searches: int = 5)
     X = np.random.default_rng(0).uniform(problem.lower, problem.upper, (samples, LAYERS))
     values = [e.objective for e in problem.evaluate(X, False)]
     starts = X[np.argsort(values)[:searches]]  # failed ones are nan and come last
-    found = [mbd.optimize(straight(x.tolist(), cells), method="slsqp", progress=False) for x in starts]
-    best = min(found, key=lambda result: result.value)
+    results = [mbd.optimize(straight(x.tolist(), cells), method="slsqp", progress=False) for x in starts]
+    best = min(results, key=lambda result: result.value)
     return best.x, best.value
 
 
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--figure", type=Path, help="file of a picture of the fibers of the case with a steering radius"
     )
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     coarse, fine = (24, 12), (50, 20)
     x, value = best_straight(coarse)
@@ -128,10 +128,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"  {1.0 - result.value / reference:6.1%}  {result.kkt_residual:12.1e}  {cost(problem):8.1f} sim."
             f"  {result.analyses:11d}  {result.status}"
         )
-        if given.figure is not None and radius is not None:
+        if options.figure is not None and radius is not None:
             angles_of_best = dict(problem.system.named_parameters())["rod.laminate.angles"]
             angles_of_best.data = torch.from_numpy(result.x).reshape(angles_of_best.shape)
-            mbd.viz.fiber_paths(problem.system.body("rod")).savefig(given.figure, dpi=120)
+            mbd.viz.fiber_paths(problem.system.body("rod")).savefig(options.figure, dpi=120)
 
 
 if __name__ == "__main__":

@@ -42,10 +42,10 @@ def curves(t: Any, lines: Mapping[str, Any], ylabel: str, path: Path) -> None:
 
 def layups(folder: Path, rate: int, modes: int) -> list[Row]:
     """Table 6, Figs. 15-18: the two lay-ups, modes, failure, actuator angle."""
-    found = unlocked().describe()
-    kinds = [joint.kind for joint in found.joints]
+    description = unlocked().describe()
+    kinds = [joint.kind for joint in description.joints]
     rows = [
-        Row("Fig. 15: bodies", 12, len(found.bodies) + 1, "given"),
+        Row("Fig. 15: bodies", 12, len(description.bodies) + 1, "given"),
         Row("Fig. 15: spherical joints", 16, kinds.count("Spherical"), "given"),
         Row("Fig. 15: revolute joints", 3, kinds.count("Revolute"), "given"),
         Row("Table 6: lay-up 1 (deg)", "0/0/0/0", stack("lay-up 1"), "given"),
@@ -101,15 +101,15 @@ def draw_modes(system: mbd.System, path: Path) -> None:
 def optimum(folder: Path, steps: int, max_iterations: int = 40, **model: Any) -> list[Row]:
     """Tables 7, 8, Figs. 20-23: the optimization, and both designs over the time."""
     problem = antenna_optimum.problem(steps, **model)
-    found = mbd.optimize(problem, method="mmfd", max_iterations=max_iterations)
-    first, x = found.history[0].objective, np.degrees(found.x)
-    iterations = [it.objective for it in found.history]
-    mbd.viz.save(mbd.viz.convergence({"MMFD": iterations}, {"MMFD": [it.violation for it in found.history]}),
+    result = mbd.optimize(problem, method="mmfd", max_iterations=max_iterations)
+    first, x = result.history[0].objective, np.degrees(result.x)
+    iterations = [iterate.objective for iterate in result.history]
+    mbd.viz.save(mbd.viz.convergence({"MMFD": iterations}, {"MMFD": [iterate.violation for iterate in result.history]}),
                  folder / "figure20.png")  # fmt: skip
-    design = np.degrees([it.x for it in found.history])
+    design = np.degrees([iterate.x for iterate in result.history])
     lines = {"theta 1": design[:, 0], "theta 2": design[:, 1]}
     curves(np.arange(len(design)), lines, "angle [deg], over iterations", folder / "figure21.png")
-    motion = problem.simulate(np.array([problem.start, found.x, np.radians(OPTIMUM)])).require_ok()
+    motion = problem.simulate(np.array([problem.start, result.x, np.radians(OPTIMUM)])).require_ok()
     names = ("initial", "optimum", "the paper's optimum")
     for number, panel in ((22, "panel2"), (23, "panel3")):
         U = motion.body(panel).strain_energy
@@ -126,12 +126,12 @@ def optimum(folder: Path, steps: int, max_iterations: int = 40, **model: Any) ->
             "chosen",
             "the stand-in is calibrated to it",
         ),
-        Row("Table 8: eq. (40) at the optimum (J s)", PAPER["optimum"], found.value, "chosen", "of its own optimum"),
+        Row("Table 8: eq. (40) at the optimum (J s)", PAPER["optimum"], result.value, "chosen", "of its own optimum"),
         Row("Table 8: eq. (40) at the paper's optimum (J s)", PAPER["optimum"], float(printed[2]), "chosen"),
-        Row("Table 8: reduction (%)", 95.6, 100.0 * (1.0 - found.value / first), "chosen"),
+        Row("Table 8: reduction (%)", 95.6, 100.0 * (1.0 - result.value / first), "chosen"),
         Row("Table 8: optimum (deg)", "1.06/-47/-47/1.06", angles([*x, *x[::-1]]), "chosen", "a flat valley"),
-        Row("(41): largest violation of a peak", 0.0, found.violation, "chosen"),
-        Row("Fig. 20: analyses", None, found.analyses, "chosen", f"{found.iterations} iterations"),
+        Row("(41): largest violation of a peak", 0.0, result.violation, "chosen"),
+        Row("Fig. 20: analyses", None, result.analyses, "chosen", f"{result.iterations} iterations"),
         Row("Figs. 22, 23: share of panel 2 in what is saved", "the major one", float(saved), "chosen"),
     ]
 
@@ -159,12 +159,12 @@ def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
     names: tuple[str, ...] = ("initial", "optimum")
     designs = {ANGLES: torch.stack([mbd.deg(list(x)) for x in (START, OPTIMUM)])}
     motion = mbd.simulate(build(START, **model), 9.0, steps=9 * rate, designs=designs, halvings=0, gradients="none")
-    rows, found = [], gaps(motion)
+    rows, clearance = [], gaps(motion)
     for lane, name in enumerate(names):
         when = reaches_zero(motion, lane)
         rows.append(Row(f"Fig. 26: theta = 0, {name} (s)", "7 to 8", when, "chosen", f"ref. {REFERENCE_TIMES[name]} s"))
         for pair in ("panel 1 - panel 2", "panel 2 - panel 3"):
-            least = 1e3 * float(found[pair][lane, motion.t <= when].min())
+            least = 1e3 * float(clearance[pair][lane, motion.t <= when].min())
             paper = "interference" if (name, pair) == ("initial", "panel 1 - panel 2") else None
             rows.append(
                 Row(f"Fig. 19: least gap, {pair}, {name} (mm)", paper, least, "chosen", "negative: interference")

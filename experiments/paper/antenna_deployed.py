@@ -58,9 +58,9 @@ def flexible(folder: Path, steps: int, trusses: str = "rigid", **options: Any) -
             folder / f"figure{number + 2}_both phases{suffix}.png",
         )
     draw(motion, theta(motion), "angle of actuator A [rad]", folder / f"figure26_both phases{suffix}.png")
-    found = gaps(motion)
+    clearance = gaps(motion)
     for pair in PAIRS:
-        least = [f"{1e3 * float(gap.min()):.1f}" for gap in found[pair]]
+        least = [f"{1e3 * float(gap.min()):.1f}" for gap in clearance[pair]]
         note = "stowed wider than in phase 1 alone" if pair == PAIRS[0] else ""
         rows.append(Row(f"least gap, {pair}, {', '.join(DESIGNS)} (mm)", None, ", ".join(least), "chosen", note))
     return rows

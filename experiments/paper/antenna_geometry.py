@@ -28,26 +28,26 @@ def figures(
 
     cases   name -> what is changed, options of experiments.models.sar_antenna.build
     """
-    found: dict[str, float | str] = {}
+    numbers: dict[str, float | str] = {}
     reductions = {}
     for name, options in cases.items():
         first, last = integrals(steps, duration, **options)
         reductions[name] = 100.0 * (1.0 - last / first)
-        found |= {f"{name}/initial": first, f"{name}/optimum": last, f"{name}/reduction_percent": reductions[name]}
+        numbers |= {f"{name}/initial": first, f"{name}/optimum": last, f"{name}/reduction_percent": reductions[name]}
         print(f"{name:32s} {first:.5f} -> {last:.6f} J s, reduction {reductions[name]:.1f} %", flush=True)
     mbd.viz.save(bars(reductions), folder / "geometry.png")
     low, high = min(reductions.values()), max(reductions.values())
-    return found | {"sentence": f"reductions of {len(cases)} geometries: {low:.1f} to {high:.1f} % (paper: 95.6)"}
+    return numbers | {"sentence": f"reductions of {len(cases)} geometries: {low:.1f} to {high:.1f} % (paper: 95.6)"}
 
 
 def integrals(steps: int, duration: float, **options: Any) -> tuple[float, float]:
     """Eq. (40) of the start of Table 7 and of `OPTIMUM` [J s]."""
     designs = {ANGLES: torch.stack([mbd.deg(list(x)) for x in (START, OPTIMUM)])}
     system = build(START, **(MODEL | options))
-    given: dict[str, Any] = {"steps": steps, "halvings": 0, "gradients": "none"} | INTEGRATOR[
+    settings: dict[str, Any] = {"steps": steps, "halvings": 0, "gradients": "none"} | INTEGRATOR[
         options.get("trusses", "rigid")
     ]
-    first, last = OBJECTIVE.value(mbd.simulate(system, duration, designs=designs, **given).require_ok()).tolist()
+    first, last = OBJECTIVE.value(mbd.simulate(system, duration, designs=designs, **settings).require_ok()).tolist()
     return first, last
 
 

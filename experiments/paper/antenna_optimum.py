@@ -98,15 +98,15 @@ def starts(count: int, steps: int, **model: Any) -> None:
 
 def discrete(steps: int, **model: Any) -> None:
     """Print the best design in increments of 5 degrees."""
-    found = mbd.optimize_discrete(problem(steps, **model), float(np.radians(5.0)))
-    if found.best is None or found.certificate is None:
-        print(f"{found.status}: {found.message}")
+    result = mbd.optimize_discrete(problem(steps, **model), float(np.radians(5.0)))
+    if result.best is None or result.certificate is None:
+        print(f"{result.status}: {result.message}")
         return
-    verdict = "holds" if found.certificate.holds else "fails"
+    verdict = "holds" if result.certificate.holds else "fails"
     print(
-        f"{found.best.value:.6g} J s at {degrees_text(found.best.x)} deg, {found.analyses} simulations; {found.status}"
+        f"{result.best.value:.6g} J s at {degrees_text(result.best.x)} deg, {result.analyses} simulations; {result.status}"
     )
-    print(f"certificate {verdict}: {found.certificate.neighbors} neighbors, {found.certificate.which}")
+    print(f"certificate {verdict}: {result.certificate.neighbors} neighbors, {result.certificate.which}")
 
 
 def more_angles(steps: int, **model: Any) -> None:
@@ -146,14 +146,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--starts", type=int, default=32)
     parser.add_argument("--vibration", action="store_true", help="14 modes of vibration on 32x16 cells")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
-    model = VIBRATION if given.vibration else MODEL
-    if given.command == "starts":
-        starts(given.starts, given.steps, **model)
+    model = VIBRATION if arguments.vibration else MODEL
+    if arguments.command == "starts":
+        starts(arguments.starts, arguments.steps, **model)
     else:
         commands = {"mmfd": mmfd, "discrete": discrete, "angles": more_angles, "trusses": trusses, "cost": cost}
-        commands[given.command](given.steps, **model)
+        commands[arguments.command](arguments.steps, **model)
 
 
 if __name__ == "__main__":

@@ -78,9 +78,9 @@ def times(steps: int) -> None:
     print("design     theta = 0 (s)  reference  difference")
     for name, angles in LAYUPS.items():
         motion = mbd.simulate(build(angles), 8.4, steps=round(8.4 * steps), halvings=0, gradients="none")
-        found = reaches_zero(motion)
+        deployed = reaches_zero(motion)
         print(
-            f"{name:9s}  {found:13.2f}  {REFERENCE_TIMES[name]:9.2f}  {found - REFERENCE_TIMES[name]:+10.2f}",
+            f"{name:9s}  {deployed:13.2f}  {REFERENCE_TIMES[name]:9.2f}  {deployed - REFERENCE_TIMES[name]:+10.2f}",
             flush=True,
         )
 
@@ -106,12 +106,12 @@ def integrals(steps: int, study: bool, law: str, trusses: str) -> None:
             motion = mbd.simulate(
                 system, DURATION, steps=round(DURATION * often), halvings=0, gradients="none", **INTEGRATOR[trusses]
             )
-            total, own = shares(motion)
+            total, share = shares(motion)
             totals.setdefault(name, total)
             print(
                 f"{name}  {reduction:14s}  {modes:5d}  {cells[0]}x{cells[1]:<3d}  {law:10s}  "
                 f"{trusses:7s}  {total:.6f}  {total / reference:11.3f}  {total / PAPER[name]:7.3f}  "
-                f"{own:.3f} ({SHARE[name]})    {time.perf_counter() - start:8.1f}",
+                f"{share:.3f} ({SHARE[name]})    {time.perf_counter() - start:8.1f}",
                 flush=True,
             )
     print(f"reduction {100 * (1 - totals['optimum'] / totals['initial']):.1f} % (reference 96.0, paper 95.6)")
@@ -150,15 +150,15 @@ def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 
     """Largest difference of the gradient of eq. (40) from central differences, over its largest entry; prints both."""
     located = options.get("law") == "sharp"
     system = build(angles, **options)
-    given: dict[str, Any] = {"steps": steps, "iterations": (5, 2)} | (
+    settings: dict[str, Any] = {"steps": steps, "iterations": (5, 2)} | (
         {"phases": jumps()} if located else {"halvings": 0}
     )
-    motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **given).require_ok()
+    motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **settings).require_ok()
     value, exact = OBJECTIVE.value_and_gradient(motion)
     assert exact is not None
     offsets = step * torch.cat([torch.eye(2, dtype=exact.dtype), -torch.eye(2, dtype=exact.dtype)])
     designs = {ANGLES: mbd.deg(list(angles)) + offsets}
-    f = OBJECTIVE.value(mbd.simulate(system, DURATION, designs=designs, gradients="none", **given).require_ok())
+    f = OBJECTIVE.value(mbd.simulate(system, DURATION, designs=designs, gradients="none", **settings).require_ok())
     differences = (f[:2] - f[2:]) / (2 * step)
     error = float((exact[0] - differences).abs().max() / differences.abs().max())
     print(f"J {float(value):.6g} J s, gradient {exact[0].tolist()}, differences {differences.tolist()}: {error:.1e}")
@@ -183,21 +183,21 @@ def main() -> None:
     parser.add_argument("--design", choices=tuple(LAYUPS), default="initial", help="animate: which")
     parser.add_argument("--duration", type=float, default=DURATION, help="clearance, animate [s]")
     parser.add_argument("--output", default="sar_antenna.html")
-    given = parser.parse_args()
-    if given.command == "describe":
-        print(unlocked().describe(), build(LAYUPS[given.design]).describe(), sep="\n\nPhase 1\n")
-    elif given.command == "times":
-        times(given.steps)
-    elif given.command == "integrals":
-        integrals(given.steps, given.study, given.law, given.trusses)
-    elif given.command == "failures":
-        failures(given.steps)
-    elif given.command == "clearance":
-        clearance(given.steps, given.duration)
-    elif given.command == "gradient":
-        gradient(round(DURATION * given.steps), law=given.law)
+    arguments = parser.parse_args()
+    if arguments.command == "describe":
+        print(unlocked().describe(), build(LAYUPS[arguments.design]).describe(), sep="\n\nPhase 1\n")
+    elif arguments.command == "times":
+        times(arguments.steps)
+    elif arguments.command == "integrals":
+        integrals(arguments.steps, arguments.study, arguments.law, arguments.trusses)
+    elif arguments.command == "failures":
+        failures(arguments.steps)
+    elif arguments.command == "clearance":
+        clearance(arguments.steps, arguments.duration)
+    elif arguments.command == "gradient":
+        gradient(round(DURATION * arguments.steps), law=arguments.law)
     else:
-        animate(given.output, given.design, given.duration, given.steps)
+        animate(arguments.output, arguments.design, arguments.duration, arguments.steps)
 
 
 if __name__ == "__main__":

@@ -67,15 +67,15 @@ class Within:
         self.evaluate = problem.evaluate
 
 
-def lines(found: DiscreteResult, complete: Enumeration | None) -> list[str]:
+def lines(result: DiscreteResult, complete: Enumeration | None) -> list[str]:
     """What there is to say of one search."""
-    best, rounded, certificate = found.best, found.rounded, found.certificate
+    best, rounded, certificate = result.best, result.rounded, result.certificate
     if best is None or rounded is None or certificate is None:
-        return [f"{found.status}: {found.message}"]
-    size = complete.size if complete else found.size
+        return [f"{result.status}: {result.message}"]
+    size = complete.size if complete else result.size
     said = [
-        f"  discrete search  {best.value:.6g} at {_angles(best.x)}  {found.analyses} simulations, "
-        f"{100 * found.analyses / size:.2f} % of {size:.0f}; {found.boxes} boxes; {found.status}",
+        f"  discrete search  {best.value:.6g} at {_angles(best.x)}  {result.analyses} simulations, "
+        f"{100 * result.analyses / size:.2f} % of {size:.0f}; {result.boxes} boxes; {result.status}",
         f"  plain rounding   {rounded.value:.6g} at {_angles(rounded.x)}  {100 * (rounded.value / best.value - 1):+.2f} %"
         f"{'' if rounded.violation <= 1e-6 else f', violates a constraint by {rounded.violation:.2g}'}",
         f"  certificate      {'holds' if certificate.holds else 'fails'}: {certificate.neighbors} neighbors, "
@@ -104,10 +104,12 @@ def main() -> None:
     parser.add_argument("--tables", default="3,5,3f", help="whose criteria to minimize: 3, 4, 5, 3f")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    given = {f"Table {table}": problem_of(table, arguments.layers, **COARSE) for table in arguments.tables.split(",")}
+    problems = {
+        f"Table {table}": problem_of(table, arguments.layers, **COARSE) for table in arguments.tables.split(",")
+    }
     print(f"{arguments.layers} layers in steps of {arguments.increment:g} within {arguments.limit:g} degrees; {COARSE}")
     results = {}
-    for name, problem in given.items():
+    for name, problem in problems.items():
         began = time.perf_counter()
         starts = mbd.sobol(arguments.starts, seed=7, include_initial=True)
         within = Within(problem, arguments.limit)
@@ -116,10 +118,10 @@ def main() -> None:
             print(f"{name}: {time.perf_counter() - began:.0f} s", *lines(results[name], None), sep="\n", flush=True)
     if arguments.enumerate:
         began = time.perf_counter()
-        complete = enumerate_all(given, arguments.increment, arguments.limit)
+        complete = enumerate_all(problems, arguments.increment, arguments.limit)
         print(f"all designs in {time.perf_counter() - began:.0f} s")
-        for name, found in results.items():
-            print(f"{name}:", *lines(found, complete[name]), sep="\n", flush=True)
+        for name, result in results.items():
+            print(f"{name}:", *lines(result, complete[name]), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

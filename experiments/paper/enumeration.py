@@ -48,8 +48,8 @@ class Enumeration:
         least = table.copy()
         for axis in range(table.ndim):
             least = np.minimum(least, np.minimum(np.roll(least, 1, axis), np.roll(least, -1, axis)))
-        kept = np.flatnonzero((self.value <= least[tuple((steps % turn).T)]) & np.isfinite(self.value))
-        return kept[np.argsort(self.value[kept], kind="stable")]
+        finite = np.flatnonzero((self.value <= least[tuple((steps % turn).T)]) & np.isfinite(self.value))
+        return finite[np.argsort(self.value[finite], kind="stable")]
 
 
 def grid(layers: int, increment: float, limit: float = 90.0) -> tuple[np.ndarray, int]:

@@ -71,9 +71,9 @@ class Rod:
         """Time [s]; by place of the node the deflection [m] and its sensitivity [m/rad], by direct differentiation."""
         system = build(1, [self.degrees], self.cells, updated=updated)
         motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **self.options).require_ok()
-        found = {place: differentiate(lambda m, place=place: deflection(m, place), motion) for place in PLACES}
-        values = {place: x.value[0].numpy() for place, x in found.items()}
-        slopes = {place: x.gradient[0, :, 0].numpy() for place, x in found.items() if x.gradient is not None}
+        responses = {place: differentiate(lambda m, place=place: deflection(m, place), motion) for place in PLACES}
+        values = {place: x.value[0].numpy() for place, x in responses.items()}
+        slopes = {place: x.gradient[0, :, 0].numpy() for place, x in responses.items() if x.gradient is not None}
         return motion.t.numpy(), values, slopes
 
     def forward_differences(self, place: str) -> dict[float, np.ndarray]:
@@ -82,8 +82,8 @@ class Rod:
         steps = np.array(STEPS)[:, None]
 
         def values(designs: np.ndarray) -> np.ndarray:
-            given = {ANGLES: torch.from_numpy(designs)}
-            motion = mbd.simulate(system, DURATION, designs=given, gradients="none", **self.options)
+            values = {ANGLES: torch.from_numpy(designs)}
+            motion = mbd.simulate(system, DURATION, designs=values, gradients="none", **self.options)
             return deflection(motion.require_ok(), place).numpy()
 
         at = np.full_like(steps, np.radians(self.degrees))
@@ -116,7 +116,7 @@ def largest(x: np.ndarray) -> float:
 
 def fixed_against_updated(folder: Path, cells: tuple[int, int], steps: int) -> dict[str, float]:
     """Figs. 4 and 5, and the same numbers for the other lay-ups; everything per unit of the largest deflection."""
-    found = {}
+    numbers = {}
     print("lay-up        node     max |sensitivity| [1/rad]  by fixed modes  largest difference  of the largest")
     for number, degrees in LAYUPS.items():
         rod = Rod(number, cells, steps)
@@ -128,17 +128,17 @@ def fixed_against_updated(folder: Path, cells: tuple[int, int], steps: int) -> d
             share = f"{100 * difference / largest(updated):9.2f} %" if largest(updated) > 1e-9 else "     (zero)"
             sizes = f"{largest(updated):12.3e} {largest(fixed):26.3e} {difference:18.3e}"
             print(f"{number} ({degrees:4.0f} deg)  {place:7s} {sizes}  {share}", flush=True)
-            found[f"layup_{number}_{place}_sensitivity"] = largest(updated)
-            found[f"layup_{number}_{place}_fixed_minus_updated"] = difference
+            numbers[f"layup_{number}_{place}_sensitivity"] = largest(updated)
+            numbers[f"layup_{number}_{place}_fixed_minus_updated"] = difference
             if place == "edge" and number in (1, 7):
                 title = f"lay-up {number}: {degrees:g} degrees, mid node of the long edge"
                 save(curves(t, {"updated modes": updated, "fixed modes": fixed}, title), folder / FIGURES[number])
-    return found
+    return numbers
 
 
 def direct_against_differences(folder: Path, cells: tuple[int, int], steps: int) -> dict[str, float]:
     """Figs. 6 and 7, and the error of every step."""
-    found = {}
+    numbers = {}
     print("\nlay-up        step [rad]   largest difference from direct differentiation, of the largest")
     for number in (2, 6):
         rod = Rod(number, cells, steps)
@@ -148,12 +148,12 @@ def direct_against_differences(folder: Path, cells: tuple[int, int], steps: int)
         for step, slope in by_step.items():
             error = largest(slope - exact) / largest(exact)
             print(f"{number} ({rod.degrees:4.0f} deg)  {step:8.0e} {100 * error:14.2g} %", flush=True)
-            found[f"layup_{number}_step_{step:.0e}"] = error
+            numbers[f"layup_{number}_step_{step:.0e}"] = error
         lines = {"direct differentiation": exact / size}
         lines |= {f"forward difference, {step:g} rad": by_step[step] / size for step in DRAWN}
         title = f"lay-up {number}: {rod.degrees:g} degrees, mid node of the center line"
         save(curves(t, lines, title), folder / FIGURES[number])
-    return found
+    return numbers
 
 
 def save(figure: Figure, path: Path) -> None:

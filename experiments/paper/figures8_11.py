@@ -98,16 +98,16 @@ def figures(
 ) -> dict[str, float | str]:
     """All four figures into the folder; returns the numbers that they show, and what they say in a sentence."""
     options: dict[str, Any] = {"cells": tuple(cells), "modes": modes, "steps": steps}
-    found: dict[str, float | str] = {**over_the_angle(folder, increment, **options)}
-    found |= over_time(folder, max_iterations, **options)
-    found |= over_iterations(folder, max_iterations, **options)
+    numbers: dict[str, float | str] = {**over_the_angle(folder, increment, **options)}
+    numbers |= over_time(folder, max_iterations, **options)
+    numbers |= over_iterations(folder, max_iterations, **options)
     sentence = (
-        f"Minima over the angle of one layer: integral of U {found['figure8_minima']}; weighted sum "
-        f"{found['figure11_minima']}. Peak of U of three layers: {found['figure9_peak_start_design']:.4f} J at the start, "
-        f"{found['figure9_peak_least_integral']:.4f} J with the least integral, "
-        f"{found['figure9_peak_least_peak']:.4f} J with the least peak."
+        f"Minima over the angle of one layer: integral of U {numbers['figure8_minima']}; weighted sum "
+        f"{numbers['figure11_minima']}. Peak of U of three layers: {numbers['figure9_peak_start_design']:.4f} J at the start, "
+        f"{numbers['figure9_peak_least_integral']:.4f} J with the least integral, "
+        f"{numbers['figure9_peak_least_peak']:.4f} J with the least peak."
     )
-    return {**found, "sentence": sentence}
+    return {**numbers, "sentence": sentence}
 
 
 def main() -> None:
@@ -117,8 +117,8 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     arguments.folder.mkdir(parents=True, exist_ok=True)
-    found = figures(arguments.folder, steps=arguments.steps)
-    for name, value in found.items():
+    numbers = figures(arguments.folder, steps=arguments.steps)
+    for name, value in numbers.items():
         print(f"{name}: {value if isinstance(value, str) else f'{value:.6g}'}")
 
 

@@ -41,8 +41,8 @@ def differences(p: mbd.Problem, x: list[float], h: float) -> np.ndarray:
     """Fourth-order central differences [2, n], all perturbed designs in one batch."""
     n = len(x)
     shifts = np.concatenate([k * h * np.eye(n) for k in (-2, -1, 1, 2)])
-    found = p.evaluate(np.array(x) + shifts, gradients=False)
-    f = np.array([[e.objective, *e.constraints] for e in found]).reshape(4, n, 2)
+    evaluations = p.evaluate(np.array(x) + shifts, gradients=False)
+    f = np.array([[e.objective, *e.constraints] for e in evaluations]).reshape(4, n, 2)
     return ((f[0] - f[3] + 8 * (f[2] - f[1])) / (12 * h)).T
 
 

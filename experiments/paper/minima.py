@@ -74,11 +74,13 @@ def beside_evolution(coarse: mbd.Problem, starts: int, generations: int, populat
     without = mbd.optimize(coarse, "differential_evolution", max_iterations=generations, population=population)
     assert study.best is not None
     target = 1.001 * min(study.best.value, without.value)
-    one = sorted(n for r in study.results if (n := simulations_to(target, [r])) is not None)
-    said = f"{len(one)} of {starts} starts, each after {one[0]} to {one[-1]} of its own" if one else "no start"
+    counts = sorted(n for r in study.results if (n := simulations_to(target, [r])) is not None)
+    sentence = (
+        f"{len(counts)} of {starts} starts, each after {counts[0]} to {counts[-1]} of its own" if counts else "no start"
+    )
     return [
         f"{starts} starts with gradients: {study.best.value:.7g} at {angles(study.best.x)} in {study.analyses} simulations; "
-        f"within 0.1 % of the best after {simulations_to(target, study.results)} of all: {said}",
+        f"within 0.1 % of the best after {simulations_to(target, study.results)} of all: {sentence}",
         f"differential evolution: {without.value:.7g} at {angles(without.x)} in {without.analyses} simulations; "
         f"within 0.1 % of the best after {simulations_to(target, [without])}",
     ]

@@ -97,8 +97,8 @@ class Finding:
 def find(part: Part, store: Path, fresh: bool = False) -> Finding:
     """The part from the store, or computed and kept there; `fresh`: computed again."""
     folder = store / part.name / part.key
-    kept = (folder / _DONE).exists() and not fresh
-    if not kept:
+    stored = (folder / _DONE).exists() and not fresh
+    if not stored:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         began = time.perf_counter()
@@ -107,9 +107,9 @@ def find(part: Part, store: Path, fresh: bool = False) -> Finding:
         unfinished = folder / f"{_DONE}.part"
         unfinished.write_text(text, encoding="utf-8")
         unfinished.replace(folder / _DONE)
-    found = json.loads((folder / _DONE).read_text(encoding="utf-8"))
-    rows = [Row(**row) for row in found["rows"]]
-    return Finding(part, rows, sorted(folder.glob("*.png"), key=_number), found["seconds"], kept)
+    record = json.loads((folder / _DONE).read_text(encoding="utf-8"))
+    rows = [Row(**row) for row in record["rows"]]
+    return Finding(part, rows, sorted(folder.glob("*.png"), key=_number), record["seconds"], stored)
 
 
 def _number(file: Path) -> tuple[int, str]:
@@ -129,7 +129,7 @@ def _library() -> str:
 
 
 def _source(module: str) -> str:
-    found = importlib.util.find_spec(module)
-    if found is None or found.origin is None:
+    source = importlib.util.find_spec(module)
+    if source is None or source.origin is None:
         raise mbd.InputError(f"module {module!r} of a part has no source; allowed: modules of this repository")
-    return hashlib.sha256(Path(found.origin).read_bytes()).hexdigest()
+    return hashlib.sha256(Path(source.origin).read_bytes()).hexdigest()

@@ -27,9 +27,9 @@ def sampled(
     inside = rng.uniform(-d, d, (count, x.size))
     edges = rng.uniform(-d, d, (count // 4, x.size))
     edges[np.arange(len(edges)), rng.integers(0, x.size, len(edges))] = d * rng.choice([-1.0, 1.0], len(edges))
-    found = problem.evaluate(x + np.vstack([inside, edges]), gradients=False)
-    f = np.array([e.objective for e in found])
-    violation = max(float(e.constraints.max(initial=0.0)) for e in found)
+    evaluations = problem.evaluate(x + np.vstack([inside, edges]), gradients=False)
+    f = np.array([e.objective for e in evaluations])
+    violation = max(float(e.constraints.max(initial=0.0)) for e in evaluations)
     return float(f[:count].mean()), float(f[:count].std() / np.sqrt(count)), float(f.max()), violation
 
 

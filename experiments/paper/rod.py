@@ -42,11 +42,11 @@ def least_integral(folder: Path, **options: Any) -> list[Row]:
     """Table 3."""
     rows = []
     for layers, (start, initial, optimum, reduction, layup) in table3.PAPER.items():
-        found = mbd.optimize(table3.problem(layers, start, **options), method="mmfd")
+        result = mbd.optimize(table3.problem(layers, start, **options), method="mmfd")
         note = ""
         if layers == 3:
             note = "the printed optimum lies above the printed one of L1, which is a design of L3 too: a local minimum"
-        rows += reduced(f"L{layers}: integral of U (J s)", (initial / 2, optimum / 2, reduction, layup), found, note)
+        rows += reduced(f"L{layers}: integral of U (J s)", (initial / 2, optimum / 2, reduction, layup), result, note)
     return rows
 
 
@@ -61,10 +61,10 @@ def least_peak(folder: Path, **options: Any) -> list[Row]:
             ends[formulation] = mbd.optimize(p, method="mmfd")
             first = float(mbd.Max(table4.ENERGY).value(p.motion(p.start))[0])
         ends["bound from there"] = table4.refined(layers, start, ends["direct"].x, **options)
-        for name, found in ends.items():
-            rows += reduced(f"L{layers}, {name}: peak of U (J)", printed, found, NOTES[name], first)
-            if found.names[-1] == "bound":
-                rows.append(Row(f"L{layers}, {name}: beta", beta, float(found.x[-1]), "inferred", NOTES[name]))
+        for name, result in ends.items():
+            rows += reduced(f"L{layers}, {name}: peak of U (J)", printed, result, NOTES[name], first)
+            if result.names[-1] == "bound":
+                rows.append(Row(f"L{layers}, {name}: beta", beta, float(result.x[-1]), "inferred", NOTES[name]))
     return rows
 
 
@@ -72,28 +72,28 @@ def energy_and_torsion(folder: Path, **options: Any) -> list[Row]:
     """Table 5; nodes and normalization of the criteria are not printed."""
     rows = []
     for layers, (start, optimum, reduction, layup) in table5.PAPER.items():
-        found = mbd.optimize(table5.problem(layers, start, "together", **options), method="mmfd")
+        result = mbd.optimize(table5.problem(layers, start, "together", **options), method="mmfd")
         note = "normalization inferred; the paper's optimization ended in a local minimum" if layers == 1 else ""
-        rows += reduced(f"L{layers}: weighted sum (1 at the start)", (1.0, optimum, reduction, layup), found, note)
+        rows += reduced(f"L{layers}: weighted sum (1 at the start)", (1.0, optimum, reduction, layup), result, note)
     return rows
 
 
 def reduced(
     what: str,
     printed: tuple[float, float, float, str],
-    found: mbd.OptimizationResult,
+    result: mbd.OptimizationResult,
     note: str = "",
     first: float | None = None,
 ) -> list[Row]:
     """Start, optimum, reduction [%] and design of an optimization beside the printed ones."""
-    first = found.history[0].objective if first is None else first
+    first = result.history[0].objective if first is None else first
     initial, optimum, reduction, layup = printed
-    x = found.x[:-1] if found.names[-1] == "bound" else found.x
+    x = result.x[:-1] if result.names[-1] == "bound" else result.x
     return [
         Row(f"{what}, start", initial, first, "inferred"),
-        Row(f"{what}, optimum", optimum, found.value, "inferred", note),
-        Row(f"{what}, reduction (%)", reduction, 100.0 * (1.0 - found.value / first), "inferred"),
-        Row(f"{what}, optimum (deg)", layup, angles(np.degrees(x)), "inferred", f"{found.analyses} analyses"),
+        Row(f"{what}, optimum", optimum, result.value, "inferred", note),
+        Row(f"{what}, reduction (%)", reduction, 100.0 * (1.0 - result.value / first), "inferred"),
+        Row(f"{what}, optimum (deg)", layup, angles(np.degrees(x)), "inferred", f"{result.analyses} analyses"),
     ]
 
 
@@ -115,8 +115,8 @@ def sensitivities(folder: Path, cells: tuple[int, int], steps: int) -> list[Row]
     )
     for layup, angle in ((2, "15 deg"), (6, "75 deg")):
         errors = [float(x) for name, x in shown.items() if name.startswith(f"layup_{layup}_step_")]
-        found = f"{min(errors):.1g} to {max(errors):.1g}"
-        rows.append(Row(f"errors of forward differences at {angle}", "depend on the step", found, "inferred"))
+        result = f"{min(errors):.1g} to {max(errors):.1g}"
+        rows.append(Row(f"errors of forward differences at {angle}", "depend on the step", result, "inferred"))
     return rows
 
 

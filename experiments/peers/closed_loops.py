@@ -31,23 +31,23 @@ HELD = (1, 1, 1)
 
 def _edges() -> list[tuple[tuple[int, ...], tuple[int, ...], int]]:
     """Corners and axis of each link."""
-    found = []
+    edges = []
     for axis in range(3):
         for a in CORNERS:
             if not a[axis]:
-                found.append((a, (*a[:axis], 1, *a[axis + 1 :]), axis))
-    return found
+                edges.append((a, (*a[:axis], 1, *a[axis + 1 :]), axis))
+    return edges
 
 
 def _springs() -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
     """One diagonal of each face."""
-    found = []
+    pairs = []
     for axis in range(3):
         for side in (0, 1):
             a, b = [0, 0, 0], [1, 1, 1]
             a[axis] = b[axis] = side
-            found.append((tuple(a), tuple(b)))
-    return found
+            pairs.append((tuple(a), tuple(b)))
+    return pairs
 
 
 def _place(corner: tuple[int, ...]) -> np.ndarray:
@@ -100,10 +100,10 @@ def peer(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[fl
     mesh = system.body("link0").mesh
     left, right = mesh.node("left"), mesh.node("right")
 
-    def run(own: list[ReducedBody], duration: float, steps: int) -> Run:
+    def run(links: list[ReducedBody], duration: float, steps: int) -> Run:
         model = Model(GRAVITY)
         hubs = {corner: model.point(model.mass(HUB, _place(corner))) for corner in CORNERS}
-        for link, (a, b, _) in zip(own, edges, strict=True):
+        for link, (a, b, _) in zip(links, edges, strict=True):
             number = model.flexible(link, _place(a) - link.axes @ link.nodes[left])
             model.spherical(hubs[a], model.node(number, left))
             model.spherical(model.node(number, right), hubs[b])
@@ -117,4 +117,4 @@ def peer(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[fl
         return model.solve(duration, steps)
 
     each = [[lane[min(i, len(lane) - 1)] for lane in links] for i in range(lanes)]
-    return [lambda duration, steps, own=own: run(own, duration, steps) for own in each]
+    return [lambda duration, steps, links=links: run(links, duration, steps) for links in each]

@@ -72,8 +72,8 @@ def _run(rod: Rod, observed: Callable[[Tensor], Tensor], cable: bool, duration: 
     seconds = solve(exu, mbs, duration, steps)
     if seconds is None:
         return Run(np.linspace(0.0, duration, steps + 1), np.full(steps + 1, np.nan), np.nan)
-    found = np.stack([np.asarray(mbs.GetSensorStoredData(sensor)) for sensor in sensors])
-    return Run(found[0, :, 0], observed(torch.from_numpy(found[:, :, 1:])).numpy(), seconds)
+    samples = np.stack([np.asarray(mbs.GetSensorStoredData(sensor)) for sensor in sensors])
+    return Run(samples[0, :, 0], observed(torch.from_numpy(samples[:, :, 1:])).numpy(), seconds)
 
 
 def exact_beam(mbs: Any, items: Any, exu: Any, rod: Rod, start: float = CRANK, length: float = ROD) -> list[Any]:

@@ -33,12 +33,12 @@ def compare(system: mbd.System, peer: str, name: str, node: str, duration: float
     motion = mbd.simulate(system, duration, steps=steps, gradients="none").require_ok()
     body = motion.body(name)
     U, place = body.strain_energy[0].numpy(), body.at(node).position[0].numpy()
-    found = getattr(exudyn_peer, peer)(system, {})[0](duration, steps)
-    integrals = tuple(float(np.trapezoid(x, found.t)) for x in (U, found.U))
+    run = getattr(exudyn_peer, peer)(system, {})[0](duration, steps)
+    integrals = tuple(float(np.trapezoid(x, run.t)) for x in (U, run.U))
     return Comparison(
-        float(np.abs(found.U - U).max() / U.max()),
-        float(np.abs(found.places[0] - place).max() / np.abs(place - place[0]).max()),
-        (float(U.max()), float(found.U.max())),
+        float(np.abs(run.U - U).max() / U.max()),
+        float(np.abs(run.places[0] - place).max() / np.abs(place - place[0]).max()),
+        (float(U.max()), float(run.U.max())),
         (integrals[0], integrals[1]),
     )
 
@@ -59,9 +59,9 @@ def main() -> None:
         parser.error("the package exudyn is not installed: pip install exudyn")
     torch.set_num_threads(1)
     print("mechanism      max U [J]            integral of U [J s]        largest difference of U, of a place")
-    for name, found in both().items():
-        peaks, integrals = ("  ".join(f"{x:.6g}" for x in pair) for pair in (found.peaks, found.integrals))
-        print(f"{name:13s}  {peaks:20s} {integrals:26s} {found.energy:.1e}, {found.place:.1e}")
+    for name, comparison in both().items():
+        peaks, integrals = ("  ".join(f"{x:.6g}" for x in pair) for pair in (comparison.peaks, comparison.integrals))
+        print(f"{name:13s}  {peaks:20s} {integrals:26s} {comparison.energy:.1e}, {comparison.place:.1e}")
 
 
 if __name__ == "__main__":

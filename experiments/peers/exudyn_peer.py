@@ -73,11 +73,11 @@ class _Masses(nn.Module):
 def reduced(system: mbd.System, name: str, designs: Mapping[str, Tensor]) -> list[ReducedBody]:
     """The structure stage of one body for a batch of designs, parameter name -> [lanes, ...]."""
     body: Any = system.body(name)
-    own = {key.replace(f"{name}.", "body.", 1): x for key, x in designs.items() if key.startswith(f"{name}.")}
+    parameters = {key.replace(f"{name}.", "body.", 1): x for key, x in designs.items() if key.startswith(f"{name}.")}
     with torch.no_grad():
         stage = functional_call(system, dict(designs), (name,))
-        mass, rotary = functional_call(_Masses(body), own, ())
-    lanes = max([x.shape[0] for x in own.values()], default=1)
+        mass, rotary = functional_call(_Masses(body), parameters, ())
+    lanes = max([x.shape[0] for x in parameters.values()], default=1)
 
     def of(x: Tensor, rank: int, lane: int) -> np.ndarray:
         return (x if x.dim() == rank else x[lane]).numpy()
@@ -150,9 +150,9 @@ class Model:
         items = load(".itemInterface")
 
         node = self.mbs.AddNode(items.NodePoint(referenceCoordinates=list(position)))
-        found = self._add("MassPoint", mass=mass, nodeNumber=node)
-        self.push(self.point(found), [0.0, -mass * self.gravity, 0.0])
-        return found
+        number = self._add("MassPoint", mass=mass, nodeNumber=node)
+        self.push(self.point(number), [0.0, -mass * self.gravity, 0.0])
+        return number
 
     def spring(self, a: Any, b: Any, stiffness: float, damping: float, length: float) -> None:
         """Spring and damper along the line of two markers."""
@@ -199,7 +199,7 @@ class Model:
         cms.stiffnessMatrixReduced = body.stiffness
         cms.massMatrixReduced = np.eye(len(body.stiffness))
         cms.inertiaLocal = cms.inertiaLocal + body.rotary * np.eye(3)
-        found = cms.AddObjectFFRFreducedOrder(
+        numbers = cms.AddObjectFFRFreducedOrder(
             self.mbs,
             positionRef=position,
             initialVelocity=np.zeros(3) if velocity is None else velocity,
@@ -208,9 +208,9 @@ class Model:
             gravity=[0.0, -self.gravity, 0.0],
         )
         kind = self.exu.OutputVariableType.Coordinates
-        sensor = items.SensorNode(nodeNumber=found["nGenericODE2"], storeInternal=True, outputVariableType=kind)
+        sensor = items.SensorNode(nodeNumber=numbers["nGenericODE2"], storeInternal=True, outputVariableType=kind)
         self.energies.append((self.mbs.AddSensor(sensor), body.stiffness))
-        return found["oFFRFreducedOrder"]
+        return numbers["oFFRFreducedOrder"]
 
     def _coordinate(self, velocity: float) -> Any:
         items = load(".itemInterface")
@@ -257,10 +257,10 @@ class Model:
             nothing = np.full(steps + 1, np.nan)
             return Run(np.linspace(0.0, duration, steps + 1), nothing, time.process_time() - start)
         seconds = time.process_time() - start
-        found = [(np.asarray(self.mbs.GetSensorStoredData(number)), K) for number, K in self.energies]
-        U = sum(0.5 * np.einsum("ti,ij,tj->t", x[:, 1:], K, x[:, 1:]) for x, K in found)
+        histories = [(np.asarray(self.mbs.GetSensorStoredData(number)), K) for number, K in self.energies]
+        U = sum(0.5 * np.einsum("ti,ij,tj->t", x[:, 1:], K, x[:, 1:]) for x, K in histories)
         places = tuple(np.asarray(self.mbs.GetSensorStoredData(number))[:, 1:] for number in self.watched)
-        return Run(found[0][0][:, 0], np.asarray(U), seconds, places)
+        return Run(histories[0][0][:, 0], np.asarray(U), seconds, places)
 
 
 def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
@@ -323,9 +323,9 @@ def panel(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[f
     places = [x.numpy() for x in corners(body)]
     ball, *ends = (body.mesh.node(corner) for corner in CORNERS)
 
-    def run(own: ReducedBody, duration: float, steps: int) -> Run:
+    def run(reduced: ReducedBody, duration: float, steps: int) -> Run:
         model = Model()
-        number = model.flexible(own, body.position.numpy())
+        number = model.flexible(reduced, body.position.numpy())
         model.spherical(model.point(model.ground, places[0]), model.node(number, ball))
         for node, place, arm in zip(ends, places[1:], LINKS, strict=True):
             length = float(np.linalg.norm(arm))

@@ -51,8 +51,8 @@ def segments(models: Path, count: int) -> mbd.System:
     numbers = yaml.safe_load((at / "flexibility_params.yml").read_text())
     passive = [joint for joint in parts["joints"] if joint.name.startswith("passive")]
     for link in "23":
-        own = [joint for joint in passive if joint.name.startswith("passive_joint3_") == (link == "3")]
-        for joint, k, c in zip(own, numbers[f"K{link}"], numbers[f"D{link}"], strict=True):
+        joints = [joint for joint in passive if joint.name.startswith("passive_joint3_") == (link == "3")]
+        for joint, k, c in zip(joints, numbers[f"K{link}"], numbers[f"D{link}"], strict=True):
             name = f"{joint.name}_spring"
             parts["forces"].append(mbd.RotationalSpringDamper(joint.a, joint.b, "z", stiffness=k, damping=c, name=name))
     return mbd.System(**parts)

@@ -126,15 +126,21 @@ def mass(table: mbd.SectionTable, length: float = 117.0) -> float:
 def frequencies(root: Path) -> None:
     """Print the first frequencies at rest and at rated speed."""
     blade = mbd.read_windio(root / BLADE)
-    own = mbd.SectionTable(list(SPAN), [blade.section(position) for position in SPAN])
+    sections = mbd.SectionTable(list(SPAN), [blade.section(position) for position in SPAN])
     print(f"{'[Hz]':28}{'flap 1':>9}{'edge 1':>9}{'flap 2':>9}{'edge 2':>9}{'flap 3':>9}{'mass [kg]':>12}")
     print(f"{'published, at rest':28}" + "".join(f"{x:9.3f}" for x in PUBLISHED) + f"{'':27}{PUBLISHED_MASS:12.0f}")
-    for name, table in (("BeamDyn's table", beamdyn(root)), ("our sections", own), ("ElastoDyn's table", plain(root))):
-        made = beam(root, table)
+    for name, table in (
+        ("BeamDyn's table", beamdyn(root)),
+        ("our sections", sections),
+        ("ElastoDyn's table", plain(root)),
+    ):
+        body = beam(root, table)
         for words, spin in (("at rest", 0.0), ("at 7.56 rpm", RATED)):
             with torch.no_grad():
-                found, state = made.frequencies(5, spin=(spin, 0.0, 0.0))
-            print(f"{name + ', ' + words:28}" + "".join(f"{float(x):9.3f}" for x in found) + f"{mass(table):12.0f}")
+                frequencies, state = body.frequencies(5, spin=(spin, 0.0, 0.0))
+            print(
+                f"{name + ', ' + words:28}" + "".join(f"{float(x):9.3f}" for x in frequencies) + f"{mass(table):12.0f}"
+            )
             assert state.status == "ok"
 
 

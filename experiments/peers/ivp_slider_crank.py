@@ -78,15 +78,15 @@ def rod(nonlinear: bool) -> Rod:
 
 def build(nonlinear: bool = False) -> mbd.System:
     """Our system: a rigid crank, the reduced rod in its frame from pin to pin, a slider."""
-    own = rod(nonlinear)
+    beam = rod(nonlinear)
     x = np.linspace(0.0, L2, 5)
     shapes = np.zeros((5, 3, 4))
     shapes[:, 1, 0], shapes[:, 1, 1] = np.sin(np.pi * x / L2), np.sin(2 * np.pi * x / L2)
     shapes[:, 0, 2], shapes[:, 0, 3] = 4 * x / L2 * (1 - x / L2), x / L2 * (2 * x / L2 - 1)
     S1, C0, C1 = np.zeros((3, 4)), np.zeros((3, 3, 4)), np.zeros((3, 3, 4, 4))
-    S1[0], S1[1], C0[0, 0], C0[1, 0] = own.c1, own.c2, own.c12, own.c21
-    C1[0, 0, 2:, 2:], C1[1, 1, :2, :2] = own.M[2:, 2:], own.M[:2, :2]
-    C1[0, 1, 2:, :2], C1[1, 0, :2, 2:] = own.B[2:, :2], own.B[2:, :2].T
+    S1[0], S1[1], C0[0, 0], C0[1, 0] = beam.c1, beam.c2, beam.c12, beam.c21
+    C1[0, 0, 2:, 2:], C1[1, 1, :2, :2] = beam.M[2:, 2:], beam.M[:2, :2]
+    C1[0, 1, 2:, :2], C1[1, 0, :2, 2:] = beam.B[2:, :2], beam.B[2:, :2].T
     invariants = {"mass": M2, "S0": (M2 * L2 / 2, 0.0, 0.0), "S1": S1, "J": np.diag([1e-5, J2, J2]), "C0": C0, "C1": C1}
     nodes = np.stack([x, 0 * x, 0 * x], 1)
     sets = {"pin": [0], "end": [4]}
@@ -94,15 +94,15 @@ def build(nonlinear: bool = False) -> mbd.System:
         "rod",
         nodes,
         shapes,
-        own.K,
+        beam.K,
         invariants,
         node_sets=sets,
-        K2=own.K2 if nonlinear else None,
+        K2=beam.K2 if nonlinear else None,
         position=(L1, 0.0, 0.0),
     )
     psi = body.structure()["psi"][:, :3].flatten(0, 1)
-    given = torch.from_numpy(shapes).flatten(0, 1) @ torch.tensor([START, START_RATE], dtype=torch.float64).T
-    modal, rate = torch.linalg.lstsq(psi, given).solution.T
+    start = torch.from_numpy(shapes).flatten(0, 1) @ torch.tensor([START, START_RATE], dtype=torch.float64).T
+    modal, rate = torch.linalg.lstsq(psi, start).solution.T
     body.bent(modal, rate)
     crank = mbd.RigidBody("crank", mass=0.36, inertia=(J1, J1, J1))
     slider = mbd.RigidBody("slider", M3, (1e-5, 1e-5, 1e-5), position=(L1 + L2, 0.0, 0.0))
@@ -138,7 +138,7 @@ def ours(nonlinear: bool = False, steps: int = 40_000, duration: float = DURATIO
 
 def reference(nonlinear: bool = False, accuracy: float = 1e-10, duration: float = DURATION) -> dict[str, float]:
     """The equations of the source for phi1, phi2, x3, w1 to w4, with accelerations of the constraints, by DOP853."""
-    own = rod(nonlinear)
+    beam = rod(nonlinear)
     angle = np.array([0.0, 0.0, L1 + L2 + START[3]])
     p0 = np.concatenate([angle, START])
     v0 = np.concatenate([[SPEED, -SPEED * L1 / (L2 + START[3]), START_RATE[3]], START_RATE])
@@ -149,18 +149,18 @@ def reference(nonlinear: bool = False, accuracy: float = 1e-10, duration: float 
         c, s = np.cos(p[0] - p[1]), np.sin(p[0] - p[1])
         A = np.zeros((10, 10))
         A[0, 0], A[2, 2] = J1 + M2 * L1**2, M3
-        A[0, 1] = A[1, 0] = 0.5 * L1 * L2 * M2 * c + L1 * (s * own.c2 @ q + c * own.c1 @ q)
-        A[1, 1] = J2 + q @ own.M @ q + 2 * own.c12 @ q
-        A[0, 3:7] = A[3:7, 0] = L1 * (c * own.c2 - s * own.c1)
-        A[1, 3:7] = A[3:7, 1] = own.c21 + q @ own.B
-        A[3:7, 3:7] = own.M
+        A[0, 1] = A[1, 0] = 0.5 * L1 * L2 * M2 * c + L1 * (s * beam.c2 @ q + c * beam.c1 @ q)
+        A[1, 1] = J2 + q @ beam.M @ q + 2 * beam.c12 @ q
+        A[0, 3:7] = A[3:7, 0] = L1 * (c * beam.c2 - s * beam.c1)
+        A[1, 3:7] = A[3:7, 1] = beam.c21 + q @ beam.B
+        A[3:7, 3:7] = beam.M
         f = np.zeros(10)
-        f[0] = -0.5 * L1 * L2 * M2 * v2**2 * s + L1 * v2**2 * (c * own.c2 - s * own.c1) @ q
-        f[0] -= 2 * L1 * v2 * (c * own.c1 + s * own.c2) @ qd
-        f[1] = 0.5 * L1 * L2 * M2 * v1**2 * s + L1 * v1**2 * (s * own.c1 - c * own.c2) @ q
-        f[1] -= 2 * v2 * (own.c12 @ qd + q @ own.M @ qd) + qd @ own.B @ qd
-        f[3:7] = v2**2 * (own.M @ q + own.c12) + L1 * v1**2 * (c * own.c1 + s * own.c2) + 2 * v2 * own.B @ qd
-        f[3:7] -= own.K @ q + 0.5 * own.K2 @ q @ q
+        f[0] = -0.5 * L1 * L2 * M2 * v2**2 * s + L1 * v2**2 * (c * beam.c2 - s * beam.c1) @ q
+        f[0] -= 2 * L1 * v2 * (c * beam.c1 + s * beam.c2) @ qd
+        f[1] = 0.5 * L1 * L2 * M2 * v1**2 * s + L1 * v1**2 * (s * beam.c1 - c * beam.c2) @ q
+        f[1] -= 2 * v2 * (beam.c12 @ qd + q @ beam.M @ qd) + qd @ beam.B @ qd
+        f[3:7] = v2**2 * (beam.M @ q + beam.c12) + L1 * v1**2 * (c * beam.c1 + s * beam.c2) + 2 * v2 * beam.B @ qd
+        f[3:7] -= beam.K @ q + 0.5 * beam.K2 @ q @ q
         (c1, s1), (c2, s2), l = (np.cos(p[0]), np.sin(p[0])), (np.cos(p[1]), np.sin(p[1])), L2 + q[3]
         G = np.zeros((3, 7))
         G[0, [0, 1, 6]], G[1, [0, 1, 2, 6]], G[2, 0] = (L1 * c1, l * c2, s2), (L1 * s1, l * s2, 1.0, -c2), 1.0
@@ -172,20 +172,20 @@ def reference(nonlinear: bool = False, accuracy: float = 1e-10, duration: float 
     def rates(_: float, y: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([y[7:], accelerations(y)[:7]])
 
-    found = scipy.integrate.solve_ivp(
+    solution = scipy.integrate.solve_ivp(
         rates, (0.0, duration), np.concatenate([p0, v0]), "DOP853", rtol=accuracy, atol=1e-3 * accuracy
     )
-    y = found.y[:, -1]
+    y = solution.y[:, -1]
     return dict(zip(PUBLISHED, [*y[1:7], *accelerations(y)[7:]], strict=True))
 
 
 def main() -> None:
     """Print both rods beside the published numbers and those of `reference`."""
     for nonlinear in (False, True):
-        own, other = ours(nonlinear), reference(nonlinear)
+        mine, other = ours(nonlinear), reference(nonlinear)
         print("quadratic stiffness" if nonlinear else "linear stiffness")
         print(f"{'at 0.1 s':10}{'published':>16}{'reference':>16}{'ours':>16}{'ours / reference - 1':>22}")
-        for name, x in own.items():
+        for name, x in mine.items():
             theirs = "" if nonlinear else f"{PUBLISHED[name]:.8g}"
             print(f"{name:10}{theirs:>16}{other[name]:16.8g}{x:16.8g}{x / other[name] - 1:22.1e}")
 

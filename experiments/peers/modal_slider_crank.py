@@ -165,9 +165,9 @@ def exudyn(steps: int, elements: tuple[int, int] = (20, 40)) -> tuple[Tensor, Te
         if solve(exu, mbs, DURATION, steps, radius=0.6, absolute=1e-5, adaptive=True) is None:
             return None
     rows = np.stack([np.asarray(mbs.GetSensorStoredData(sensor)) for sensor in sensors])
-    found = torch.from_numpy(rows[:, :, 1:])
+    histories = torch.from_numpy(rows[:, :, 1:])
     t = np.linspace(0.0, DURATION, steps + 1)  # it halves its first step, so that its times are others
-    both = (np.interp(t, rows[0, :, 0], x.numpy()) for x in (deflection(found), found[2, :, 0]))
+    both = (np.interp(t, rows[0, :, 0], x.numpy()) for x in (deflection(histories), histories[2, :, 0]))
     bent, way = map(torch.from_numpy, both)
     return bent, way
 

@@ -44,7 +44,7 @@ SHOWN = (
 )
 
 
-def model(path: Path, kept: Robot) -> Any:
+def model(path: Path, robot: Robot) -> Any:
     """MuJoCo's model of a file, with what `kept` has of it."""
     program: Any = importlib.import_module("mujoco")
     spec = program.MjSpec.from_file(str(path))
@@ -55,18 +55,18 @@ def model(path: Path, kept: Robot) -> Any:
         item.material = ""
     for light in spec.lights:
         light.texture = ""
-    made = spec.compile()
-    for numbers in (made.dof_armature, made.body_gravcomp, made.tendon_stiffness, made.tendon_damping):
+    compiled = spec.compile()
+    for numbers in (compiled.dof_armature, compiled.body_gravcomp, compiled.tendon_stiffness, compiled.tendon_damping):
         numbers[:] = 0.0
-    made.jnt_actfrclimited[:] = False
-    made.opt.density = made.opt.viscosity = 0.0
-    made.opt.disableflags |= program.mjtDisableBit.mjDSBL_CONSTRAINT
-    names = {actuator.name for actuator in kept.actuators}
-    for k in range(made.nu):
-        if made.actuator(k).name not in names:
-            made.actuator_gainprm[k] = made.actuator_biasprm[k] = 0.0
-    program.mj_setConst(made, program.MjData(made))
-    return made
+    compiled.jnt_actfrclimited[:] = False
+    compiled.opt.density = compiled.opt.viscosity = 0.0
+    compiled.opt.disableflags |= program.mjtDisableBit.mjDSBL_CONSTRAINT
+    names = {actuator.name for actuator in robot.actuators}
+    for k in range(compiled.nu):
+        if compiled.actuator(k).name not in names:
+            compiled.actuator_gainprm[k] = compiled.actuator_biasprm[k] = 0.0
+    program.mj_setConst(compiled, program.MjData(compiled))
+    return compiled
 
 
 def compared(path: Path, seed: int = 1) -> Compared:
@@ -76,7 +76,9 @@ def compared(path: Path, seed: int = 1) -> Compared:
     theirs = model(path, robot)
     data, generator = program.MjData(theirs), np.random.default_rng(seed)
     order = list(robot.links)  # as in the file, and as MuJoCo counts
-    joints = sorted((own for own in robot.joints if own.kind in MOVING), key=lambda own: order.index(own.child))
+    joints = sorted(
+        (joint for joint in robot.joints if joint.kind in MOVING), key=lambda joint: order.index(joint.child)
+    )
     numbers = [k for k in range(theirs.njnt) if theirs.jnt_type[k] >= int(program.mjtJoint.mjJNT_SLIDE)]
     places: dict[str, float] = {}
     rates: dict[str, float] = {}
@@ -88,12 +90,12 @@ def compared(path: Path, seed: int = 1) -> Compared:
         if not joint.mimics:
             rates[joint.name] = generator.normal() * (0.1 if joint.kind == "prismatic" else 1.0)
             data.qvel[theirs.jnt_dofadr[number]] = rates[joint.name]
-    controls = {own.name: generator.uniform(*(own.limits or (-1.0, 1.0))) for own in robot.actuators}
+    controls = {actuator.name: generator.uniform(*(actuator.limits or (-1.0, 1.0))) for actuator in robot.actuators}
     for k in range(theirs.nu):
         data.ctrl[k] = controls.get(theirs.actuator(k).name, 0.0)
     locked = [joint.name for joint in joints if joint.mimics]
-    given: Any = {"positions": places, "velocities": rates, "controls": controls, "locked": locked}
-    system = mbd.read_mjcf(path, stop_stiffness=None, **given)
+    settings: Any = {"positions": places, "velocities": rates, "controls": controls, "locked": locked}
+    system = mbd.read_mjcf(path, stop_stiffness=None, **settings)
     closures = {identifier(closure.name) for closure in robot.closures}
     free = [identifier(joint.child) for joint in robot.joints if joint.kind == "floating"]
     system = mbd.System(
@@ -114,9 +116,9 @@ def compared(path: Path, seed: int = 1) -> Compared:
     for body in system.bodies:
         if body.name not in bodies:
             continue
-        number, found = bodies[body.name], np.zeros(6)
-        program.mj_objectAcceleration(theirs, data, program.mjtObj.mjOBJ_XBODY, number, found, 0)
-        spin, place = data.xmat[number].reshape(3, 3).T @ found[:3], found[3:] + np.array(robot.gravity)
+        number, acceleration = bodies[body.name], np.zeros(6)
+        program.mj_objectAcceleration(theirs, data, program.mjtObj.mjOBJ_XBODY, number, acceleration, 0)
+        spin, place = data.xmat[number].reshape(3, 3).T @ acceleration[:3], acceleration[3:] + np.array(robot.gravity)
         view = motion.body(body.name)
         ours = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
         moving = max(moving, float(np.abs(ours[0] - place).max()))
@@ -143,7 +145,7 @@ def main() -> None:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    read.append(found := compared(path))
+                    read.append(comparison := compared(path))
             except mbd.InputError as error:
                 why = re.sub(r"^[^:<]*?(, body .*?: |: |, (?=<))", "", str(error).partition("; allowed")[0])
                 refused.setdefault(re.sub(r" '.*?'", "", why), []).append(path.name)
@@ -152,7 +154,7 @@ def main() -> None:
                 refused.setdefault(f"by MuJoCo: {why}", []).append(path.name)
             else:
                 if path.name in SHOWN:
-                    print(row(path.name, found), flush=True)
+                    print(row(path.name, comparison), flush=True)
     if read:
         keys = ("coordinates", "stops", "turning", "moving")
         print(row(f"largest of {len(read)} files", Compared(*(max(getattr(x, key) for x in read) for key in keys))))

@@ -34,9 +34,9 @@ REASONS = (
 def reason(message: str) -> str:
     """In a few words."""
     for pattern, words in REASONS:
-        found = re.search(pattern, message)
-        if found:
-            return words + found[1] if words.endswith(": ") else words
+        match = re.search(pattern, message)
+        if match:
+            return words + match[1] if words.endswith(": ") else words
     return "other fields"
 
 

@@ -71,16 +71,16 @@ class Tree:
             raise ValueError(f"joint {name!r} is {kind}")
         place, axes = _pose(element.find("origin"))
         axis = _vector(element.find("axis"), "xyz", "1 0 0")
-        limit, dynamics, own = element.find("limit"), element.find("dynamics"), link.find("inertial")
+        limit, dynamics, inertial = element.find("limit"), element.find("dynamics"), link.find("inertial")
         limits = (-math.pi, math.pi)
         if kind != "continuous" and limit is not None:
             limits = _number(limit, "lower"), _number(limit, "upper")
         free = kind != "fixed" and name not in locked
-        center, turned = _pose(None if own is None else own.find("origin"))
+        center, turned = _pose(None if inertial is None else inertial.find("origin"))
         J = np.zeros((3, 3))
-        if own is not None:
+        if inertial is not None:
             for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-                J[i, j] = J[j, i] = _number(own.find("inertia"), f"i{'xyz'[i]}{'xyz'[j]}")
+                J[i, j] = J[j, i] = _number(inertial.find("inertia"), f"i{'xyz'[i]}{'xyz'[j]}")
         return Joint(
             name,
             link.get("name", ""),
@@ -93,7 +93,7 @@ class Tree:
             _number(dynamics, "damping"),
             _number(dynamics, "friction"),
             sum(joint.coordinate >= 0 for joint in self.joints) if free else -1,
-            0.0 if own is None else _number(own.find("mass"), "value"),
+            0.0 if inertial is None else _number(inertial.find("mass"), "value"),
             center,
             turned @ J @ turned.T,
         )
@@ -104,9 +104,9 @@ class Tree:
         """Of the coordinates, and by link: of the origin in ground axes, and of the angular velocity in the link's axes."""
         q = {joint.name: positions.get(joint.name, 0.0) for joint in self.joints}
         rate = np.array([velocities.get(joint.name, 0.0) for joint in self.moving])
-        zero, one = np.zeros(len(rate)), np.eye(len(rate))
+        zero, unit = np.zeros(len(rate)), np.eye(len(rate))
         bias, _ = self._recursion(q, rate, zero, gravity)
-        M = np.stack([self._recursion(q, zero, e, 0.0)[0] for e in one], axis=1)
+        M = np.stack([self._recursion(q, zero, e, 0.0)[0] for e in unit], axis=1)
         damping = np.array([joint.damping for joint in self.moving])
         friction = np.array([joint.friction for joint in self.moving])
         losses = damping * rate + friction * np.tanh(rate / FRICTION_SPEED)
@@ -119,14 +119,14 @@ class Tree:
         """Forces of the coordinates, and the accelerations of the links."""
         up = np.array([0.0, 0.0, gravity])
         w, dw, dv, A, R, p, f, n = ([] for _ in range(8))
-        found = {}
+        accelerations = {}
         for joint in self.joints:
             k, parent = joint.coordinate, joint.parent
             s, ds = (rate[k], a[k]) if k >= 0 else (0.0, 0.0)
-            slides, own = joint.kind == "prismatic", q[joint.name] if joint.kind != "fixed" else 0.0
-            turn = np.eye(3) if slides else Rotation.from_rotvec(joint.axis * own).as_matrix()
+            slides, coordinate = joint.kind == "prismatic", q[joint.name] if joint.kind != "fixed" else 0.0
+            turn = np.eye(3) if slides else Rotation.from_rotvec(joint.axis * coordinate).as_matrix()
             R.append(joint.axes @ turn)
-            p.append(joint.place + joint.axes @ joint.axis * own if slides else joint.place)
+            p.append(joint.place + joint.axes @ joint.axis * coordinate if slides else joint.place)
             w0, dw0, dv0, A0 = (
                 x[parent] if parent >= 0 else y for x, y in ((w, 0 * up), (dw, 0 * up), (dv, up), (A, np.eye(3)))
             )
@@ -141,7 +141,7 @@ class Tree:
             force = m * (dv[-1] + np.cross(dw[-1], c) + np.cross(w[-1], np.cross(w[-1], c)))
             f.append(force)
             n.append(J @ dw[-1] + np.cross(w[-1], J @ w[-1]) + np.cross(c, force))
-            found[joint.link] = A[-1] @ dv[-1] - up, dw[-1]
+            accelerations[joint.link] = A[-1] @ dv[-1] - up, dw[-1]
         tau = np.zeros(len(rate))
         for i in reversed(range(len(self.joints))):
             joint, parent = self.joints[i], self.joints[i].parent
@@ -150,7 +150,7 @@ class Tree:
             if parent >= 0:
                 f[parent] = f[parent] + R[i] @ f[i]
                 n[parent] = n[parent] + R[i] @ n[i] + np.cross(p[i], R[i] @ f[i])
-        return tau, found
+        return tau, accelerations
 
 
 def _end(joint: ElementTree.Element, end: str) -> str:

@@ -68,7 +68,7 @@ def compared(path: Path, seed: int = 1) -> Compared:
     q, rate = draw(tree, seed)
     system = mbd.read_urdf(path, positions=q, velocities=rate, locked=locked)
     motion = mbd.simulate(system, STEP, steps=1, gradients="none", backend="eager")
-    wanted, links = tree.accelerations(q, rate)
+    expected, links = tree.accelerations(q, rate)
     by_name = {"".join(c if c.isalnum() else "_" for c in name): x for name, x in links.items()}
     turning, moving, largest = 0.0, 0.0, [1.0, 1.0]
     for body in system.bodies:
@@ -79,12 +79,14 @@ def compared(path: Path, seed: int = 1) -> Compared:
         turning = max(turning, float(np.abs(ours[1] - spin).max()))
         largest = [max(x, float(np.abs(y).max())) for x, y in zip(largest, (place, spin), strict=True)]
     stops = sum(isinstance(force, (mbd.RotationalStop, mbd.AxialStop)) for force in system.forces)
-    return Compared(len(wanted), stops, turning / largest[1], moving / largest[0])
+    return Compared(len(expected), stops, turning / largest[1], moving / largest[0])
 
 
-def row(name: str, found: Compared) -> str:
+def row(name: str, comparison: Compared) -> str:
     """A line of the table."""
-    return f"{name:34}{found.coordinates:12}{found.stops:7}{found.turning:14.1e}{found.moving:15.1e}"
+    return (
+        f"{name:34}{comparison.coordinates:12}{comparison.stops:7}{comparison.turning:14.1e}{comparison.moving:15.1e}"
+    )
 
 
 def run(files: list[Path]) -> tuple[dict[str, Compared], list[str]]:
@@ -110,10 +112,10 @@ def main(words: list[str]) -> None:
         if base is None:
             print(f"{variable} names no folder; nothing was run")
             continue
-        read, refused = run([base / own for own in ARM_FILES] if word == "arm" else sorted(base.rglob("*.urdf")))
-        for name, found in read.items():
+        read, refused = run([base / name for name in ARM_FILES] if word == "arm" else sorted(base.rglob("*.urdf")))
+        for name, comparison in read.items():
             if word == "arm" or Path(name).name in SHOWN:
-                print(row(Path(name).name, found))
+                print(row(Path(name).name, comparison))
         if word == "all":
             largest = [
                 max(getattr(x, key) for x in read.values()) for key in ("coordinates", "stops", "turning", "moving")

@@ -199,14 +199,14 @@ def mujoco(path: Path, cells: tuple[int, int, int] = (12, 1, 1), kind: str = "tr
     data = program.MjData(model)
     numbers = {model.body(i).name: i for i in range(model.nbody)}
     program.mj_forward(model, data)
-    found = []
+    samples = []
     for step in range(steps + 1):
         if step:
             program.mj_step(model, data)
         program.mj_kinematics(model, data)
         places = [data.xpos[[numbers[node] for node in ends[k]]].mean(0) for k in ends]
-        found.append([data.qvel[0], data.joint("slide").qpos[0], *np.concatenate(places)])
-    rows = torch.tensor(np.array(found))
+        samples.append([data.qvel[0], data.joint("slide").qpos[0], *np.concatenate(places)])
+    rows = torch.tensor(np.array(samples))
     x, down = rows[:, 2::3], -rows[:, 4::3]
     bent = deflection(torch.stack([x, down, torch.zeros_like(x)], dim=-1).transpose(0, 1))
     return Turn(rows[:, 0], bent, rows[:, 1])

@@ -75,12 +75,12 @@ class Wing:
     @property
     def laminates(self) -> dict[str, Laminate]:
         """Stacks of the PCOMP cards by property."""
-        found: dict[str, Laminate] = {}
+        laminates: dict[str, Laminate] = {}
         for name, part in self.body.parts.items():
             module: nn.Module | None = part.modules().get("laminate")
             if isinstance(module, Laminate) and module.angles.requires_grad:
-                found[name] = module
-        return found
+                laminates[name] = module
+        return laminates
 
     def node(self, grid: int) -> int:
         return self.body.mesh.node(f"grid_{grid}")
@@ -118,7 +118,7 @@ def mass_properties(wing: Wing) -> tuple[float, Tensor, Tensor]:
         m.append(points.mass.detach())
     place = torch.cat([torch.cat(x) / INCH, torch.tensor([at for _, at in LOOSE], dtype=torch.float64)])
     pounds = torch.cat(m) / POUND / (WTMASS * STANDARD_GRAVITY / INCH)
-    mass = torch.cat([pounds, torch.tensor([own for own, _ in LOOSE], dtype=torch.float64)])
+    mass = torch.cat([pounds, torch.tensor([pound for pound, _ in LOOSE], dtype=torch.float64)])
     center = (mass[:, None] * place).sum(0) / mass.sum()
     d = place - center
     squares = (mass[:, None] * d**2).sum(0)
@@ -134,8 +134,8 @@ def frequencies(wing: Wing, number: int = 10) -> list[float]:
     k, m = (A.pattern.to_scipy(A.values) for A in (K, M))
     shift = -((2 * math.pi * 0.1) ** 2)
     start = np.ones(K.size)
-    found = scipy.sparse.linalg.eigsh(k, number + 6, m, shift, return_eigenvectors=False, v0=start)
-    hertz = np.sqrt(np.clip(np.sort(found), 0.0, None)) / (2 * math.pi)
+    eigenvalues = scipy.sparse.linalg.eigsh(k, number + 6, m, shift, return_eigenvectors=False, v0=start)
+    hertz = np.sqrt(np.clip(np.sort(eigenvalues), 0.0, None)) / (2 * math.pi)
     return hertz[hertz > 0.01].tolist()[:number]
 
 
@@ -178,7 +178,7 @@ def gradient(wing: Wing) -> None:
     forward = time.process_time() - began
     slopes = dict(zip(angles, torch.autograd.grad(tip, list(angles.values())), strict=True))
     back = time.process_time() - began - forward
-    count = sum(len(own) for own in angles.values())
+    count = sum(len(angle) for angle in angles.values())
     print(f"deflection of GRID {TIP} under {LOAD_FACTOR} g: {tip.item() / INCH:.4f} in; MYSTRAN {MYSTRAN_TIP:.4f} in")
     print(f"{count} angles of {len(angles)} stacks; forward {forward:.1f} s, one reverse pass {back:.1f} s of CPU")
     largest = sorted(slopes, key=lambda name: -float(slopes[name].abs().max()))
@@ -191,8 +191,8 @@ def gradient(wing: Wing) -> None:
 
 def mass(wing: Wing) -> None:
     """Print mass, center and inertia next to the printed ones."""
-    own, center, inertia = mass_properties(wing)
-    rows = [("mass [lb]", own, PRINTED_MASS)]
+    mass, center, inertia = mass_properties(wing)
+    rows = [("mass [lb]", mass, PRINTED_MASS)]
     rows += [(f"center {axis} [in]", float(center[k]), PRINTED_CENTER[k]) for k, axis in enumerate("xyz")]
     rows += [(f"inertia {axis * 2} [lb in2]", float(inertia[k]), PRINTED_INERTIA[k]) for k, axis in enumerate("xyz")]
     print(f"{'':20}{'printed':>16}{'ours':>16}{'ours / printed - 1':>20}")

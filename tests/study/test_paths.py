@@ -166,7 +166,7 @@ def copied(tmp_path_factory):
     return package
 
 
-@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrate/native/steps.cpp"])
+@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "extensions/native/steps.cpp"])
 def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
     """The optimizers, the tracking, the pictures and the command line see an evaluation when it is made."""
     before = paths_module._code(paths_module._PACKAGE)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.math.codegen.build_cache import entries
+from torchmbd.extensions.native.codegen.build_cache import entries
 from torchmbd.tracking import MlflowTracker, TrackingError
 from torchmbd.tracking.catalog import children, find, studies
 from torchmbd.tracking.store import open_store, store_uri

@@ -35,7 +35,6 @@ from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.errors import InputError, nearest
-from torchmbd.registry import not_installed
 
 SUM, FUNCTION, SCALED, AGGREGATE = "weighted_sum", "function", "scaled", "aggregate"
 SEVERAL: dict[str, Callable[[Any, Any], Any]] = {"sum": add, "difference": sub, "product": mul, "quotient": truediv}
@@ -241,7 +240,8 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
     # Of several keys the name is the one that resembles a name: the others are its options, such as a window.
     key = max(spec, key=lambda key: max(SequenceMatcher(None, str(key), name).ratio() for name in names))
-    raise SpecError((*path, key), f"unknown name{nearest(key, names)}{not_installed(key)}")
+    missing = next((f"; {why}" for x in (RESPONSES, COMBINATORS, OF_DESIGN) if (why := x.missing(key))), "")
+    raise SpecError((*path, key), f"unknown name{nearest(key, names)}{missing}")
 
 
 def _from_word(kind: type, spec: Any, path: Path) -> Any:

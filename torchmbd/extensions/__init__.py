@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.matrices import *  # noqa: F403
     from torchmbd.extensions.meshes import *  # noqa: F403
     from torchmbd.extensions.nastran import *  # noqa: F403
+    from torchmbd.extensions.native import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
     from torchmbd.extensions.vibrations import *  # noqa: F403
@@ -34,6 +35,7 @@ NAMES = {
     "matrices": "read_matrix",
     "meshes": "read_mesh",
     "nastran": "read_bdf",
+    "native": "",
     "openmdao": "openmdao_component",
     "robots": "read_mjcf read_urdf",
     "vibrations": "Campbell CampbellClearance CriticalSpeed DampingRatio FrequencyResponse LinearSystem StabilityLimit"
@@ -41,8 +43,10 @@ NAMES = {
     "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
     "windio": "read_windio",
 }
-#: Registry (design/responses.py, integrate/equilibrium.py) -> name, as in experiment files -> "module:class".
+#: Registry (design/responses.py, integrate/backend.py, integrate/equilibrium.py, math/products.py) -> name -> "module:class".
 ENTRIES: dict[str, dict[str, str]] = {
+    "backends": {"native": "native:NativeBackend"},
+    "products": {"native": "native:compiled_products"},
     "responses": {"buckling_index": "buckling:BucklingIndex"},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
     "of_design": {

@@ -15,8 +15,8 @@ import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
 from torchmbd.errors import InputError, one_of, unknown
+from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.native.library import BACKENDS
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.math.checked_numbers import is_whole
@@ -111,8 +111,11 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
 
 
 def check_backend(backend: Any) -> None:
-    """InputError for a backend that does not exist."""
-    one_of("backend", backend, BACKENDS)
+    """InputError for a backend that does not exist, or is not installed."""
+    names = ["auto", *BACKENDS]
+    if isinstance(backend, str) and backend not in names and (missing := BACKENDS.missing(backend)):
+        raise InputError(f"{unknown('backend', backend, names)}; {missing}")
+    one_of("backend", backend, names)
 
 
 def start_of(system: System, start: Any) -> Start:

@@ -33,7 +33,7 @@ from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import Linearization, Vibrations
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
-from torchmbd.registry import Registry, not_installed
+from torchmbd.registry import Registry
 from torchmbd.results.displacement import warn_of_displacements
 from torchmbd.results.history import History
 from torchmbd.results.load_share import warn_of_loads
@@ -48,7 +48,7 @@ OF_EQUILIBRIUM: Registry[Callable[..., Any]] = Registry("of_equilibrium", {})
 def of_equilibrium(name: str) -> Callable[..., Any]:
     """A function of equilibria by its name; InputError where it is not installed."""
     if name not in OF_EQUILIBRIUM:
-        raise InputError(f"{name.replace('_', ' ')} of an equilibrium are not known{not_installed(name)}")
+        raise InputError(f"{name.replace('_', ' ')} of an equilibrium are not known; {OF_EQUILIBRIUM.missing(name)}")
     return OF_EQUILIBRIUM[name]
 
 

@@ -16,10 +16,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.lanes import join_states, lane_numbers, lanes_of, pick_lanes
-from torchmbd.integrate.native.rates import RightHandSide
-from torchmbd.integrate.ode import flow
+from torchmbd.integrate.ode import RightHandSide, flow
 from torchmbd.integrate.phases.switch import accelerations, at_time
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -59,7 +59,7 @@ class FlowStepper(Stepper):
         if lane in self.failed:
             return state
         if lane not in self._rates:
-            self._rates[lane] = RightHandSide(lanes_of(self.dynamics, [lane]))
+            self._rates[lane] = backend_of(self.dynamics).right_hand_side(lanes_of(self.dynamics, [lane]))
         f, times = self._rates[lane], self.h * torch.arange(i - 1, i + 1, dtype=torch.float64)
         try:
             y = flow(f, torch.cat(state[:2]), times, self.arguments)[-1]
@@ -88,7 +88,7 @@ def _flow_of_lane(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict
     if abs(then - now) > _SAME * abs(then):
         times = torch.tensor([now, then], dtype=torch.float64)
         try:
-            y = flow(RightHandSide(dynamics), y, times, arguments)[-1]
+            y = flow(backend_of(dynamics).right_hand_side(dynamics), y, times, arguments)[-1]
         except FloatingPointError:
             return x.map(lambda z: z * torch.nan)
     y = _shifted(dynamics, y, t1, 1.0)

@@ -16,10 +16,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
-from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
@@ -62,10 +62,10 @@ class ForwardIntegration(IntegratedMotion):
         """The structure stage."""
         if self.phases is None:
             dynamics = self.system.dynamics(designs, tangents=self.variables)
-            return OneSegment(with_backend(dynamics, self.backend, self.integrator.native_kind), self.duration)
+            return OneSegment(with_backend(dynamics, self.backend, self.integrator.work), self.duration)
         self.system, segments = segments_of(self.system, self.phases, self.duration)
         self.actions = tuple(segment.topology.actions for segment in segments)
-        dynamics = with_backend(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
+        dynamics = with_backend(self.system.dynamics(designs, tangents=self.variables), self.backend, ())
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
         return SeveralSegments(dynamics, segments, views, self.duration)

@@ -112,14 +112,14 @@ class Stepper(ABC):
 class Integrator(ABC):
     """See the module header.
 
-    native_kind     kind of native code that makes its steps: "step", "rates"; None: there is none
+    work            what backends may make for it (backend.py): "step", "rates"
     adjoint         whether its steps have a pullback: reverse mode
     condenses       whether its regular steps are those of the condensed system
     shortest_step   size of the shortest step that it makes, relative to a regular one
     """
 
     name: str
-    native_kind: ClassVar[str | None]
+    work: ClassVar[tuple[str, ...]] = ()
     adjoint: ClassVar[bool]
     condenses: ClassVar[bool] = False
     shortest_step: ClassVar[float] = 0.0

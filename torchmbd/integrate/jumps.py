@@ -32,8 +32,8 @@ from torchmbd.math.torch_law import OUT_OF_RANGE
 from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.feedback import Control
+from torchmbd.multibody.forces.parametric_law import is_library_law
 from torchmbd.multibody.forces.signals import Time
-from torchmbd.multibody.forces.user_laws import is_library_law
 from torchmbd.multibody.joints import Drive
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.laws import ConstantSpeed, Sine, SmoothStep

@@ -17,9 +17,9 @@ import torch
 import torchdiffeq
 from torch import Tensor
 
-from torchmbd.integrate.native.rates import RightHandSide
-from torchmbd.math.pair import value
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.progress import reach
 
 FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
 ADAPTIVE = {"dopri8", "dopri5", "bosh3", "fehlberg2", "adaptive_heun"}
@@ -27,6 +27,30 @@ ADAPTIVE = {"dopri8", "dopri5", "bosh3", "fehlberg2", "adaptive_heun"}
 DEFAULTS: dict[str, dict[str, Any]] = {"explicit_adams": {"max_order": 5}}
 FIRST_STEP = 0.01  # of 1 / omega; the steps grow tenfold at most from one to the next
 METHODS = tuple(sorted(FIXED | ADAPTIVE))
+
+
+class RightHandSide:
+    """dy/dt of augmented states, and accelerations, by operators of torch."""
+
+    def __init__(self, dynamics: Dynamics):
+        self.dynamics = dynamics
+
+    def __call__(self, t: Tensor, y: Tensor) -> Tensor:
+        """dy/dt [n_z, 1 + n_b, lanes] at time t."""
+        reach(t)
+        return augment(self.dynamics.rates(t, Pair(y) if y.shape[1] > 1 else y), self.dynamics)
+
+    def accelerations(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Accelerations [n_v, 1 + n_b, lanes] and multipliers [rows, ...]."""
+        n, z = self.dynamics.topology.n_q, Pair(y) if y.shape[1] > 1 else y
+        a, lam = self.dynamics.accelerations(t, z[:n], z[n:])
+        return augment(a, self.dynamics), augment(lam, self.dynamics)
+
+
+def augment(x: Any, dynamics: Dynamics) -> Tensor:
+    """Value and tangents, concatenated [n, 1 + n_b, lanes]."""
+    full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
+    return full.expand(-1, -1, dynamics.lanes)
 
 
 def first_step(dynamics: Dynamics) -> dict[str, float]:

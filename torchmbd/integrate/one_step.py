@@ -16,7 +16,7 @@ last converges like Newton's, and the tangents of the *discrete* map are one mor
     R_z dz + R_x dx + R_b = 0   by   dz <- dz - H (R_z dz + R_x dx + R_b)
 
 The error that this leaves is estimated by a second correction once in every check interval (`CHECK` steps); where it is
-too large, further steps make more corrections. Steps have tangents and an exact pullback (adjoint.py), eager and native.
+too large, further steps make more corrections. Steps have tangents and an exact pullback (adjoint.py), by every backend.
 Bodies that joints to the ground hold simply are no unknowns (multibody/system/condensation.py).
 Source: Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; Bruels, Cardona, Arnold, Mech. Mach. Theory 48 (2012)
 121-137.
@@ -33,11 +33,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
 from torchmbd.integrate.moving_steps import MovingSteps
-from torchmbd.integrate.native import steps
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
@@ -75,7 +75,7 @@ class OneStep(Integrator):
     refresh: int | None = None
     halvings: int = 1
     checkpoint: int = 1
-    native_kind: ClassVar[str | None] = "step"
+    work: ClassVar[tuple[str, ...]] = ("step",)
     adjoint: ClassVar[bool] = True
     condenses: ClassVar[bool] = True
     shortest_step: ClassVar[float] = 0.05  # index-3 equations do not bear much less
@@ -109,7 +109,7 @@ class OneStep(Integrator):
         refresh = self.refresh
         if refresh is None:
             refresh = 1 if dynamics.topology.beams is None or dynamics.tangents else 2
-        return steps.stepper_of(dynamics, self.weights(h), self.counts(dynamics), refresh)
+        return backend_of(dynamics).stepper(dynamics, self.weights(h), self.counts(dynamics), refresh)
 
     def counts(self, dynamics: Dynamics) -> tuple[int, int]:
         """Corrections of values and tangents for a system."""

@@ -21,11 +21,10 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
-from torchmbd.integrate.native import backward
-from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
@@ -67,8 +66,8 @@ class ReverseIntegration(IntegratedMotion):
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
         moves = zip(self.designs, inputs[len(self.names) :], strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
-        kind, also = ("step", ["adjoint"]) if self.segments is None else (None, [])
-        dynamics = with_backend(replace(self.model, data=data), self.backend, kind, also)
+        work = (*self.integrator.work, "adjoint") if self.segments is None else ()
+        dynamics = with_backend(replace(self.model, data=data), self.backend, work)
         if self.differentiated and self.segments is None:
             self._of_leaves = differentiable(dynamics, self.differentiated)
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
@@ -103,7 +102,7 @@ class ReverseIntegration(IntegratedMotion):
         elif names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
             assert isinstance(self._problem, SeveralSegments)
-            pullback = SegmentsPullback(self._problem, self.results, backward.adjoint_solver)
+            pullback = SegmentsPullback(self._problem, self.results)
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
@@ -124,8 +123,7 @@ class ReverseIntegration(IntegratedMotion):
     def adjoint(self) -> Adjoint:
         """Of a motion of one segment."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        args = self.dynamics, self.history, self.duration, self.integrator, failed
-        return Adjoint(*args, backward.adjoint_solver, self._of_leaves)
+        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, self._of_leaves)
 
     def _problem_of(
         self, dynamics: Dynamics, designs: dict[str, Tensor], along: dict[str, Tensor] | None = None

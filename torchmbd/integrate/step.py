@@ -1,7 +1,7 @@
 """One step on the index-3 equations: the operations that one-step integrators are made of (see one_step.py).
 
-Each is a pure function of tensors: no branch on numbers, nothing kept. native/functions.py traces them, so the
-eager and the compiled integrator have one source.
+Each is a pure function of tensors: no branch on numbers, nothing kept. A backend may trace them,
+so that eager and compiled steps have one source.
 
     correct   z <- z - H R(z)                              values
     matrix    dR/dz                                        values
@@ -169,7 +169,7 @@ class Step:
 
 
 class Model:
-    """Equations, weights and data that all steps of a simulation share; native/functions.py traces its steps."""
+    """Equations, weights and data that all steps of a simulation share; a backend may trace its steps."""
 
     def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data

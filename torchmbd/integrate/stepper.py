@@ -1,7 +1,7 @@
 """The eager stepper of one-step methods: steps one after another by operators of torch on all lanes.
 
 It keeps the factors of the iteration matrix from step to step, and estimates of what the iterations leave.
-native/steps.py makes the same steps by compiled code.
+Other backends (backend.py) make the same steps.
 Checked in tests/integrate/.
 """
 

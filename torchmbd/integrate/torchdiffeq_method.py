@@ -13,11 +13,11 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.flow_stepper import FlowStepper, flow_of_size
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.native.rates import RightHandSide, augment
-from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
+from torchmbd.integrate.ode import DEFAULTS, FIXED, augment, first_step, flow
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import initial
@@ -42,7 +42,7 @@ class Torchdiffeq(Integrator):
     rtol: float = 1e-7
     atol: float = 1e-9
     options: dict[str, Any] | None = None
-    native_kind: ClassVar[str | None] = "rates"
+    work: ClassVar[tuple[str, ...]] = ("rates",)
     adjoint: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -85,7 +85,7 @@ class Torchdiffeq(Integrator):
         start = initial(dynamics)
         times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
         y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
-        f = RightHandSide(dynamics)
+        f = backend_of(dynamics).right_hand_side(dynamics)
         y = flow(f, y0, times, self.arguments(dynamics))
         states = zip(times, y, strict=True)
         a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.native.steps_of_size import unknowns
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.step import Model, Step, Weights, apply
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
@@ -74,13 +74,13 @@ def _step(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: An
 def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
     """The unknowns z [n, 1, lanes] of a step; nan where none converge.
 
-    By compiled code, or from an estimate; where that does not lead there, from a uniform motion (`Step.uniform`), then from
+    By the backend, or from an estimate; where that does not lead there, from a uniform motion (`Step.uniform`), then from
     none at all.
     """
     uniform = step.uniform().detach()
     z, success = torch.full_like(uniform, torch.nan), torch.zeros(uniform.shape[-1], dtype=torch.bool)
-    if (compiled := unknowns(dynamics, step)) is not None:
-        z, (before, last) = compiled
+    if (solution := backend_of(dynamics).unknowns(dynamics, step)) is not None:
+        z, (before, last) = solution
         scale, rounding = _sizes(z, None), _rounding(step)
         small = (last <= _STALLED * scale) | (last <= rounding)
         success = small & ((last <= _ROUNDING * scale) | (before <= _QUADRATIC * scale) | (before <= rounding))

@@ -10,7 +10,7 @@ A number of the motion stage is a plain tensor or a `Pair`. Both end with the ax
 Value and tangents are one tensor, so a linear map is one operator, and a product two. A small eager operator costs about 5 us
 whatever its size, so the number of operators decides; this is 3-6 times cheaper than functorch.
 
-Where functions are translated to scalar code (codegen/scalars.py), value and tangents are two tensors (`separate_tangents`),
+Where functions are translated to scalar code (by a backend), value and tangents are two tensors (`separate_tangents`),
 because generated code has one function for values and another for tangents.
 
 The functions below accept tensors and pairs. Component axes are counted from the front, so an index has the same meaning for

@@ -2,7 +2,7 @@
 
     y_k = sum_points sum_ij L_k,ij d_i' d_j          d_i [s, a]: row i at a point of a vectors;  L symmetric;  y [a, a]
 
-Compiled code computes one design after another (compiled_products.py). Without it, torch computes groups of points: the
+Compiled code computes one design after another (products.py). Without it, torch computes groups of points: the
 products d_i' d_j of all points and designs would not fit into the cache of the processor.
 Differentiable once in L and d, forward and reverse. Checked in tests/math/test_quadratic_forms.py.
 """
@@ -16,8 +16,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.math.compiled_products import compiled_products
 from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.products import compiled_products
 from torchmbd.math.vmap import batch_first
 
 GROUP = 64  # points

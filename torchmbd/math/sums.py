@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.math.compiled_products import compiled_products
+from torchmbd.math.products import compiled_products
 
 
 class Sums:

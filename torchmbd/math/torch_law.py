@@ -2,7 +2,7 @@
 
 A law that leaves torch either raises in the derivative, or gives a slope of zero without a word (`float(t)`). The latter is
 found by differences: where values change smoothly, the slope of torch must not be zero.
-Checked in tests/multibody/joints/test_laws.py, tests/multibody/forces/test_user_laws.py.
+Checked in tests/multibody/joints/test_laws.py, tests/extensions/native/test_user_laws.py.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, tensor
 from torchmbd.integrate import variable_step
+from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.lanes import lanes_of, pick_lanes, pick_states
-from torchmbd.integrate.native.library import with_backend
 from torchmbd.integrate.phases.switch import accelerations, at_time, jump
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.fem.reduction.forms import Form
 from torchmbd.fem.reduction.partition import Partition, form_sums
-from torchmbd.math.compiled_products import Factor, compiled_products
+from torchmbd.math.products import Factor, compiled_products
 
 SMALL = 64  # largest number of rows of blocks that compiled code eliminates; LAPACK is faster for larger ones
 

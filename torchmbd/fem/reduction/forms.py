@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.compiled_products import compiled_products
+from torchmbd.math.products import compiled_products
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 SYMMETRY_TOLERANCE = 1e-9

@@ -27,7 +27,7 @@ from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
 from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
-from torchmbd.math.compiled_products import compiled_products
+from torchmbd.math.products import compiled_products
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c

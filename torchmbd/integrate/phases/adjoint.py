@@ -21,13 +21,15 @@ Checked in tests/sensitivity/test_phase_adjoint.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.adjoint import AdjointSolver, Grid, MotionCotangents, warn_inaccurate
+from torchmbd.integrate.adjoint import warn_inaccurate
+from torchmbd.integrate.adjoint_solver import Grid, MotionCotangents
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
@@ -92,16 +94,14 @@ class _Cotangents:
 class PhaseAdjoint:
     """The adjoint of one multiphase run, of values only.
 
-    wanted           names of data by which gradients are wanted
-    failed           lanes whose cotangents are zero
-    adjoint_solver   makes the AdjointSolver of a grid
-    error            estimated relative error of the gradients asked for so far [lanes]
+    wanted   names of data by which gradients are wanted
+    failed   lanes whose cotangents are zero
+    error    estimated relative error of the gradients asked for so far [lanes]
     """
 
     multiphase: MultiphaseRun
     wanted: Sequence[str]
     failed: Sequence[int]
-    adjoint_solver: Callable[[Grid], AdjointSolver]
 
     def __post_init__(self) -> None:
         self.h = self.multiphase.duration / self.multiphase.steps
@@ -223,7 +223,7 @@ class PhaseAdjoint:
         else:
             grid = self._grid(record, points, base, lanes, history, start)
             more = {base: end} if base > 0 else {}
-            of_steps, error = self.adjoint_solver(grid)(of_states, more)
+            of_steps, error = backend_of(grid.dynamics).adjoint_solver(grid)(of_states, more)
             self.error[lanes] = self.error[lanes].maximum(error)
             by_leaf = grid.cotangents(of_steps)
             by_start = State(*(by_leaf.pop(f"state {name}") for name in State._fields))
@@ -256,9 +256,21 @@ class PhaseAdjoint:
                     starts[k - points.start] = State(q, v, vd, a[..., lanes], lam)
             if cuts:
                 starts[base] = pick_states(record.base, lanes)
-        integrator = self.multiphase.integrator
-        args = lanes, history, leaves | state, dynamics, start, self.weights, times, integrator, every, offset
-        return Grid(*args, starts=starts, cuts=cuts)
+        return Grid(
+            lanes=lanes,
+            history=history,
+            leaves=leaves | state,
+            dynamics=dynamics,
+            start=start,
+            weights=self.weights,
+            times=times,
+            integrator=self.integrator,
+            corrections=self.integrator.counts(dynamics)[1],
+            every=every,
+            offset=offset,
+            starts=starts,
+            cuts=cuts,
+        )
 
     def _entry(self, record: PhaseRecord, so_far: _Cotangents, cotangents: PhaseCotangents, rows: int) -> None:
         """From the first points of the grid, and the states after the switch, to the states before it."""

@@ -6,14 +6,14 @@ Checked in tests/sensitivity/test_phase_adjoint.py, tests/integrate/phases/test_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.adjoint import AdjointSolver, Grid, of_kept_states
+from torchmbd.integrate.adjoint_solver import of_kept_states
 from torchmbd.integrate.initial_value import SeveralSegments
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
@@ -55,7 +55,6 @@ class SegmentsPullback:
 
     problem: SeveralSegments
     results: LaneResults
-    adjoint_solver: Callable[[Grid], AdjointSolver]
 
     def __call__(self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool) -> dict[str, Tensor]:
         """By data of these names, and by designs where wanted: [component..., rows, lanes]; of lanes that failed zero."""
@@ -93,7 +92,7 @@ class SegmentsPullback:
         data = {name: part.of_batch(x) for name, x in bar.data.items()}
         switches = [[part.of_batch(x) for x in numbers] for numbers in bar.switches]
         rest = [lane for lane in range(part.run.whole.lanes) if lane not in part.sources]
-        adjoint = PhaseAdjoint(part.run, names, rest, self.adjoint_solver)
+        adjoint = PhaseAdjoint(part.run, names, rest)
         return adjoint(PhaseCotangents(motion, data, switches), rows)
 
     def _of_data(self, lanes: list[int], by: Tensor | None, like: Tensor, rows: int) -> Tensor:

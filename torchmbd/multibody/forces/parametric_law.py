@@ -17,7 +17,7 @@ from typing import Any
 from torch import Tensor, nn
 
 from torchmbd.math.variable import ParameterVector, is_variable, law_key
-from torchmbd.multibody.forces.laws import OfTime, Scaled, check_data_fields, data_fields
+from torchmbd.multibody.forces.laws import LAWS, OfTime, Scaled, check_data_fields, data_fields
 from torchmbd.multibody.joints.laws import finite
 
 
@@ -41,6 +41,13 @@ class ParametricLaw:
         """The law with the values of the data."""
         numbers = data[self.key]
         return replace(self.law, **{field: numbers[i : i + 1] for field, i in self.rows})
+
+
+def is_library_law(law: Any) -> bool:
+    """Whether a law is of this library and contains no function of a user."""
+    if isinstance(law, (ParametricLaw, Scaled)):
+        return is_library_law(law.law)
+    return type(law) in LAWS and not callable(getattr(law, "law", None))
 
 
 class LawVariables:

@@ -65,7 +65,7 @@ class Dynamics:
     data           name -> tensor or pair [component..., 1, lanes]; a lane axis of length one is the same for all lanes
     initial        approximate initial state of the bodies and the solver that closes the joints
     stabilization  time constant of the constraint stabilization [s]
-    backend        "eager" or "native": the code of the steps (integrate/native/library.py)
+    backend        name of what makes the steps (integrate/backend.py)
     statistics     number of evaluations of the right-hand side
 
     >>> dynamics = mbd.examples.pendulum().dynamics()

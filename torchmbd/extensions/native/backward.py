@@ -1,0 +1,150 @@
+"""The adjoint through equal steps by compiled code (adjoint.cpp): the same numbers as AdjointSolver.
+
+Checked in tests/sensitivity/test_adjoint.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchmbd.extensions.native.feedback import FeedbackAdjoint
+from torchmbd.extensions.native.library import Library
+from torchmbd.extensions.native.simd_layout import (
+    LANES,
+    addresses,
+    blocks,
+    lanes_out,
+    prescribed_blocks,
+    varied_blocks,
+)
+from torchmbd.integrate.adjoint_solver import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
+from torchmbd.integrate.lanes import expanded
+from torchmbd.math.pair import value
+from torchmbd.multibody.system.topology import Schedule
+from torchmbd.results.state import State
+
+_NUMBERS = ("lanes", "rows", "data", "prescribed", "steps", "moving")
+_ARRAYS = ("shared", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
+_ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes", "state_slopes", "error", "scratch")
+
+
+class _Job(ctypes.Structure):
+    """The struct of this name in adjoint.cpp: fields, order and types are the same."""
+
+    _fields_ = [
+        *((n, ctypes.c_long) for n in _NUMBERS),
+        *((n, ctypes.c_void_p) for n in _ARRAYS),
+        ("moved_columns", ctypes.c_long),
+        ("corrections", ctypes.c_long),
+        ("mechanism", ctypes.c_void_p),
+        ("read", ctypes.c_long),
+        *((n, ctypes.c_void_p) for n in ("signals", "strengths", "law_slopes", "strength_bars")),
+    ]
+
+
+class NativeAdjointSolver(AdjointSolver):
+    """AdjointSolver by a library; where its factors cannot be relied on, segments go by operators of torch."""
+
+    def __init__(self, library: Library, grid: Grid):
+        super().__init__(grid)
+        self.code: ctypes.CDLL | None = library.code
+        self.library = library
+        self.values = library.value_blocks(grid.dynamics)
+        self.negligible = blocks(expanded(self.stepper.negligible[None, None], len(grid.lanes)))
+        self.weights = torch.tensor(grid.weights, dtype=torch.float64)
+
+    @cached_property
+    def _known_at_first(self) -> tuple[Schedule, Tensor, Tensor]:
+        """`_known` of the first segment, kept: most motions are one segment."""
+        return self._known(0)
+
+    def _known(self, number: int) -> tuple[Schedule, Tensor, Tensor]:
+        """Drives and known motions at the ends of the steps of a segment; those that all lanes share, and those that vary."""
+        T, schedule = self.dynamics.topology, self._schedule(self.segments[number])
+        return (
+            schedule,
+            prescribed_blocks(T, self.weights, schedule),
+            varied_blocks(T, schedule, len(self.grid.lanes), 0),
+        )
+
+    def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
+        if self.code is None:
+            return super()._segment(number, of_motion, y)
+        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(of_motion), self.segments[number]
+        schedule, table, moved = self._known(number) if number else self._known_at_first
+        h, a = self._history(number, schedule)
+        count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
+        new = self.values.new_zeros
+        slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
+        state_slopes, error = blocks(torch.cat([expanded(x, lanes) for x in y])), new(count, LANES)
+        scratch = torch.empty(
+            self.code.adjoint_scratch(self.library.address, rows, len(steps)) // 8, dtype=torch.float64
+        )
+        arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
+        arrays += [x if x is None else _spaced(x, steps, self.grid) for x in of_motion]
+        arrays += [blocks(expanded(a, lanes)), self.values, moved]
+        arrays += [
+            *(self.stepper.diagonal or (None, None)),
+            self.negligible,
+            slopes,
+            moved_slopes,
+            state_slopes,
+            error,
+            scratch,
+        ]
+        numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
+        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.corrections, self.library.address)
+        called, of_strengths = self._called(job, schedule) if self.library.called.actions else (None, new(0))
+        if self.code.adjoint(ctypes.byref(job)):
+            self.code = None
+            return super()._segment(number, of_motion, y)
+        start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+        laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
+        by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))
+        by |= called.cotangents(_lanes(of_strengths, lanes)) if called else {}
+        return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
+
+    def _called(self, job: _Job, schedule: Schedule) -> tuple[FeedbackAdjoint, Tensor]:
+        """Laws that are called back, and an array for the cotangents of their strengths [steps, block, rows, n, LANES]."""
+        assert self.code is not None
+        laws, (steps, count, rows, lanes) = self.library.called, (job.steps, len(self.values), job.rows, job.lanes)
+        n = len(laws.actions)
+        signals, of_strengths = (self.values.new_zeros(steps, count, *some, LANES) for some in ((2 * n,), (rows, n)))
+        job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
+        self.code.adjoint(ctypes.byref(job))
+        job.rows, job.read = rows, 0
+        data, times = self.grid.dynamics.data, schedule.t
+        wanted = {name for name, x in data.items() if value(x).requires_grad}
+        plain = {name: value(x).detach() for name, x in data.items()}
+        adjoint = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)
+        arrays = [_blocks(adjoint.strengths), _blocks(adjoint.slopes), of_strengths]
+        job.strengths, job.law_slopes, job.strength_bars = addresses(arrays)
+        job.kept = arrays
+        return adjoint, of_strengths
+
+
+def _lanes(x: Tensor, lanes: int) -> Tensor:
+    """Numbers [steps, block, ..., LANES] as [steps, ..., lanes]."""
+    return x.movedim(1, -2).flatten(-2)[..., :lanes]
+
+
+def _blocks(x: Tensor) -> Tensor:
+    """The inverse of `_lanes`; the last lane fills the last block."""
+    x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], -x.shape[-1] % LANES)], -1)
+    return x.unflatten(-1, (-1, LANES)).movedim(-2, 1).contiguous()
+
+
+def _spaced(x: Tensor, steps: range, grid: Grid) -> Tensor:
+    """Cotangents [outputs, ...] of the states of a segment, zero where a state is no output."""
+    every, offset = grid.every, grid.offset
+    if every == 1 and not offset:
+        return x[steps.start : steps.stop + 1].contiguous()
+    first, last = max(-((offset - steps.start) // every), 0), (steps.stop - offset) // every
+    result = x.new_zeros(len(steps) + 1, *x.shape[1:])
+    if last >= first:
+        result[first * every + offset - steps.start :: every] = x[first : last + 1]
+    return result

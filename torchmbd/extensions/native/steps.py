@@ -1,0 +1,139 @@
+"""Steps of one-step methods by compiled code (library.py): the same numbers as by EagerStepper (stepper.py).
+
+Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
+call of the library makes all steps between two checks of the tangents.
+Checked in tests/extensions/native/test_steps.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torchmbd.extensions.native.library import Library
+from torchmbd.extensions.native.simd_layout import (
+    addresses,
+    blocks,
+    lanes_out,
+    prescribed_blocks,
+    varied_blocks,
+)
+from torchmbd.integrate.lanes import expanded
+from torchmbd.integrate.step import Model, Weights
+from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper, Record, check_intervals
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.topology import Schedule
+from torchmbd.progress import reach
+from torchmbd.results.state import State
+
+_NUMBERS = ("lanes", "n_b", "data", "data_tangents", "prescribed", "first", "steps", "corrections", "most", "refresh")
+_NUMBERS += ("check", "fresh", "moving", "tables")
+_ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
+_ARRAYS += ("sizes", "errors")
+_ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback", "counted", "scale")
+
+
+class Job(ctypes.Structure):
+    """The struct of this name in steps.cpp: fields, order and types are the same."""
+
+    _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
+
+
+class NativeStepper(EagerStepper):
+    """EagerStepper by a library; where its factors cannot be relied on, steps go on by operators of torch."""
+
+    def __init__(
+        self,
+        library: Library,
+        dynamics: Dynamics,
+        w: Weights,
+        iterations: tuple[int, int],
+        refresh: int,
+    ):
+        super().__init__(dynamics, Model.of(dynamics, w), iterations, refresh)
+        self.code: ctypes.CDLL | None = library.code
+        code, self.library = library.code, library
+        self.lanes, self.n_b, self.fresh = dynamics.lanes, dynamics.tangents, 1
+        self.sound = torch.ones(self.lanes, dtype=torch.bool)  # lanes in which the iterations converge
+        self.weights = torch.tensor(w, dtype=torch.float64)
+        self.feedback = library.feedback(dynamics)
+        self.values, self.tangents = library.data_blocks(dynamics)
+        self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
+        self.scratch = torch.empty(code.steps_scratch(library.address, self.n_b) // 8, dtype=torch.float64)
+
+    def restart(self, lanes: Tensor | None = None) -> None:
+        super().restart(lanes)
+        self.fresh = 1
+        self.sound = torch.ones_like(self.sound) if lanes is None else self.sound | lanes
+
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
+        if self.code is None:
+            return super().run(x, schedule, record, first, start)
+        self._begin(x)
+        state = blocks(torch.cat([expanded(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
+        moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
+        table = prescribed_blocks(self.dynamics.topology, self.weights, schedule)
+        for part in check_intervals(len(schedule), first, self.n_b):
+            done = part.start
+            if self.feedback is not None:
+                self.feedback.times = schedule.t[part]
+            if not self._run_part(state, table[part], moved[part], record, first + done, start + done):
+                return super().run(self._state(state), schedule[done:], record, first + done, start + done)
+            reach(value(schedule.t[part][-1]))
+        return self._state(state)
+
+    def _run_part(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, start: int) -> bool:
+        """Make steps without a check in between; False if the factors cannot be relied on, and no step is made."""
+        sizes = torch.empty(len(table), 3, self.lanes, dtype=torch.float64)
+        errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
+        check = int(first % CHECK == 0)
+        numbers = (self.lanes, self.n_b, self.values.shape[2], self.tangents.shape[2])
+        numbers += (
+            table.shape[1],
+            first,
+            len(table),
+            self.corrections,
+            int(self.passes.max()),
+            -1 if self.begins_uniformly else self.refresh,
+            check,
+            self.fresh,
+            moved.shape[3],
+            1,
+        )
+        row_mask, diagonal_shift = self.diagonal or (None, None)
+        arrays = [table, state, self.values, self.tangents, self.factors, row_mask, diagonal_shift]
+        arrays += [part[start:] for part in record.parts] + [sizes, errors, self.scratch, moved]
+        assert self.scale is not None
+        scale = blocks(self.scale[None, None])
+        counted = blocks((self.counts * (1.0 + self.sound))[None, None].double())
+        arrays += [blocks(self.passes[None, None]), counted, scale]
+        assert self.code is not None
+        assert all(part.shape[-1] == self.lanes for part in record.parts)
+        *pointers, passes, counted_at, scale_at = addresses(arrays)
+        back = None if self.feedback is None else self.feedback.address
+        job = Job(*numbers, *pointers, self.library.address, passes, back, counted_at, scale_at)
+        if self._called(partial(self.code.run_steps, ctypes.byref(job))):
+            self.code = None
+            return False
+        self.fresh = 0
+        self.scale = lanes_out(scale, self.lanes)[0, 0]
+        self.sizes.append(sizes)
+        before, last, _ = sizes.unbind(1)
+        self.sound &= (last * last <= ITERATION_ERROR * self.scale * before).all(0)
+        if check and self.n_b:
+            self.check(*errors)
+        return True
+
+    def _called(self, f: Callable[[], int]) -> int:
+        return f() if self.feedback is None else self.feedback.run(f)
+
+    def _state(self, state: Tensor) -> State:
+        """A state out of blocks [block, column, number, LANES]."""
+        T = self.dynamics.topology
+        parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+        return State(*(Pair(y) if self.n_b else y for y in parts))

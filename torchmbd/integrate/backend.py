@@ -1,0 +1,96 @@
+"""What makes the steps of a motion: operators of torch, or a backend of an extension, which makes the same steps faster.
+
+    obstacle          why a backend cannot serve a system; what it needs is made ready before the first step
+    stepper           equal steps of one-step methods, with tangents
+    adjoint_solver    the same steps backwards
+    unknowns          of a step whose size differs from lane to lane
+    right_hand_side   of the index-1 equations
+
+`Backend` itself is "eager", the reference. Another one is a subclass with those of these parts that it makes, and a line of the
+table "backends" (torchmbd/registry.py). `with_backend` chooses before the first step; dynamics carry the name from then on.
+Checked in tests/integrate/test_backend.py, tests/extensions/native/test_library.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from torch import Tensor
+
+from torchmbd.errors import InputError, warn
+from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid
+from torchmbd.integrate.ode import RightHandSide
+from torchmbd.integrate.step import Model, Step, Weights
+from torchmbd.integrate.stepper import EagerStepper
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.registry import Registry
+
+_warned: set[str] = set()
+
+
+class Backend:
+    """See the module header. Results of another backend agree with these within the tolerance of iterations."""
+
+    def serves_auto(self) -> bool:
+        """Whether "auto" tries it first."""
+        return False
+
+    def obstacle(self, dynamics: Dynamics, work: Sequence[str]) -> str | None:
+        """Why it cannot serve a system, None if it can; what it needs for the first kind of work is there then.
+
+        work   "step", "adjoint", "rates"; empty: what is needed is not known yet (phases)
+        """
+        return None
+
+    def stepper(self, dynamics: Dynamics, w: Weights, corrections: tuple[int, int], refresh: int) -> EagerStepper:
+        """Steps with weights w; corrections of values and tangents, and steps between two inverses, as of `OneStep`."""
+        return EagerStepper(dynamics, Model.of(dynamics, w), corrections, refresh)
+
+    def adjoint_solver(self, grid: Grid) -> AdjointSolver:
+        """The adjoint through the steps of a grid."""
+        return AdjointSolver(grid)
+
+    def unknowns(self, dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
+        """Unknowns [n, 1, lanes] of a step, and the sizes of its last two corrections [2, lanes]; None: variable_step.py."""
+        return None
+
+    def right_hand_side(self, dynamics: Dynamics) -> RightHandSide:
+        """dy/dt of augmented states (ode.py)."""
+        return RightHandSide(dynamics)
+
+    def files(self) -> list[tuple[Path, int, bool]]:
+        """What it keeps in the cache folder: path, bytes, and whether it is complete."""
+        return []
+
+    def clear_files(self) -> None:
+        """Remove these."""
+
+
+#: Name -> class; `backend="auto"` takes the first that serves.
+BACKENDS: Registry[type[Backend]] = Registry("backends", {"eager": Backend})
+
+
+def backend_of(dynamics: Dynamics) -> Backend:
+    """The backend whose name dynamics carry."""
+    return BACKENDS[dynamics.backend]()
+
+
+def with_backend(dynamics: Dynamics, backend: str, work: Sequence[str] = ("step",)) -> Dynamics:
+    """The dynamics with the name of the backend that makes their steps.
+
+    backend   name, whose obstacle is an InputError; or "auto": the first without an obstacle, which is a warning, once
+    work      as of `Backend.obstacle`; steps are those of the condensed system
+    """
+    model = dynamics.condensed() if "step" in work else dynamics
+    for name in [k for k in BACKENDS if BACKENDS[k]().serves_auto()] if backend == "auto" else [backend]:
+        why = BACKENDS[name]().obstacle(model, work)
+        if why is None:
+            return replace(dynamics, backend=name)
+        if backend != "auto":
+            raise InputError(f"backend is {name!r}, but {why}; allowed: 'eager' or 'auto'")
+        if why not in _warned:
+            _warned.add(why)
+            warn(f"steps are made by operators of torch (backend 'eager'): {why}")
+    return replace(dynamics, backend="eager")
