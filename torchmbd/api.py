@@ -57,16 +57,6 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import (
-    Channel,
-    Experiment,
-    FrequencyResponseData,
-    Identification,
-    ModalData,
-    StaticCurve,
-    TimeSeries,
-    identify,
-)
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -186,7 +176,6 @@ __all__ = [
     "BeamState",
     "Bushing",
     "Chain",
-    "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
@@ -202,7 +191,6 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
-    "Experiment",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -211,11 +199,9 @@ __all__ = [
     "Frame",
     "Frequencies",
     "Frequency",
-    "FrequencyResponseData",
     "GivenSection",
     "Ground",
     "History",
-    "Identification",
     "InputError",
     "Integral",
     "Interface",
@@ -227,7 +213,6 @@ __all__ = [
     "Measure",
     "Mesh",
     "Min",
-    "ModalData",
     "OptimizationResult",
     "Phase",
     "Planar",
@@ -258,12 +243,10 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
-    "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
-    "TimeSeries",
     "Torque",
     "Tradeoff",
     "Trajectory",
@@ -280,7 +263,6 @@ __all__ = [
     "forces",
     "frequencies",
     "history",
-    "identify",
     "latin_hypercube",
     "load",
     "measure",

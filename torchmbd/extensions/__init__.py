@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.buckling import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
     from torchmbd.extensions.fibers import *  # noqa: F403
+    from torchmbd.extensions.identification import *  # noqa: F403
     from torchmbd.extensions.lamination import *  # noqa: F403
     from torchmbd.extensions.matrices import *  # noqa: F403
     from torchmbd.extensions.meshes import *  # noqa: F403
@@ -31,6 +32,8 @@ NAMES = {
     "buckling": "Buckling BucklingFactor BucklingIndex buckling",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
     "fibers": "FiberCurvature FiberDivergence FiberField SteeredLaminate viz.fiber_paths",
+    "identification": "Channel Experiment FrequencyResponseData Identification ModalData StaticCurve TimeSeries identify "
+    "viz.data_and_model",
     "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
     "matrices": "read_matrix",
     "meshes": "read_mesh",
@@ -43,7 +46,7 @@ NAMES = {
     "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
     "windio": "read_windio",
 }
-#: Registry (design/responses.py, integrate/backend.py, integrate/equilibrium.py, math/products.py) -> name -> "module:class".
+#: Registry (Registry(name, ...) in the core: responses, backends, kinds of experiment files, ...) -> name -> "module:object".
 ENTRIES: dict[str, dict[str, str]] = {
     "backends": {"native": "native:NativeBackend"},
     "products": {"native": "native:compiled_products"},
@@ -67,4 +70,5 @@ ENTRIES: dict[str, dict[str, str]] = {
         "eigenvalues": "vibrations.eigenvalues:eigenvalues",
         "damping_ratios": "vibrations.spectrum:damping_ratios",
     },
+    "experiments": {"identify": "identification:IDENTIFY"},
 }

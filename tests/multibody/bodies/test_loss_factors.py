@@ -106,6 +106,7 @@ def test_fibers_that_steer():
 
 @pytest.mark.extensions
 @pytest.mark.thorough
+@pytest.mark.extensions
 def test_a_loss_factor_is_identified():
     """Of the soft layer, by the damping ratios of a twin."""
     truth = mbd.equilibrium(clamped(plate()))

@@ -3,7 +3,7 @@
     output   the angle or travel of a joint, or the position of a point of a body in a direction
     input    the effort of a motor in a joint, or a force on a point of a body in a direction
 
-Checked in tests/extensions/vibrations/measures/test_frequency_response.py, tests/study/test_identification.py.
+Checked in tests/extensions/vibrations/measures/test_frequency_response.py, tests/extensions/identification/test_files.py.
 """
 
 from __future__ import annotations
