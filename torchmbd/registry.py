@@ -80,15 +80,6 @@ def public_names() -> list[str]:
     return [name for module, names in named.items() if _is_installed(module) for name in names.split()]
 
 
-def absence(name: str, key: str) -> str:
-    """Why a registry lacks an entry: its extension is not installed, or none is; "" where no extension has such an entry."""
-    tables = _tables()
-    if tables is None:
-        return f"{EXTENSIONS} is not installed"
-    extension = tables.ENTRIES[name].get(key, "").partition(":")[0]
-    return f"the extension {extension} is not installed" if extension and not _is_installed(extension) else ""
-
-
 def _entries(name: str) -> dict[str, str]:
     """Names of a registry -> "module:class", of the extensions that are installed."""
     tables = _tables()

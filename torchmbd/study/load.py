@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from torchmbd.errors import InputError
-from torchmbd.registry import Registry, absence
+from torchmbd.registry import Registry
 from torchmbd.study.assemble import study_of
 from torchmbd.study.check import built_system, section_faults
 from torchmbd.study.estimate import print_estimate
@@ -63,7 +63,7 @@ def _absent_sections(data: Any) -> list[Fault]:
     if not isinstance(data, dict) or data.keys() & {*OBJECTIVE_KEYS}:
         return []
     sections = [str(key) for key in data if key not in KINDS and key not in StudyFile.model_fields]
-    absent = {section: text for section in sections if (text := absence("experiments", section))}
+    absent = {section: text for section in sections if (text := KINDS.missing(section))}
     return [Fault((section,), f"unknown section; {text}") for section, text in absent.items()]
 
 
