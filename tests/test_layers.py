@@ -31,7 +31,7 @@ LAYERS = (
     {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.meshes", "extensions.nastran"},
     {"extensions.native"},
     {"extensions.lamination", "extensions.matrices", "extensions.openmdao", "extensions.robots", "extensions.windio"},
-    {"extensions.buckling", "extensions.vibrations"},
+    {"extensions.buckling", "extensions.paraview", "extensions.vibrations"},
     {"study"},
     {"extensions.identification"},
     {"api", "cli"},

@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.nastran import *  # noqa: F403
     from torchmbd.extensions.native import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
+    from torchmbd.extensions.paraview import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
     from torchmbd.extensions.vibrations import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
@@ -40,6 +41,7 @@ NAMES = {
     "nastran": "read_bdf",
     "native": "",
     "openmdao": "openmdao_component",
+    "paraview": "viz.save_mesh viz.save_modes viz.save_motion",
     "robots": "read_mjcf read_urdf",
     "vibrations": "Campbell CampbellClearance CriticalSpeed DampingRatio FrequencyResponse LinearSystem StabilityLimit"
     " StabilityMargin SystemFrequency campbell frozen_poles linearize",

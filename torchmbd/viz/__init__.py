@@ -15,7 +15,6 @@ from torchmbd.viz.failure_map import failure_map
 from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
 from torchmbd.viz.film import film
 from torchmbd.viz.parallel_coordinates import parallel_coordinates
-from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
 
 __all__ = [
     "animate",
@@ -29,9 +28,6 @@ __all__ = [
     "film",
     "parallel_coordinates",
     "save",
-    "save_mesh",
-    "save_modes",
-    "save_motion",
     "weighted_parts",
 ]
 

@@ -132,7 +132,6 @@ def test_results_responses_and_pictures(tmp_path):
     assert_close(seen, found.displacements[:, :, -1, 1])
     assert "freedoms    24" in str(system.describe())
     assert mbd.viz.animate(motion, tmp_path / "beam.html").stat().st_size > 0
-    assert mbd.viz.save_motion(motion, tmp_path / "beam.pvd").exists()
 
 
 def spinning(**options) -> mbd.results.Trajectory:

@@ -15,10 +15,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate
 from torchmbd.errors import InputError
+from torchmbd.extensions.paraview import save_mesh, save_modes, save_motion
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
 from torchmbd.math.variable import LayerNumbers
 from torchmbd.results.ply_history import PlyHistory
-from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
 
 DTYPES = {"Float64": "<f8", "Int64": "<i8", "UInt8": "u1"}
 

@@ -10,7 +10,7 @@ criterion is asked for. Rigid bodies are lines through their joints.
 Format: XML, numbers inline in base64 (little endian, 8 bytes of length before them), no compression. Nothing but NumPy:
 meshio would save some twenty lines of these, and make every picture for ParaView need an extra.
 Source: The VTK User's Guide, "VTK File Formats" (XML, unstructured grid).
-Checked in tests/viz/test_vtu.py.
+Checked in tests/extensions/test_paraview.py.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.viz.animation import require_lane, require_motion, spread_frames
+
+__all__ = ["save_mesh", "save_modes", "save_motion"]
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
