@@ -166,8 +166,7 @@ class Measure(_Constant):
 
     rows: int = 1
     error_note: ClassVar[str] = ""  # what an estimate of its error by the steps is worth
-    #: What a report shows of the measures with this function: (measures, motion, labels, title, draw, folder) -> pages.
-    drawing: ClassVar[Callable[..., list[Any]] | None] = None
+    drawing: ClassVar[str] = ""  # pictures of such measures in a report, by their name in DRAWINGS of study/report.py
 
     def value(self, motion: Trajectory) -> Tensor:
         """Value [lanes], or [lanes, rows]: a differentiable function of the motion."""

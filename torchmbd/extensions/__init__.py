@@ -72,5 +72,6 @@ ENTRIES: dict[str, dict[str, str]] = {
         "eigenvalues": "vibrations.eigenvalues:eigenvalues",
         "damping_ratios": "vibrations.spectrum:damping_ratios",
     },
+    "drawings": {"vibrations": "vibrations.pictures.vibration_pictures:draw_vibrations"},
     "experiments": {"identify": "identification:IDENTIFY"},
 }

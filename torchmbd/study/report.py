@@ -17,6 +17,7 @@ from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
+from torchmbd.registry import Registry
 from torchmbd.study.journal import Journal
 from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
@@ -32,6 +33,9 @@ from torchmbd.viz import (
     weighted_parts,
 )
 from torchmbd.viz.panels import histories_of
+
+#: (measures, motion of the start and the best design, labels of both, title, function that saves a figure, folder) -> pages.
+DRAWINGS: Registry[Callable[..., list[Any]]] = Registry("drawings", {})
 
 
 def print_results(study: StudySettings, outcome: MultistartResult, failures: Sequence[str], console: Console) -> None:
@@ -219,13 +223,13 @@ def _motion_pictures(
 
 
 def draw_measures(problem: Problem, *arguments: Any) -> list[Any]:
-    """Draw what the measures of a problem bring with them (`Measure.drawing`, with its arguments); return the pages."""
-    by_drawing: dict[Callable[..., list[Any]], list[Measure]] = {}
+    """Draw the pictures of the measures of a problem (`Measure.drawing`), with arguments as of DRAWINGS; return the pages."""
+    by_drawing: dict[str, list[Measure]] = {}
     outer = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
     for measure in _with_operands(*outer):
-        if (drawing := type(measure).drawing) is not None:
-            by_drawing.setdefault(drawing, []).append(measure)
-    return [page for drawing, measures in by_drawing.items() for page in drawing(measures, *arguments)]
+        if measure.drawing:
+            by_drawing.setdefault(measure.drawing, []).append(measure)
+    return [page for drawing, measures in by_drawing.items() for page in DRAWINGS[drawing](measures, *arguments)]
 
 
 def _with_operands(*measures: Measure) -> Iterator[Measure]:

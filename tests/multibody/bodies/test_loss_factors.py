@@ -116,6 +116,7 @@ def test_a_loss_factor_is_identified():
     assert fit["plate.laminate.ply1.loss"] == pytest.approx(0.3, rel=1e-6)
 
 
+@pytest.mark.extensions
 def test_what_has_no_loss_is_refused():
     ply = mbd.Ply(**MODULI, loss=0.01)
     with pytest.raises(mbd.InputError, match=r"Ply: loss = -0\.1; allowed: zero or positive"):

@@ -17,8 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -42,6 +41,7 @@ class OfVibrations(Measure):
     observer       "turning" with the machine, or in the "ground", as of mbd.equilibrium
     """
 
+    drawing: ClassVar[str] = "vibrations"
     axis: str | Sequence[float] = "z"
     center: Sequence[float] = (0.0, 0.0, 0.0)
     observer: str = TURNING
@@ -55,15 +55,6 @@ class OfVibrations(Measure):
         """The measure in words: `system frequency 2 at 30 rad/s`."""
         number, speed = getattr(self, "number", 1), getattr(self, "speed", 0.0)
         return f"{name}{f' {number}' * (number > 1)}{f' at {speed:g} rad/s' if speed else ''}"
-
-    @staticmethod
-    def drawing(*arguments: Any) -> list[Path]:
-        """As `draw_vibrations`."""
-        from torchmbd.extensions.vibrations.pictures.vibration_pictures import (
-            draw_vibrations,  # figures, and these measures
-        )
-
-        return draw_vibrations(*arguments)
 
     @property
     def shaft(self) -> Shaft:
