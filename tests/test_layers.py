@@ -15,7 +15,7 @@ LAYERS = (
     {"errors"},
     {"process", "progress", "summary", "registry"},
     {"math", "viz.figures"},
-    {"fem.mesh", "fem.materials"},
+    {"fem.mesh", "fem.materials", "fem.shape_functions"},
     {"fem.elements", "fem.sections"},
     {"fem.reduction"},
     {"fem.exact_beam"},

@@ -16,6 +16,8 @@ from torchmbd.design.response_spec import measure_of
 from torchmbd.errors import InputError
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.math.products import PRODUCTS
+from torchmbd.study.kind import Kind
+from torchmbd.study.load import KINDS
 
 FOLDER = Path(mbd.__file__ or "").parent / "extensions"
 
@@ -86,6 +88,7 @@ def test_every_entry_leads_to_a_class():
     for found in (RESPONSES, COMBINATORS, OF_DESIGN, BACKENDS):
         assert all(isinstance(kind, type) for kind in found.values())
     assert all(callable(products) for products in PRODUCTS.values())
+    assert all(isinstance(kind, Kind) for kind in KINDS.values())
 
 
 @pytest.mark.extensions

@@ -34,11 +34,9 @@ from torchmbd.multibody.system.linearized import Linearization, Vibrations
 from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.registry import Registry
-from torchmbd.results.displacement import warn_of_displacements
+from torchmbd.results.elastic_limits import warn_of_displacements, warn_of_loads, warn_of_spin
 from torchmbd.results.history import History
-from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.motion_data import OK, Switch
-from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.trajectory import Trajectory
 
 #: Functions of equilibria that extensions add, such as eigenvalues of vibrations about them.

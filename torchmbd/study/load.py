@@ -45,7 +45,7 @@ def read_experiment(source: Source) -> tuple[Kind, Any]:
     """Return what the contents of a file ask for, with its kind."""
     document = source.document
     kind = kind_of(document.data)
-    faults = _absent_sections(document.data)
+    faults = _absent_sections(document.data) if kind is STUDY else []
     experiment: Any = faults or kind.read(source, *validate(document.data, kind.sections))
     if isinstance(experiment, list):
         raise StudyError(document.source, located(experiment, document.lines))
@@ -62,7 +62,7 @@ def _absent_sections(data: Any) -> list[Fault]:
     """Return the sections that extensions would know which are not installed; of a file with an objective they are unknown."""
     if not isinstance(data, dict) or data.keys() & {*OBJECTIVE_KEYS}:
         return []
-    sections = [str(key) for key in data if key not in KINDS and key not in StudyFile.model_fields]
+    sections = [str(key) for key in data if key not in StudyFile.model_fields]
     absent = {section: text for section in sections if (text := KINDS.missing(section))}
     return [Fault((section,), f"unknown section; {text}") for section, text in absent.items()]
 

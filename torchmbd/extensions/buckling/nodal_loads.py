@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
-from torchmbd.fem.elements.beam_nodes import present_nodes
+from torchmbd.fem.elements.beam_line import present_nodes
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.checked_numbers import reals
 from torchmbd.multibody.bodies.interpolation import node_indices

@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from torchmbd.fem.elements import solid_matrices
-from torchmbd.fem.elements.solids import _BRICK, _SIDES
+from torchmbd.extensions.nastran.solids import _BRICK, _SIDES, solid_matrices
 
 E, NU = 70e9, 0.3
 

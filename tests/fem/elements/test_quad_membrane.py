@@ -5,8 +5,8 @@ import torch
 from torch.func import jacfwd
 from torch.testing import assert_close
 
+from torchmbd.fem.elements.quad_membrane import bending, displacements, side_work, stresses
 from torchmbd.fem.elements.quad_shape import middle
-from torchmbd.fem.elements.quad_states import bending, displacements, side_work, stresses
 
 CELL = torch.tensor([[[-0.6, -0.4], [0.7, -0.5], [0.4, 0.8], [-0.5, 0.1]]], dtype=torch.float64)
 PLACE = torch.tensor([0.3, -0.7], dtype=torch.float64)

@@ -8,7 +8,7 @@ Those with nodes on sides are serendipity elements: quadratic, isoparametric. Ma
 of the others in the ratio of int N_k^2 dV (E. Hinton, T. Rock, O. C. Zienkiewicz, 1976), as int N_k is negative at corners.
 Source: E. L. Wilson, R. L. Taylor et al., Incompatible displacement models, 1973; R. L. Taylor, P. J. Beresford, E. L.
 Wilson, IJNME 10 (1976) 1211-1219.
-Checked in tests/fem/elements/test_solids.py.
+Checked in tests/extensions/nastran/test_solids.py.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from torchmbd.fem.shape_functions import serendipity_powers, shape_functions, simplex_powers
 
 _G = 1.0 / math.sqrt(3.0)
 _BRICK = torch.tensor(
@@ -36,70 +38,31 @@ def _numbers(x: list) -> Tensor:
     return torch.tensor(x, dtype=torch.float64)
 
 
-def _shapes(corners: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _shapes(nodes: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Values [g, k] and derivatives [g, k, 3] of shape functions at Gauss points, their weights [g], and the points [g, 3]."""
-    if corners == 4:
-        slopes = _numbers([[-1.0, -1.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-        return _numbers([[0.25] * 4]), slopes[None], _numbers([1.0 / 6.0]), _numbers([[0.0] * 3])
-    if corners == 8:
-        r = _BRICK * _G
-        factors = 1.0 + r[:, None] * _BRICK  # [g, k, 3]
-        slopes = torch.stack([_BRICK[:, i] * factors[..., i - 1] * factors[..., i - 2] for i in range(3)], -1) / 8.0
-        return factors.prod(-1) / 8.0, slopes, _numbers([1.0] * 8), r
-    values, slopes, points = [], [], []
-    for t in (-_G, _G):
-        for a, b in ((1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)):
-            flat = _numbers([1.0 - a - b, a, b])
-            d = _numbers([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-            ends = [((1 - t) / 2, -0.5), ((1 + t) / 2, 0.5)]
-            values.append(torch.cat([flat * h for h, _ in ends]))
-            slopes.append(torch.cat([torch.cat([d * h, (flat * dh)[:, None]], 1) for h, dh in ends]))
-            points.append(_numbers([a, b, t]))
-    return torch.stack(values), torch.stack(slopes), _numbers([1.0 / 6.0] * 6), torch.stack(points)
-
-
-def _powers(nodes: int) -> list[tuple[int, int, int]]:
-    """Powers of the three coordinates in the monomials that a quadratic solid has."""
-    if nodes == 20:  # all of degree two at most, where factors that stand linearly do not count
-        powers = [(i, j, k) for i in range(3) for j in range(3) for k in range(3)]
-        return [exponents for exponents in powers if sum(n for n in exponents if n > 1) <= 2]
-    flat = [(i, j) for i in range(3) for j in range(3) if i + j <= 2]
-    if nodes == 15:
-        return [*((i, j, k) for i, j in flat for k in (0, 1)), *((i, j, 2) for i, j in flat if i + j <= 1)]
-    return [(i, j, k) for i, j in flat for k in range(3 - i - j)]
-
-
-def _monomials(powers: Tensor, at: Tensor, by: int | None = None) -> Tensor:
-    """Monomials at points [g, 3], or their derivatives by one coordinate [g, k]."""
-    factors = at[:, None] ** powers
-    if by is not None:
-        factors[..., by] = powers[:, by] * at[:, None, by] ** (powers[:, by] - 1).clamp_min(0)
-    return factors.prod(-1)
-
-
-def _quadratic(nodes: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """As `_shapes`, of a solid with nodes on its sides."""
-    line = [(-math.sqrt(0.6), 5 / 9), (0.0, 8 / 9), (math.sqrt(0.6), 5 / 9)]
-    if nodes == 10:
+    degree = 1 if nodes in CORNERS else 2
+    line = [(-_G, 1.0), (_G, 1.0)] if degree == 1 else [(-math.sqrt(0.6), 5 / 9), (0.0, 8 / 9), (math.sqrt(0.6), 5 / 9)]
+    flat = simplex_powers(degree)
+    if nodes in (4, 10):
         corners = _numbers([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         a, b = (5.0 + 3.0 * math.sqrt(5.0)) / 20.0, (5.0 - math.sqrt(5.0)) / 20.0
-        points, weights = b + (a - b) * corners, _numbers([1.0 / 24.0] * 4)
-    elif nodes == 15:
+        points = _numbers([[0.25] * 3]) if degree == 1 else b + (a - b) * corners
+        weights = _numbers([1.0 / 6.0 / len(points)] * len(points))
+        powers = [(i, j, k) for i, j in flat for k in range(degree + 1 - i - j)]
+    elif nodes in (6, 15):
         corners = _numbers([[x, y, t] for t in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))])
-        flat = [(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)]
-        points, weights = (
-            _numbers([[x, y, t] for x, y in flat for t, _ in line]),
-            _numbers([w / 6 for _, w in line] * 3),
-        )
+        places = [(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)]
+        points = _numbers([[x, y, t] for x, y in places for t, _ in line])
+        weights = _numbers([w / 6 for _, w in line] * 3)
+        powers = [(i, j, k) for i, j in flat for k in range(degree + 1) if k < 2 or i + j <= 1]
     else:
         corners = _BRICK
         points = _numbers([[x, y, z] for x, _ in line for y, _ in line for z, _ in line])
         weights = _numbers([u * v * w for _, u in line for _, v in line for _, w in line])
-    places = torch.cat([corners, torch.stack([(corners[i] + corners[j]) / 2.0 for i, j in _SIDES[nodes]])])
-    powers = torch.tensor(_powers(nodes))
-    shapes = torch.linalg.inv(_monomials(powers, places))  # coefficients [monomial, k]
-    slopes = torch.stack([_monomials(powers, points, r) @ shapes for r in range(3)], -1)
-    return _monomials(powers, points) @ shapes, slopes, weights, points
+        powers = serendipity_powers(degree, 3)
+    middles = [(corners[i] + corners[j]) / 2.0 for i, j in _SIDES.get(nodes, ())]
+    N, slopes = shape_functions(torch.stack([*corners, *middles]), powers, points)
+    return N, slopes, weights, points
 
 
 def _strains(slopes: Float[Tensor, "... k 3"]) -> Float[Tensor, "... 6 k3"]:
@@ -116,7 +79,7 @@ def solid_matrices(
 ) -> tuple[Float[Tensor, "m k3 k3"], Float[Tensor, "m k"], Float[Tensor, "m g"]]:
     """Stiffness [N/m], volumes that belong to the nodes [m3], and volumes at Gauss points, all positive in a right element."""
     nodes = x.shape[1]
-    N, slopes, weights, points = _shapes(nodes) if nodes in CORNERS else _quadratic(nodes)
+    N, slopes, weights, points = _shapes(nodes)
     J = torch.einsum("gkr,mki->mgri", slopes, x)
     volume = torch.linalg.det(J) * weights
     singular = volume.abs() < 1e-300

@@ -1,4 +1,23 @@
-"""The part of loads in the stiffness of flexible bodies without stiffening: what linear elastic displacements leave out.
+"""Where small linear elastic displacements of flexible bodies cease to hold: their size, their spin, their loads.
+
+Displacements against the size of the body,
+
+    ratio = max |w| / sqrt(tr P0)       root mean squares over the mass: of displacements, of distances from the body frame
+
+Modes are normalized to the mass matrix, so |w|^2 = sum m u^2, and tr P0 = sum m x^2. The tip of a cantilever that moves by a
+length has 0.84. A stiffened body that buckles goes on to any displacement: what holds a buckled beam is of higher order.
+
+Spin by the lowest frequency,
+
+    ratio = max |om| / om_1           om_1: lowest frequency of the body with its reference nodes fixed, from Kr
+
+Without stiffening elastic displacements are linear, and only one of two effects of spin is included: inertia softens a bending
+mode, om_1^2 - om^2, but the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
+order. The error is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
+Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
+but need enough modes each.
+
+The part of loads of any source in the stiffness of bodies without stiffening,
 
     Kg(t) = sum_i u_i F1_i + sum_ij Z_ij F2_ij + sum_v p_v . f_v       share = max |x' Kg x| / (x' Kr x)
 
@@ -16,7 +35,9 @@ The multipliers in p take longer than a motion. So the share is computed where t
 
 is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads.
 Bodies whose frames have more than `_MOST_NODES` nodes are not looked at, nor are those of rods, springs and solids.
-Checked in tests/results/test_load_share.py.
+Source of the spin: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10
+(1987) 139-151.
+Checked in tests/results/test_elastic_limits.py, tests/validation/test_flexible_benchmarks.py.
 """
 
 from __future__ import annotations
@@ -40,13 +61,70 @@ from torchmbd.results.reaction import in_lanes, placement_at_times
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
 
-LARGE = 0.05  # errors of five percent
+_LARGE = 0.5  # displacement by the size
+_FAST = 0.1  # spin by the frequency: errors of one percent
+_LOADED = 0.05  # share of loads: errors of five percent
 _SMALL = 0.005  # size of loads below which no share is large: a force at the end of a rod has a share of 3 to 6 sizes
 _GROWN = 1.1  # factor of the size beyond which a share is computed anew
 _MOST_NODES = 60  # of frames: there are six unit loads for each
-_LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = (
-    WeakKeyDictionary()
-)  # body -> size and share of its largest loads
+#: Body -> size and share of its largest loads.
+_LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = WeakKeyDictionary()
+
+
+def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
+    """Largest displacement by the size [lanes] of every flexible body."""
+    T, ratios = motion.dynamics.topology, {}
+    for k, name in enumerate(T.names[: T.flexible]):
+        second = value(motion.dynamics.data["P0"])[:, :, k, 0].diagonal().sum(-1)
+        ratios[name] = motion.body(name).w.norm(dim=-1).amax(-1) / second.sqrt()
+    return ratios
+
+
+def _largest(ratios: Tensor) -> float:
+    """Of the lanes that have a number: not of a motion that failed, nor of a body without size or support."""
+    known = ratios[ratios.isfinite()]
+    return float(known.max()) if len(known) else 0.0
+
+
+def warn_of_displacements(motion: Trajectory) -> None:
+    """Warn of bodies whose displacements are of their size."""
+    for name, ratios in displacement_ratios(motion).items():
+        ratio = _largest(ratios)
+        if ratio > _LARGE:
+            near = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
+            warn(
+                f"body {name!r} is displaced by {near} of its size, but elastic displacements are taken as small; allowed: "
+                "smaller loads, pieces of a beam (mbd.split), exact beams (mbd.FlexibleBeam)"
+            )
+
+
+def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
+    """Largest ratio of spin to first frequency [lanes] of every flexible body."""
+    T, ratios = motion.dynamics.topology, {}
+    for name in T.names[: T.flexible]:
+        view = motion.body(name)
+        first = torch.linalg.eigvalsh(view.stiffness[0].detach())[:, 0].clamp_min(0.0).sqrt()
+        ratios[name] = view.omega.norm(dim=-1).amax(-1) / first
+    return ratios
+
+
+def warn_of_spin(motion: Trajectory) -> None:
+    """Keep the ratios in stats["spin_ratio"], and warn of bodies without stiffening that turn too fast."""
+    motion.stats["spin_ratio"] = spin_ratios(motion)
+    V1 = motion.dynamics.data.get("V1")  # displacements of second order (multibody/bodies/stiffening.py)
+    for name, ratios in motion.stats["spin_ratio"].items():
+        ratio = _largest(ratios)
+        if ratio > _FAST and (V1 is None or not value(V1)[:, :, :, motion.dynamics.topology.names.index(name)].any()):
+            rounded = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
+            warn(
+                f"body {name!r} turns at {rounded} of its first frequency: centrifugal stiffening, which linear elastic "
+                f"displacements leave out, is of the size {min(float(rounded) ** 2, 1.0):.0%} of its deflections; allowed: "
+                "stiffening=True of a body of plates and beams",
+            )
+
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
 
 
 def load_shares(motion: Trajectory) -> dict[str, float]:
@@ -55,7 +133,12 @@ def load_shares(motion: Trajectory) -> dict[str, float]:
     if any(not isinstance(link.control, ContactControl) for link in T.links.each):
         return shares  # modules of controllers are called for one state at a time, as they were in the motion
     bodies = [(k, motion.system.body(name)) for k, name in enumerate(T.names[: T.flexible])]
-    bodies = [(k, body) for k, body in bodies if _has_geometric_stiffness(body) and body.stiffening is None]
+    bodies = [(k, body) for k, body in bodies if body.stiffening is None and body.given_structure is None]
+    bodies = [  # whose geometric stiffness is known
+        (k, body)
+        for k, body in bodies
+        if not any(isinstance(part, GivenElements) for part in body.assembly.parts.values())
+    ]
     sizes = _sizes(motion) if bodies else []
     loads = None
     for k, body in bodies:
@@ -71,18 +154,12 @@ def warn_of_loads(motion: Trajectory) -> None:
     """Keep the shares in stats["load_share"], and warn of those that are large."""
     motion.stats["load_share"] = load_shares(motion)
     for name, share in motion.stats["load_share"].items():
-        if share > LARGE:
+        if share > _LOADED:
             warn(  # few different texts: Python shows each once in an optimization
                 f"body {name!r}: tension and pressure of its loads are {share:.1g} of its stiffness, which linear elastic "
                 "displacements leave out, and its deflections are off by a part of this size; allowed: stiffening=True, "
                 "or a reference in its middle, where the part is smaller"
             )
-
-
-def _has_geometric_stiffness(body: Any) -> bool:
-    return body.given_structure is None and not any(
-        isinstance(part, GivenElements) for part in body.assembly.parts.values()
-    )
 
 
 def _sizes(motion: Trajectory) -> list[float]:
