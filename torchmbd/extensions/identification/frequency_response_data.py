@@ -23,11 +23,11 @@ from torchmbd.extensions.identification.measurement import Block, Measurement, P
 from torchmbd.extensions.identification.modal_data import check_options
 from torchmbd.extensions.identification.run import Run
 from torchmbd.extensions.identification.table import Table
+from torchmbd.extensions.vibrations.frequency_response import QUANTITIES, frequency_response
+from torchmbd.extensions.vibrations.linear_system import Ports, checked_ports, system_with_ports
 from torchmbd.multibody.forces.signals import Actuator, Signal
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
-from torchmbd.vibrations.frequency_response import QUANTITIES, frequency_response
-from torchmbd.vibrations.linear_system import Ports, checked_ports, system_with_ports
 
 PARTS = {"complex": ("real", "imaginary"), "polar": ("magnitude", "phase")}
 

@@ -34,9 +34,9 @@ from torchmbd.extensions.identification.tracked_fit import (
     start_predictions,
     unit_of_title,
 )
+from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.study.kind import Kind
 from torchmbd.study.progress import print_table, table_of
-from torchmbd.vibrations.ports_by_name import NamedPort
 
 
 def _check(plan: IdentificationPlan, console: Console) -> int:

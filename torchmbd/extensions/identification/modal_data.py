@@ -28,14 +28,14 @@ from torchmbd.design.histories import Displacement, Position, Velocity
 from torchmbd.errors import DesignFailure, InputError, checked_signature, nearest
 from torchmbd.extensions.identification.measurement import Block, Limits, Measurement, Prediction
 from torchmbd.extensions.identification.run import Run
+from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
+from torchmbd.extensions.vibrations.spectrum import SWINGS
+from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import System
 from torchmbd.optimization.optimizer import require_range
 from torchmbd.results.motion_data import OK
 from torchmbd.results.time_rows import TensorSignals
-from torchmbd.vibrations import Equilibrium
-from torchmbd.vibrations.eigenvalues import NATURAL, POLES
-from torchmbd.vibrations.spectrum import SWINGS
 
 LEAST_MAC = 0.5  # below, two shapes are not taken for the same mode
 OPTIONS = ("times", "spin", "center", "observer", "follow", "unstable")  # of `equilibrium`

@@ -33,6 +33,7 @@ from torchmbd.extensions.identification.sections import (
 )
 from torchmbd.extensions.identification.static_curve import StaticCurve
 from torchmbd.extensions.identification.time_series import TimeSeries
+from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.math import units
 from torchmbd.math.variable import variable
 from torchmbd.multibody.system import System
@@ -47,7 +48,6 @@ from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import si_of
 from torchmbd.study.schema import UNITS, Motion
 from torchmbd.tracking.uri import StoreURI
-from torchmbd.vibrations.ports_by_name import NamedPort
 
 _SENSOR_UNITS = {"delay": "s", "gain": ""}  # of an offset: that of the response
 _DEFAULTS = {"delay": 0.0, "gain": 1.0, "offset": 0.0}

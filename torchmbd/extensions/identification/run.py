@@ -16,8 +16,8 @@ from torch import Tensor
 from torchmbd.design.differentiate import ValueAndGradient, differentiate
 from torchmbd.design.push_forward import push_forward
 from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.multibody.system import System
-from torchmbd.vibrations import Equilibrium, equilibrium
 
 
 @dataclass(eq=False)

@@ -16,10 +16,10 @@ from torchmbd.design.response_spec import SpecError, history_of
 from torchmbd.extensions.identification.frequency_response_data import PARTS
 from torchmbd.extensions.identification.losses import LOSSES
 from torchmbd.extensions.identification.registry import MEASUREMENTS
+from torchmbd.extensions.vibrations.frequency_response import QUANTITIES
 from torchmbd.study.scenario_keys import Settings
 from torchmbd.study.schema import FUNCTION, Bounded, Motion, Starts, Tracking, units_fit
 from torchmbd.study.section import NameOf, Numbers, Section, Unit, beside, fault
-from torchmbd.vibrations.frequency_response import QUANTITIES
 
 _OF_CHANNEL = ("column", "unit", "deviation", "delay", "gain", "offset")
 
