@@ -22,7 +22,6 @@ from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.switch import (
     InitialState,
-    accelerations,
     at_time,
     data_with_marks,
     entered,
@@ -154,7 +153,7 @@ class MultiphaseRun:
         """A number with all lanes and tangents."""
         n, lanes = self.whole.tangents, self.whole.lanes
         if isinstance(x, Pair) or not n:
-            return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
+            return linear(lambda y: y.expand(*y.shape[:-1], lanes), x)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
 
     def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, Dynamics, State]:
@@ -233,7 +232,7 @@ class MultiphaseRun:
             unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
             before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
             v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, before)
-            a, lam = at_time(accelerations, dynamics, t, x.q, v)
+            a, lam = at_time(Dynamics.accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
     def _check_closed(self, number: int, lanes: Sequence[int], dynamics: Dynamics, t: Any, q: Any) -> None:
