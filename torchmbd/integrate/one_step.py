@@ -36,7 +36,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepEstimates
-from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry, Stepper
+from torchmbd.integrate.integrator import IntegrationResult, Integrator, Stepper, Steps
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
@@ -171,7 +171,7 @@ class OneStep(Integrator):
     def refines(self) -> bool:
         return self.halvings > 0
 
-    def retry(self) -> Retry | None:
+    def retry(self) -> Steps | None:
         """First with a new matrix for every correction, and more of these; then with half the step.
 
         The matrix of the step before does not suit one near a singular position: there its inverse grows without bound. Nor do
@@ -179,8 +179,8 @@ class OneStep(Integrator):
         """
         if self.refresh != 0:
             values, tangents = self.iterations or _OF_BEAMS
-            return Retry(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
-        return Retry(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None
+            return Steps(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
+        return Steps(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None
 
 
 def _expansion(whole: Dynamics, condensed: Dynamics, times: Tensor) -> Expansion | None:

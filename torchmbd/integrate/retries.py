@@ -17,13 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import torch
 
 from torchmbd.integrate.contacts import MOST_SUBSTEPS, UnresolvedContact
 from torchmbd.integrate.initial_value import InitialValueProblem
-from torchmbd.integrate.integrator import IntegrationResult, Integrator
+from torchmbd.integrate.integrator import IntegrationResult, Integrator, Steps
 from torchmbd.integrate.jumps import substeps_at
 from torchmbd.integrate.lane_status import (
     mark_doubts,
@@ -41,13 +40,6 @@ from torchmbd.results.history import History, RefinedLane
 from torchmbd.results.motion_data import Switch, has_failed
 
 _MOST_NUMBERS = 2e8  # of a motion whose steps are made smaller for its contacts
-
-
-class Steps(NamedTuple):
-    """Steps of an integrator, so many of which stand for one."""
-
-    integrator: Integrator
-    substeps: int
 
 
 @dataclass
@@ -172,7 +164,7 @@ def integrate_lanes(
         other = integrate_lanes(
             retry.integrator, problem.select_lanes(to_retry), retry.substeps * steps, substeps=substeps
         )
-        results.replace_lanes(to_retry, Steps(*retry), other)
+        results.replace_lanes(to_retry, retry, other)
     warn_unresolved([reason for lane, reason in enumerate(results.status) if lane not in results.replaced])
     return results
 
