@@ -90,7 +90,7 @@ PATH = (
             ("fem/reduction/invariants.py", "inertia_invariants"),
         ),
         "data: Kr, S1, C1 ... [component, 1, lanes]",
-        (("fem/reduction/transport.py", "Cotangent"), ("fem/materials/laminate.py", "Laminate")),
+        (("fem/reduction/transport.py", "cotangent"), ("fem/materials/laminate.py", "Laminate")),
         "dJ/d angles [lanes, plies]",
     ),
     Stage(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Collection, Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -32,7 +33,7 @@ GROUPS: dict[str, str] = {
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
     "buckling Buckling frequencies Vibrations Trajectory Phase Event",
-    "results": "SectionHistory PlyHistory viz",
+    "results": "SectionHistory PlyHistory viz viz.fiber_paths viz.save_mesh viz.save_modes viz.save_motion",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
@@ -54,7 +55,7 @@ def group(names: str) -> str:
 
 
 def _path(name: str) -> str:
-    entry = getattr(mbd, name)
+    entry = attrgetter(name)(mbd)
     module = getattr(entry, "__module__", None)  # a module has none
     return entry.__name__ if module is None else f"{module}.{entry.__qualname__}"
 

@@ -15,13 +15,15 @@ import torchmbd as mbd
 from experiments.documentation import recorded, reference, validation
 from experiments.documentation.animated_svg import animated_svg, drawing
 from experiments.paper.part import Finding, Part, Row
+from torchmbd import registry
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_every_public_name_stands_in_the_reference_once():
     names = [name for group in reference.GROUPS.values() for name in group.split()]
-    assert sorted(names) == sorted(mbd.__all__)
+    pictures = [name for name in registry.public_names() if name.startswith("viz.")]
+    assert sorted(names) == sorted([*mbd.__all__, *pictures])
     pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "reference").glob("*.md"))
     for group in reference.GROUPS:
         assert pages.count(f"<!-- insert: group {group} -->") == 1, group

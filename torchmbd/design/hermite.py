@@ -31,7 +31,7 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
     ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends [..., n]
     h, s   length of the interval [s] and position in it [n], or [..., n]
     """
-    table = torch.tensor(_table(len(ends), derivative), dtype=s.dtype, device=s.device)
+    table = torch.tensor(_table(len(ends), derivative), dtype=s.dtype)
     powers = [torch.ones_like(s)]
     for _ in range(table.shape[1] - 1):
         powers.append(powers[-1] * s)
@@ -44,7 +44,7 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
 
 def hermite_integral(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, power: int = 1) -> Tensor:
     """Integral of the polynomial over its interval, or of its square (power 2) [..., n]; arguments as of `hermite`."""
-    rows = torch.tensor(_table(len(ends), 0), dtype=h.dtype, device=h.device)
+    rows = torch.tensor(_table(len(ends), 0), dtype=h.dtype)
     z = torch.stack([h**k * x for k, pair in enumerate(ends) for x in pair])
     exponent = torch.arange(rows.shape[1], dtype=h.dtype)
     if power == 1:
@@ -56,7 +56,7 @@ def hermite_integral(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, power: in
 def coefficients(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor) -> Tensor:
     """Coefficients of the polynomial by powers of the position s [powers, ..., n], lowest first; arguments as of `hermite`."""
     at_ends = torch.stack([x * h**k for k, pair in enumerate(ends) for x in pair])
-    table = torch.tensor(_table(len(ends), 0), dtype=at_ends.dtype, device=at_ends.device)
+    table = torch.tensor(_table(len(ends), 0), dtype=at_ends.dtype)
     return torch.tensordot(table.T, at_ends, 1)
 
 

@@ -50,12 +50,10 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
-from torchmbd.results.displacement import warn_of_displacements
+from torchmbd.results.elastic_limits import warn_of_displacements, warn_of_loads, warn_of_spin
 from torchmbd.results.history import History
-from torchmbd.results.load_share import warn_of_loads
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import report_singular_positions
-from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.time_rows import IntegratedSignals, StepStates
 from torchmbd.results.trajectory import Trajectory
 

@@ -27,21 +27,8 @@ import torch
 
 from torchmbd.errors import warn
 
-_ATOMS = (
-    enum.Enum,
-    type(None),
-    bool,
-    int,
-    float,
-    complex,
-    str,
-    bytes,
-    range,
-    type(...),
-    torch.dtype,
-    torch.device,
-    PurePath,
-)
+_NUMBERS = (bool, int, float, complex, str, bytes, range)
+_ATOMS = (enum.Enum, type(None), *_NUMBERS, type(...), torch.dtype, torch.device, PurePath)
 _METHODS = (FunctionType, classmethod, staticmethod, property)
 
 

@@ -46,10 +46,6 @@ def is_variable(x: Any) -> bool:
     return isinstance(x, nn.Parameter) and x.dim() == 0 and x.dtype == torch.float64 and bool(torch.isfinite(x))
 
 
-def _is_parameter(x: Any) -> bool:
-    return isinstance(x, nn.Parameter) and x.dtype == torch.float64
-
-
 def carries_gradient(x: Any) -> bool:
     """Whether x is a tensor that requires a gradient or has a tangent, in any mode."""
     return isinstance(x, Tensor) and (x.requires_grad or forward_ad.unpack_dual(x).tangent is not None)
@@ -114,10 +110,11 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(f)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-        if any(map(_may_have_gradient, (*args, *kwargs.values()))):
+        if any(isinstance(x, (Tensor, Mapping, *_CONTAINERS)) for x in (*args, *kwargs.values())):
             for name, x in signature.bind(*args, **kwargs).arguments.items():
                 allowed = _VARIABLE_KINDS.get(kinds[name])
-                if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and _is_parameter(x))):
+                parameter = isinstance(x, nn.Parameter) and x.dtype == torch.float64
+                if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and parameter)):
                     refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x, allowed or "numbers")
         values = signature.bind_partial(*args, **kwargs).arguments
         for name in floats.intersection(values):
@@ -139,10 +136,6 @@ def _number(x: Any) -> bool:
     except (TypeError, ValueError, RuntimeError):
         return False
     return True
-
-
-def _may_have_gradient(x: Any) -> bool:
-    return isinstance(x, (Tensor, Mapping, *_CONTAINERS))
 
 
 def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Module | None = None) -> None:

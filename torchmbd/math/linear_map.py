@@ -10,12 +10,13 @@ Checked in tests/math/test_linear_map.py.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import apply_as_lanes
 
 
 class LinearMap(Protocol):
@@ -54,8 +55,7 @@ class _Mapped(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
-        wide = [batch_first(part, dim, info.batch_size) for part, dim in zip(x, in_dims[1:], strict=True)]
-        return apply_linear(linear, *(part.flatten(0, 1) for part in wide)).unflatten(0, (info.batch_size, -1)), 0
+        return apply_as_lanes(partial(apply_linear, linear), info, in_dims[1:], *x)
 
 
 class _Adjoint(torch.autograd.Function):
@@ -77,5 +77,4 @@ class _Adjoint(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
-        cotangents: Any = _Adjoint.apply(linear, batch_first(y, in_dims[1], info.batch_size).flatten(0, 1))
-        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in cotangents), (0,) * len(cotangents)
+        return apply_as_lanes(partial(_Adjoint.apply, linear), info, in_dims[1:], y)

@@ -247,7 +247,7 @@ def _same_lanes(parts: list[Tensor]) -> list[Tensor]:
 def cross(a: Any, b: Any) -> Any:
     """Cross product over the first axis."""
     products = a.unsqueeze(1) * b.unsqueeze(0)
-    return constant_map(CROSS_FORM.to(value(products).device), products.flatten(0, 1))
+    return constant_map(CROSS_FORM, products.flatten(0, 1))
 
 
 def dot(a: Any, b: Any) -> Any:

@@ -16,9 +16,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.products import compiled_products
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import FirstDerivative, apply_as_lanes
 
 GROUP = 64  # points
 
@@ -64,7 +63,7 @@ class _Forms(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, *x: Tensor) -> Any:
-        return _vmapped(_Forms, info, in_dims, x)
+        return apply_as_lanes(_Forms.apply, info, in_dims, *x)
 
     @staticmethod
     def jvp(ctx: Any, d_law: Tensor | None, d_d: Tensor | None) -> Any:
@@ -89,7 +88,7 @@ class _Cross(FirstDerivative):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, *x: Tensor) -> Any:
-        return _vmapped(_Cross, info, in_dims, x)
+        return apply_as_lanes(_Cross.apply, info, in_dims, *x)
 
 
 class _Slopes(FirstDerivative):
@@ -113,7 +112,7 @@ class _Slopes(FirstDerivative):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, *x: Tensor) -> Any:
-        return _vmapped(_Slopes, info, in_dims, x)
+        return apply_as_lanes(_Slopes.apply, info, in_dims, *x)
 
 
 def _sums(law: Tensor, d: Tensor, e: Tensor) -> Tensor:
@@ -131,13 +130,3 @@ def _sums(law: Tensor, d: Tensor, e: Tensor) -> Tensor:
 
 def _symmetric(y: Tensor) -> Tensor:
     return 0.5 * (y + y.mT)
-
-
-def _vmapped(function: Any, info: Any, in_dims: tuple, x: tuple[Tensor, ...]) -> Any:
-    """The vmap rule: members of the batch are further lanes."""
-    size = info.batch_size
-    wide = [batch_first(part, dim, size) for part, dim in zip(x, in_dims, strict=True)]
-    result = function.apply(*(part.flatten(0, 1) for part in wide))
-    if isinstance(result, tuple):
-        return tuple(part.unflatten(0, (size, -1)) for part in result), (0,) * len(result)
-    return result.unflatten(0, (size, -1)), 0

@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.math.pair import CROSS_FORM, Pair, cat, constant_map, cross, dot, value
+from torchmbd.math.pair import CROSS_FORM, Pair, cat, constant_map, cross, dot
 
 # A_ij = sum_ab _A[3 i + j, 4 a + b] p_a p_b, symmetric in a and b; with |p| = 1 the form of the header.
 _A = torch.zeros(3, 3, 4, 4, dtype=torch.float64)
@@ -50,23 +50,23 @@ PRODUCT_FORM = PRODUCT_FORM.reshape(4, 16)
 def rotation_matrix(p):
     """Rotation matrices [3, 3, ...] of Euler parameters [4, ...], body -> ground."""
     products = p[:, None] * p[None]
-    return constant_map(ROTATION_FORM.to(value(p).device), products.flatten(0, 1)).unflatten(0, (3, 3))
+    return constant_map(ROTATION_FORM, products.flatten(0, 1)).unflatten(0, (3, 3))
 
 
 def skew(x):
     """Skew matrices [3, 3, ...] of vectors [3, ...]."""
-    return constant_map(SKEW.to(value(x).device), x).unflatten(0, (3, 3))
+    return constant_map(SKEW, x).unflatten(0, (3, 3))
 
 
 def axial(Y):
     """Axial vectors [3, ...] of matrices [3, 3, ...]: eps_ijk Y_kj."""
-    return constant_map(AXIAL.to(value(Y).device), Y.flatten(0, 1))
+    return constant_map(AXIAL, Y.flatten(0, 1))
 
 
 def quaternion_product(p, d):
     """Product of Euler parameters [4, ...]: rotate by p after d (d in the axes of p's body)."""
     products = p.unsqueeze(1) * d.unsqueeze(0)
-    return constant_map(PRODUCT_FORM.to(value(p).device), products.flatten(0, 1))
+    return constant_map(PRODUCT_FORM, products.flatten(0, 1))
 
 
 def euler_rates(p, omega):

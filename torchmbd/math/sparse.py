@@ -147,7 +147,7 @@ class SparseMatrix:
         """All size x size numbers."""
         n = self.pattern.size
         flat = self.values.new_zeros((*self.lanes, n * n))
-        k = (self.pattern.rows * n + self.pattern.cols).to(flat.device)
+        k = self.pattern.rows * n + self.pattern.cols
         return flat.index_add(-1, k, self.values).reshape(*self.lanes, n, n)
 
     def __matmul__(self, other: Tensor) -> Tensor:
@@ -158,4 +158,4 @@ class SparseMatrix:
             raise InputError(f"right factor has shape {tuple(other.shape)}; [..., {self.pattern.size}, k] is needed")
         products = self.values[..., :, None] * other[..., self.pattern.cols, :]
         result = products.new_zeros((*products.shape[:-2], self.pattern.size, products.shape[-1]))
-        return result.index_add(-2, self.pattern.rows.to(result.device), products)
+        return result.index_add(-2, self.pattern.rows, products)

@@ -38,14 +38,15 @@ class Sums:
         within = torch.arange(len(row)) - (count.cumsum(0) - count)[row]
         return Sums(row, self.terms[self.start[rows][row] + within], (len(rows), self.shape[1]))
 
-    def __call__(self, x: Float[Tensor, "lanes x"]) -> Float[Tensor, "lanes y"]:
+    def __call__(self, *terms: Float[Tensor, "lanes x"]) -> Float[Tensor, "lanes y"]:
         """y of x."""
+        (x,) = terms
         if (code := compiled_products(x)) is not None:
             return code.sums(self.start, self.terms, x)
         return x.new_zeros(len(x), self.shape[0]).index_add(1, self.rows, x[:, self.terms])
 
-    def adjoint(self, y: Float[Tensor, "lanes y"]) -> Float[Tensor, "lanes x"]:
+    def adjoint(self, y: Float[Tensor, "lanes y"]) -> tuple[Float[Tensor, "lanes x"]]:
         """The transpose of the map: for every x the sum of the y that contain it."""
         if (code := compiled_products(y)) is not None:
-            return code.transposed_sums(self.start, self.terms, y, self.shape[1])
-        return y.new_zeros(len(y), self.shape[1]).index_add(1, self.terms, y[:, self.rows])
+            return (code.transposed_sums(self.start, self.terms, y, self.shape[1]),)
+        return (y.new_zeros(len(y), self.shape[1]).index_add(1, self.terms, y[:, self.rows]),)

@@ -19,9 +19,8 @@ from torchmbd.errors import InputError, user_line
 OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
 PLACES = (0.0, 0.013, 0.11, 0.57, 1.3)  # of the argument, where slopes are compared
 STEP = 1e-4
-SMOOTH = (
-    0.1  # of a difference over two steps: the change from one step to the other beyond which the law bends or jumps
-)
+#: Of a difference over two steps: the change from one step to the other beyond which the law bends or jumps.
+SMOOTH = 0.1
 
 
 def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str) -> None:

@@ -1,13 +1,50 @@
-"""What the vmap rules of torch.autograd.Function share.
+"""What operations of torch of our own share: a batch of torch.func.vmap becomes lanes; second derivatives are refused.
 
 Checked in tests/fem/reduction and tests/sensitivity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from torch import Tensor
+from torch.autograd import Function
+
+
+class FirstDerivative(Function):
+    """A first derivative as a torch function; its own derivative is a NotImplementedError, not a wrong number.
+
+    of   name of the function that would be differentiated twice
+    """
+
+    of: str
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
+        """Keep nothing."""
+
+    @classmethod
+    def jvp(cls, ctx: Any, *_: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        raise NotImplementedError(
+            f"second derivatives of {cls.of} are not provided; use finite differences of gradients"
+        )
+
+    @classmethod
+    def backward(cls, ctx: Any, *_: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        cls.jvp(ctx)
+
+
+def apply_as_lanes(
+    function: Callable[..., Any], info: Any, in_dims: Sequence[int | None], *tensors: Tensor
+) -> tuple[Any, Any]:
+    """The vmap rule of a function of tensors [lane, ...], one or several: members of the batch are further lanes."""
+    size = info.batch_size
+    wide = (batch_first(x, dim, size).flatten(0, 1) for x, dim in zip(tensors, in_dims, strict=True))
+    result = function(*wide)
+    if isinstance(result, tuple):
+        return tuple(y.unflatten(0, (size, -1)) for y in result), (0,) * len(result)
+    return result.unflatten(0, (size, -1)), 0
 
 
 def batch_first(x: Tensor, dim: int | None, size: int) -> Tensor:

@@ -13,10 +13,9 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.fem.exact_beam.sections import ElementProperties
-from torchmbd.math.module_call import call_module
 from torchmbd.math.rigid_motion import end_wrenches, logarithm
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.results.body_motion import BodyMotion, PointMotion
@@ -104,9 +103,7 @@ class BeamMotion(Summary):
     @cached_property
     def _elements(self) -> ElementProperties:
         """In the designs of the motion [lanes or 1, ...]."""
-        designs = {f"system.{name}": x for name, x in self.motion.designs.items()}
-        elements: ElementProperties = call_module(_Made(self.motion.system, self.name), designs)
-        return elements
+        return self.motion.of_designs(self.beam._elements)
 
     @cached_property
     def _strains(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -142,14 +139,3 @@ class BeamMotion(Summary):
 def _wide(x: Tensor, rank: int) -> Tensor:
     """[lanes or none, *core] of that rank as [lanes or 1, 1, *core]."""
     return (x if x.dim() > rank else x[None])[:, None]
-
-
-class _Made(nn.Module):
-    """Elements of a beam as a module of the whole system, so that designs go by their names."""
-
-    def __init__(self, system: Any, name: str):
-        super().__init__()
-        self.system, self.name = system, name
-
-    def forward(self) -> ElementProperties:
-        return self.system.body(self.name)._elements()

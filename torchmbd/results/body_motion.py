@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.beam_nodes import varying_nodes
-from torchmbd.math.module_call import call_module
+from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies import Frame
@@ -182,23 +181,11 @@ class BodyMotion(Summary):
         return PointMotion.of(self, where)
 
 
-class _NodePositions(nn.Module):
-    """Nodes of a body as a module of the whole system, so that designs go by their names."""
-
-    def __init__(self, system: Any, name: str):
-        super().__init__()
-        self.system, self.name = system, name
-
-    def forward(self) -> Tensor:
-        return self.system.body(self.name).places()
-
-
 def _node_positions(motion: MotionData, body: Any) -> Tensor:
     """Positions of the nodes of the undeformed body from its origin [lanes or 1, n, 3] [m]."""
     if not varying_nodes(body.mesh):
         return (body.mesh.nodes - body.origin)[None]
-    designs = {f"system.{name}": x for name, x in motion.designs.items()}
-    positions = call_module(_NodePositions(motion.system, body.name), designs)
+    positions = motion.of_designs(body.places)
     return positions if positions.dim() == 3 else positions[None]
 
 
@@ -215,23 +202,12 @@ def point_of(motion: MotionData, frame: Frame) -> Tensor:
     return value(motion.dynamics.data["x"])[:, places.index(frame.varying), 0].T[:, None]
 
 
-class _Triad(nn.Module):
-    """The triad of a frame with the present parameters of its system, for call_module."""
-
-    def __init__(self, system: Any, place: nn.Module):
-        super().__init__()
-        self.system, self.place = system, place
-
-    def forward(self) -> Tensor:
-        return self.place().triad()
-
-
 def triad_of(motion: MotionData, frame: Frame) -> Tensor:
     """Columns: the axes of a frame in those of its body [lanes or 1, 1, 3, 3], as the designs have them."""
-    if frame.varying is None:
+    place = frame.varying
+    if place is None:
         return frame.axes[None, None]
-    designs = {f"system.{name}": x for name, x in motion.designs.items()}
-    triad = call_module(_Triad(motion.system, frame.varying), designs)
+    triad = motion.of_designs(lambda: place().triad(), place)
     return triad[:, None] if triad.dim() == 3 else triad[None, None]
 
 

@@ -79,7 +79,8 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     """Energies and works [times] of one lane: its times take the place of lanes."""
     T, (alone, begins, outputs) = motion.dynamics.topology, lane_motion(motion, lane)
     t, (q, v, lam) = alone.t, (alone.signals.values(name)[0].T[:, None] for name in ("q", "v", "lam"))
-    data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
+    data = {name: value(x) for name, x in motion.dynamics.data.items()}
+    data = {name: x if x.shape[-1] == 1 else x[..., lane : lane + 1] for name, x in data.items()}
     at = equations.placement(T, data, q, as_lanes(T.schedule(t, data)))
     w, wd = at.w, equations.split_v(T, v)[2]
     plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}
@@ -106,10 +107,6 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     return [(x + valid)[outputs] for x in (*(e[0] for e in energy), *works, lost)]
 
 
-def _of(x: Tensor, lane: int) -> Tensor:
-    return x if x.shape[-1] == 1 else x[..., lane : lane + 1]
-
-
 def _potential(motion: MotionData, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
     T = motion.dynamics.topology
     if "gravity" not in data:
@@ -125,9 +122,8 @@ def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, 
     for k, actions in enumerate(motion.actions or (T.actions,)):
         if actions:
             topology = replace(T, actions=actions)
-            forces = equations.generalized_forces(
-                topology, data, at, equations.applied_on_vectors(topology, data, at, v)
-            )
+            on_vectors = equations.applied_on_vectors(topology, data, at, v)
+            forces = equations.generalized_forces(topology, data, at, on_vectors)
             power = torch.where(phase == k, dot(torch.cat([x.flatten(0, 1) for x in forces]), v), power)
     return power
 

@@ -141,9 +141,9 @@ class History:
         """Multipliers of all constraints [times, rows, pair, lanes]; of redundant rows those of least norm."""
         if least is None:
             return self.multipliers
-        times = (
-            self.times if self.times is not None else torch.linspace(0.0, duration, len(self.q), dtype=torch.float64)
-        )
+        times = self.times
+        if times is None:
+            times = torch.linspace(0.0, duration, len(self.q), dtype=torch.float64)
         return least.at_times(data, times, self.rows(0), self.multipliers)
 
     @classmethod

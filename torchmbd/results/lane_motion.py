@@ -9,7 +9,6 @@ Checked in tests/design/test_switches.py, tests/integrate/test_contacts.py.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -18,7 +17,6 @@ from torch import Tensor
 from torchmbd.math.gradients import untransformed
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
-from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals
 
 if TYPE_CHECKING:
@@ -55,31 +53,10 @@ def lane_motion(motion: MotionData, lane: int) -> LaneMotion:
         begins = (order < len(sides)) & (order % 2 == 1)
         outputs = torch.argsort(order, stable=True)[len(sides) :][outputs]
         signals = _WithSides(signals, [moment for _, moment in sides], lane, order)
-    lanes = slice(lane, lane + 1)
-    alone = replace(
-        motion,
-        t=t,
-        signals=signals,
-        status=motion.status[lanes],
-        dynamics=_dynamics_of(motion, lane),
-        shapes=SomeLanes(motion.shapes, [lane]),
-        designs={name: x[lanes] for name, x in motion.designs.items()},
-        parameters=(),
-        good=None if motion.good is None else motion.good[lanes],
-        switches=[],
-        known=None,
-        variables={},
-        integration=None,
-    )
+    alone = motion.one_lane(lane, t, signals)
+    if motion.dynamics.known_rank is not None:  # that of all lanes, which is not computed again
+        alone.dynamics.known_rank = motion.dynamics.known_rank
     return LaneMotion(alone, begins, outputs)
-
-
-def _dynamics_of(motion: MotionData, lane: int) -> Any:
-    """The dynamics of one lane; its rank, which is that of all lanes, is not computed again."""
-    dynamics = motion.dynamics.select_lanes([lane])
-    if motion.dynamics.known_rank is not None:
-        dynamics.known_rank = motion.dynamics.known_rank
-    return dynamics
 
 
 def _in_order(t: Tensor, sides: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,15 +5,17 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError, SimulationFailure, one_of
 from torchmbd.math.gradients import all_true
+from torchmbd.math.module_call import run_with_parameters
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import Shapes, SomeLanes
@@ -21,6 +23,7 @@ from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, TensorS
 from torchmbd.summary import Summary, few
 
 OK = "ok"
+R = TypeVar("R")
 
 
 def has_failed(status: str) -> bool:
@@ -264,14 +267,23 @@ class MotionData(Summary):
         T = self.dynamics.topology
         return self.shapes.values(one_of("flexible body", name, T.names[: T.flexible]))
 
+    def of_designs(self, function: Callable[[], R], *modules: nn.Module) -> R:
+        """function() while parameters of the system, and of modules that share them, are those of the designs [lanes, ...]."""
+        designs = {f"0.{name}": x for name, x in self.designs.items()}
+        return run_with_parameters(nn.ModuleList([self.system, *modules]), designs, function)
+
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Self:
         """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""
+        there = {name: getattr(moment, name)[lane : lane + 1, None] for name in ("q", "v", "a", "lam")}
+        return self.one_lane(lane, t[None], TensorSignals(there))
+
+    def one_lane(self, lane: int, t: Tensor, signals: Signals) -> Self:
+        """One lane with other times and rows, without sensitivities."""
         row = slice(lane, lane + 1)
-        there = {name: getattr(moment, name)[row, None] for name in ("q", "v", "a", "lam")}
         return replace(
             self,
-            t=t[None],
-            signals=TensorSignals(there),
+            t=t,
+            signals=signals,
             status=self.status[row],
             dynamics=self.dynamics.select_lanes([lane]),
             shapes=SomeLanes(self.shapes, [lane]),

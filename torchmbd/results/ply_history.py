@@ -1,6 +1,6 @@
 """Ply strains, stresses and failure of a flexible plate along a motion.
 
-    stress(t) = basis w(t),      basis = ply values of the body's modes (fem/elements/ply_recovery.py)
+    stress(t) = basis w(t),      basis = ply values of the body's modes (fem/elements/plate.py)
 
 Points of a body run over its laminates, their cells, layers from the bottom, and the two faces of each layer;
 `points` names them.
@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.errors import InputError, one_of
 from torchmbd.fem.elements import PlyBasis, ply_basis, ply_points
 from torchmbd.fem.materials import CRITERIA, MODES, PLY_COMPONENTS, FailureForms
-from torchmbd.math.module_call import call_module
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -60,9 +59,7 @@ class PlyHistory:
         self.name, self.w = name, view.w
         body = motion.system.body(name)
         require_plies(body)
-        recovery = _Recovery(motion.system, name)
-        designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        self.basis, self.strength = call_module(recovery, designs, view.psi)
+        self.basis, self.strength = motion.of_designs(lambda: _recovered(body, view.psi))
         points = (ply_points(part.matrices, part.laminate) for part in body.plates.values())
         self.points = torch.cat(list(points))
 
@@ -153,20 +150,11 @@ def require_plies(body: object) -> None:
         raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
 
 
-class _Recovery(nn.Module):
-    """Recovery as a module of the whole system, so that designs go by their names; shared laminates included."""
-
-    system: Any
-
-    def __init__(self, system: nn.Module, name: str):
-        super().__init__()
-        self.system, self.name = system, name
-
-    def forward(self, psi: Tensor) -> tuple[PlyBasis, Tensor | None]:
-        body = self.system.body(self.name)
-        parts = [ply_basis(part.matrices, part.laminate, psi) for part in body.plates.values()]
-        wide = (torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
-        return PlyBasis(*wide), _strength(body, len(psi))
+def _recovered(body: Any, psi: Tensor) -> tuple[PlyBasis, Tensor | None]:
+    """Ply values of modes, and strengths, of the present design."""
+    parts = [ply_basis(part.matrices, part.laminate, psi) for part in body.plates.values()]
+    wide = (torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
+    return PlyBasis(*wide), _strength(body, len(psi))
 
 
 def _at(basis: Tensor, w: Tensor) -> Tensor:

@@ -76,7 +76,9 @@ def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) ->
         )
     acting = {joint.name, *(x.name for x in motion.system.joints if isinstance(x, Lock) and x.of == joint.name)}
     rows = torch.tensor([name in acting for name in T.row_joints])
-    at, gradient = _constraint_forces(motion, rows)
+    _, at = placement_at_times(motion)
+    # Of lam . Phi of these rows, by attached vectors [3, vectors, 1, lanes x times].
+    gradient = equations.force_on_vectors(T, at, in_lanes(motion.lam * rows))
     force = torque = torch.zeros_like(motion.v[..., :3])
     for i, attached in enumerate(T.attached):
         if attached.body is side.body:
@@ -104,12 +106,6 @@ def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
     turn = frame.interpolation.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
     elastic = rotation_matrix(exponential(torch.einsum("lim,ltm->ilt", turn, view.w)))
     return view.A @ elastic.movedim((0, 1), (-2, -1)) @ triad_of(motion, frame)
-
-
-def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Placement, Tensor]:
-    """Placement of bodies, and gradients [3, vectors, 1, lanes x times] of lam . Phi of some rows by attached vectors."""
-    _, at = placement_at_times(motion)
-    return at, equations.force_on_vectors(motion.dynamics.topology, at, in_lanes(motion.lam * rows))
 
 
 def placement_at_times(motion: MotionData) -> tuple[equations.Data, equations.Placement]:

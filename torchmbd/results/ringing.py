@@ -21,7 +21,7 @@ from torchmbd.math.gradients import untransformed
 if TYPE_CHECKING:
     from torchmbd.results.motion_data import MotionData
 
-SHARE = 0.05  # of the largest value, as of load_share.py
+SHARE = 0.05  # of the largest value, as of elastic_limits.py
 _ROUNDING = 1e-9  # of the largest multiplier: a reaction that is nothing else
 
 

@@ -20,13 +20,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.sections import Section
-from torchmbd.math.module_call import call_module
 from torchmbd.results.ply_history import of_plies, require_plies
 
 if TYPE_CHECKING:
@@ -69,9 +68,7 @@ class SectionHistory:
         self.name, self.w = name, view.w
         self._body = motion.system.body(name)
         self._beams = beams_of(self._body)
-        designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        made = call_module(_Recovery(motion.system, name), designs, view.psi)
-        self._made = {key: _Part(*part) for key, part in zip(self._beams, made, strict=True)}
+        self._recovered = motion.of_designs(lambda: {key: _part(part, view.psi) for key, part in self._beams.items()})
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -84,11 +81,11 @@ class SectionHistory:
 
     def lengths(self, part: str | None = None) -> Float[Tensor, "lanes elements"]:
         """Lengths of the elements of a part, of each design its own [m]."""
-        return self._made[self._key(part)].length
+        return self._recovered[self._key(part)].length
 
     def forces(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends 6"]:
         """(N, V_y, V_z, T, M_y, M_z) at the chosen output times."""
-        return torch.einsum("lesm,ltm->ltes", self._made[self._key(part)].forces, self.w[:, times])
+        return torch.einsum("lesm,ltm->ltes", self._recovered[self._key(part)].forces, self.w[:, times])
 
     def points(self, part: str | None = None) -> Float[Tensor, "points 2"]:
         """Where the stresses are, y and z in the axes of the section [m]."""
@@ -100,13 +97,13 @@ class SectionHistory:
         """Stresses (11, 22, 33, 23, 13, 12) [Pa] in ply axes at the chosen output times: few, if the section is large."""
         key = self._key(part)
         self._section(key)
-        return torch.einsum("lpcs,ltes->ltepc", self._made[key].unit, self.forces(key, times))
+        return torch.einsum("lpcs,ltes->ltepc", self._recovered[key].unit, self.forces(key, times))
 
     def basis(self, part: str | None = None) -> tuple[Float[Tensor, "lanes points 5 modes"], Tensor | None]:
         """Ply stresses of the modes at all ends and points of a part [Pa], and strengths there [lanes, points, 8]."""
         key = self._key(part)
         self._section(key)
-        made = self._made[key]
+        made = self._recovered[key]
         stress = torch.einsum("lpcs,lesm->lepcm", made.unit[:, :, _OF_PLY], made.forces)
         strength = made.strength
         if strength is not None:
@@ -117,7 +114,7 @@ class SectionHistory:
         """Which end and which point of a part is nearest to failure, at each time."""
         key = self._key(part)
         _rule(criterion)
-        made, rows, strength = self._made[key], [], self._strength(key)
+        made, rows, strength = self._recovered[key], [], self._strength(key)
         ends, points = made.forces.shape[1], made.unit.shape[1]
         for forces, unit, w, numbers in zip(
             *(x.detach() for x in (made.forces, made.unit, self.w, strength)), strict=True
@@ -135,7 +132,7 @@ class SectionHistory:
         largest: list[Tensor] = []
         for key in laminated(self._body):
             end, point = self.critical(criterion, key).unbind(-1)
-            made = self._made[key]
+            made = self._recovered[key]
             force = torch.einsum("ltsm,ltm->lts", made.forces[lane, end], self.w)
             stress = torch.einsum("ltcs,lts->ltc", made.unit[lane, point][:, :, _OF_PLY], force)
             largest.append(_rule(criterion)(stress, self._strength(key)[lane, point]))
@@ -163,7 +160,7 @@ class SectionHistory:
 
     def _strength(self, key: str) -> Float[Tensor, "lanes points 8"]:
         self._section(key)
-        strength = self._made[key].strength
+        strength = self._recovered[key].strength
         if strength is None:
             raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
         return strength
@@ -193,35 +190,18 @@ def plies_of(body: object) -> list[Any]:
     return plies + [ply for section in sections.values() for ply in section.plies]
 
 
-def _strengths(section: Section) -> Float[Tensor, "*lanes points 8"] | None:
-    """Strength numbers at the points of stress; None where a ply has none."""
-    numbers = of_plies(section.plies)
-    return None if numbers is None else numbers[..., section.problem.geometry.layer[section.stress_points[:, 0]], :]
-
-
 def _rule(criterion: str) -> Any:
     return CRITERIA[one_of("criterion", criterion, CRITERIA)]
 
 
-class _Recovery(nn.Module):
-    """Recovery as a module of the whole system, so that designs go by their names; shared sections included."""
-
-    system: Any
-
-    def __init__(self, system: nn.Module, name: str):
-        super().__init__()
-        self.system, self.name = system, name
-
-    def forward(self, psi: Tensor) -> list[tuple[Tensor, Tensor, Tensor | None, Tensor]]:
-        lanes, made = len(psi), []
-        for beams in self.system.body(self.name).beams.values():
-            forces = beams.section_forces(psi).flatten(1, 2)
-            meshed = isinstance(beams.section, Section)
-            unit = beams.section.unit_stress() if meshed else psi.new_zeros(0, 6, 6)
-            strength = _strengths(beams.section) if meshed else None
-            strength = None if strength is None else strength.expand(lanes, -1, -1)
-            length = beams.lengths
-            made.append(
-                (forces, unit.expand(lanes, *unit.shape[-3:]), strength, length.expand(lanes, length.shape[-1]))
-            )
-        return made
+def _part(beams: Beams, psi: Tensor) -> _Part:
+    """Recovery of modes in the present design."""
+    lanes, section, length = len(psi), beams.section, beams.lengths
+    unit, strength = psi.new_zeros(0, 6, 6), None
+    if isinstance(section, Section):
+        unit, numbers = section.unit_stress(), of_plies(section.plies)
+        if numbers is not None:  # at the points of stress
+            points = section.problem.geometry.layer[section.stress_points[:, 0]]
+            strength = numbers[..., points, :].expand(lanes, -1, -1)
+    forces = beams.section_forces(psi).flatten(1, 2)
+    return _Part(forces, unit.expand(lanes, *unit.shape[-3:]), strength, length.expand(lanes, length.shape[-1]))

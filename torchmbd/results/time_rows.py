@@ -11,7 +11,6 @@ Checked in tests/results/test_time_rows.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import torch
@@ -126,16 +125,9 @@ class IntegratedSignals(Signals):
 
     def detach(self) -> IntegratedSignals:
         h, data = self.history, {name: detached(x) for name, x in self.data.items()}
-        expansion = None if h.expansion is None else replace(h.expansion, data=data)
-        plain = History(
-            h.q.detach(),
-            h.v.detach(),
-            h.vd.detach(),
-            h.lam.detach(),
-            expansion,
-            None if h.times is None else h.times.detach(),
-            segment=None if h.segment is None else h.segment.detach(),
-        )
+        times, segment = (None if x is None else x.detach() for x in (h.times, h.segment))
+        q, v, vd, lam = (x.detach() for x in h.states)
+        plain = History(q, v, vd, lam, h.expansion_by(data), times, segment=segment)
         at_steps = None if self.at_steps is None else self.at_steps.detach()
         return IntegratedSignals(plain, self.integration, data, self.valid_times, at_steps)
 
@@ -149,14 +141,6 @@ class IntegratedSignals(Signals):
         x = self._of(name, rows, slice(1, None)).permute(3, 0, 1, 2)
         return x if rows is None else x.contiguous()
 
-    def _multipliers(self) -> Tensor:
-        """Kept for each grad mode."""
-        mode = torch.is_grad_enabled()
-        if mode not in self._all_multipliers:
-            h, made = self.history, self.integration
-            self._all_multipliers[mode] = h.multipliers if made is None else made.multipliers(h, self.data)
-        return self._all_multipliers[mode]
-
     def _of(self, name: str, rows: Rows, pair: slice) -> Tensor:
         x = self._whole(name, rows, pair)
         if self.valid_times is None or all_true(self.valid_times >= self.times):
@@ -166,7 +150,11 @@ class IntegratedSignals(Signals):
 
     def _whole(self, name: str, rows: Rows, pair: slice) -> Tensor:
         if name == "lam":
-            x = self._multipliers()[:, :, pair]
+            mode, h = torch.is_grad_enabled(), self.history
+            if mode not in self._all_multipliers:  # of all rows, kept for each grad mode
+                source = self.integration
+                self._all_multipliers[mode] = h.multipliers if source is None else source.multipliers(h, self.data)
+            x = self._all_multipliers[mode][:, :, pair]
             return x if rows is None else x[:, list(rows)]
         return self.history.rows(ORDERS.index(name), rows, pair)
 

@@ -97,10 +97,8 @@ class Turns:
         wrapped, wrapped_rates = (y.detach().T for y in angle.wrapped_jet(recorded))
         for i, a, w in zip(rows.tolist(), wrapped, wrapped_rates, strict=True):
             known = torch.isfinite(angles[:i])
-            row = (
-                torch.where(known, torch.arange(i)[:, None], 0).amax(0) if i else torch.zeros(len(a), dtype=torch.long)
-            )
             lanes = torch.arange(len(a))
+            row = torch.where(known, torch.arange(i)[:, None], 0).amax(0) if i else torch.zeros_like(lanes)
             turns = _turns(angles[row, lanes], rates[row, lanes], self.times[row], a, w, self.times[i])
             angles[i] = torch.where(new[i], a + 2.0 * math.pi * turns, angles[i])
             rates[i] = torch.where(new[i], w, rates[i])

@@ -19,9 +19,8 @@ from tests.fem.elements.plate_cases import (
 )
 from torchmbd.fem.elements import PlateMatrices
 from torchmbd.fem.elements.inner_forces import CellForces, zero_mean_functions
-from torchmbd.fem.elements.quad_membrane import membrane
+from torchmbd.fem.elements.quad_membrane import displacements, membrane
 from torchmbd.fem.elements.quad_shape import gauss
-from torchmbd.fem.elements.quad_states import displacements
 from torchmbd.fem.materials import Laminate
 from torchmbd.math.angles import deg
 

@@ -83,7 +83,7 @@ def test_bending_moment_twists_an_unbalanced_strip_as_the_inverse_law_says(degre
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("fraction", [1.0, 0.1, 0.01])
 def test_constant_shear_with_rotations_held_is_met_in_the_thick_limit(fraction, kind):
-    """The error falls with (element / shear length)^2: a gap is shared with bending, see dkmt_bending.py."""
+    """The error falls with (element / shear length)^2: a gap is shared with bending, see triangle.py."""
     length = 0.1 * fraction
     laminate = Laminate(CARBON, deg([20, -50]), 0.05)
     mesh = irregular(length, length, (4, 4), kind=kind)

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import CARBON, irregular
 from torchmbd.fem.elements import Plates
-from torchmbd.fem.elements.ply_recovery import ply_basis
+from torchmbd.fem.elements.plate import ply_basis
 
 ANGLES, HEIGHT = mbd.deg([20, -50, 75]), 2.5e-3
 PARTS = torch.tensor([0.2, 0.5, 0.3], dtype=torch.float64)

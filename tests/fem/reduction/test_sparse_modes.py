@@ -5,10 +5,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.blocks import BlockFactor, storage
+from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import Diagonal, Sparse
-from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.math.sparse import Pattern, SparseMatrix

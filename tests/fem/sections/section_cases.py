@@ -31,14 +31,14 @@ def two_materials(order: int = 1) -> Section:
     """BECAS S2: a square of 0.1 m, its half at negative y ten times as stiff as the other."""
     z = line(-0.05, 0.05, 10, order)
     halves = [Patch(grid(line(a, a + 0.05, 5, order), z), k) for k, a in enumerate((-0.05, 0.0))]
-    return Section(patch_mesh(halves, order), (ISOTROPIC, SOFTER), (0.0, 0.0))
+    return Section(patch_mesh(halves, order)[0], (ISOTROPIC, SOFTER), (0.0, 0.0))
 
 
 def half_ring(cells: tuple[int, int] = (40, 2), order: int = 2) -> Section:
     """BECAS C2: radius 0.1 m, thickness 0.01 m, the half at negative y."""
     around = line(1.5 * math.pi, 0.5 * math.pi, cells[0], order)
     points = np.stack([np.cos(around), np.sin(around)], axis=-1)
-    return Section(patch_mesh([Patch(between(0.09 * points, 0.1 * points, cells[1], order), 0)], order), ISOTROPIC)
+    return Section(patch_mesh([Patch(between(0.09 * points, 0.1 * points, cells[1], order), 0)], order)[0], ISOTROPIC)
 
 
 def racetrack(cells: tuple[int, int, int] = (20, 12, 4), order: int = 2) -> Section:
@@ -56,7 +56,7 @@ def racetrack(cells: tuple[int, int, int] = (20, 12, 4), order: int = 2) -> Sect
             points = side * np.stack([np.cos(around), np.sin(around)], axis=-1)
             ring = between(inner * points, outer * points, through, order) + np.array([side, 0.0])
             patches.append(Patch(ring, 2 + k))
-    return Section(patch_mesh(patches, order), PIPE, mbd.deg([90.0, 0.0, 45.0, -45.0]))
+    return Section(patch_mesh(patches, order)[0], PIPE, mbd.deg([90.0, 0.0, 45.0, -45.0]))
 
 
 def sixteen_plies(turn: float = 0.0, soft_bottom: bool = False) -> Section:
@@ -89,7 +89,7 @@ def channel(
     grids = [grid(corner, z), *(grid(x, rim) for rim in (low, high) for x in (corner, y))]
     c, s = math.cos(turn), math.sin(turn)
     patches = [Patch(points @ np.array([[c, s], [-s, c]]) + np.array(shift), 0) for points in grids]
-    return Section(patch_mesh(patches, 2), Orthotropic.isotropic(1.0, 0.33, 1.0))
+    return Section(patch_mesh(patches, 2)[0], Orthotropic.isotropic(1.0, 0.33, 1.0))
 
 
 def largest_error(K: Tensor, reference: dict[tuple[int, int], float]) -> float:

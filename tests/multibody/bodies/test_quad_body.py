@@ -62,6 +62,7 @@ def test_derivative_of_every_frequency_by_every_angle(kind):
         assert_close(exact.detach(), difference, rtol=1e-6, atol=1e-7 * float(of(angles).max()))
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 def test_a_motion_its_plies_and_its_files(tmp_path):
     """A pendulum of quadrilaterals: failure of plies, frames for ParaView, triangles for the animation."""

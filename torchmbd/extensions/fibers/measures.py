@@ -17,14 +17,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.extensions.fibers.steered_laminate import FiberPaths, SteeredLaminate
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
-from torchmbd.math.module_call import call_module
 from torchmbd.multibody.system import System
 
 
@@ -45,8 +44,7 @@ class _PathMeasure(Measure):
 
     def value(self, motion: Trajectory) -> Tensor:
         steered_parts(motion.system, self.body)
-        designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        parts = call_module(_Paths(motion.system, self.body), designs)
+        parts = motion.of_designs(lambda: _paths(motion.system, self.body))
         x = torch.cat([self.values_of(paths).flatten(-2) for paths in parts], -1)
         largest = x.abs().amax(-1)
         return (largest if self.power is None else p_norm(x, largest.detach(), self.power)).expand(motion.lanes)
@@ -108,23 +106,15 @@ def steered_parts(system: System, name: str) -> list[Any]:
     return parts
 
 
-class _Paths(nn.Module):
-    """Fiber paths of all steered parts of a body, as a module that holds the system: designs replace its parameters."""
-
-    system: Any
-
-    def __init__(self, system: nn.Module, name: str):
-        super().__init__()
-        self.system, self.name = system, name
-
-    def forward(self) -> list[FiberPaths]:
-        paths = []
-        for part in steered_parts(self.system, self.name):
-            matrices = part.matrices
-            axes = torch.empty_like(matrices.axes)
-            axes[matrices.zones] = matrices.axes  # from the order of the elements to that of the field
-            paths.append(part.laminate.paths(axes))
-        return paths
+def _paths(system: System, name: str) -> list[FiberPaths]:
+    """Fiber paths of all steered parts of a body in the present design."""
+    paths = []
+    for part in steered_parts(system, name):
+        matrices = part.matrices
+        axes = torch.empty_like(matrices.axes)
+        axes[matrices.zones] = matrices.axes  # from the order of the elements to that of the field
+        paths.append(part.laminate.paths(axes))
+    return paths
 
 
 def p_norm(x: Tensor, scale: Tensor, power: float) -> Tensor:

@@ -11,10 +11,10 @@ Checked in tests/extensions/lamination/test_region.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, checked_signature
@@ -23,7 +23,6 @@ from torchmbd.extensions.lamination.conditions import CONDITIONS, conditions
 from torchmbd.extensions.lamination.parameters import LaminationParameters
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
-from torchmbd.math.module_call import call_module
 from torchmbd.multibody.system import System
 
 
@@ -61,31 +60,21 @@ class LaminationRegion(Measure):
 
     def value(self, motion: Trajectory) -> Tensor:
         _laminates(motion.system, self.body)
-        designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        r = call_module(_Conditions(motion.system, self.body), designs)
+        r = motion.of_designs(lambda: _conditions(motion.system, self.body))
         largest = r.amax(-2)
-        if (
-            self.power is not None
-        ):  # of the positive numbers: where none is positive, the condition is far from its limit
+        if self.power is not None:
+            # Of the positive numbers: where none is positive, the condition is far from its limit.
             largest = p_norm(r.mT.clamp(min=0.0), largest.detach(), self.power)
         return largest.expand(motion.lanes, CONDITIONS)
 
 
-class _Conditions(nn.Module):
-    """Conditions [..., controls, conditions], as a module that holds the system: designs replace its parameters."""
-
-    system: Any
-
-    def __init__(self, system: nn.Module, name: str):
-        super().__init__()
-        self.system, self.name = system, name
-
-    def forward(self) -> Tensor:
-        values = []
-        for laminate in _laminates(self.system, self.name):
-            of_laminate = conditions(*laminate.sets())
-            values.append(of_laminate if laminate.field is not None else of_laminate.unsqueeze(-2))
-        return torch.cat(values, -2)
+def _conditions(system: System, name: str) -> Tensor:
+    """Conditions [..., controls, conditions] of the present design."""
+    values = []
+    for laminate in _laminates(system, name):
+        of_laminate = conditions(*laminate.sets())
+        values.append(of_laminate if laminate.field is not None else of_laminate.unsqueeze(-2))
+    return torch.cat(values, -2)
 
 
 def _laminates(system: System, name: str) -> list[LaminationParameters]:

@@ -21,8 +21,9 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.data import BulkData
+from torchmbd.extensions.nastran.divided_laminate import DividedLaminate
 from torchmbd.extensions.nastran.materials import Units, density_of, ply_of
-from torchmbd.fem.materials import DividedLaminate, Laminate, Ply
+from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.math.angles import deg
 
 MEMBRANE = 1e-6

@@ -22,7 +22,8 @@ from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.elements import LINKS, Link, Solid
 from torchmbd.extensions.nastran.materials import Units, density_of, moduli_of
-from torchmbd.fem.elements import GivenElements, Part, solid_matrices
+from torchmbd.extensions.nastran.solids import solid_matrices
+from torchmbd.fem.elements import GivenElements, Part
 from torchmbd.fem.mesh import Mesh
 
 _VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))

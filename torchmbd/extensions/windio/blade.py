@@ -22,9 +22,9 @@ from scipy.interpolate import PchipInterpolator
 from torchmbd.errors import InputError, checked_signature, unknown, warn
 from torchmbd.extensions.windio.profile import Layer, Profile, Web, profile_section
 from torchmbd.fem.materials.ply import IsotropicPly
+from torchmbd.fem.sections.generators import check_order
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
-from torchmbd.fem.sections.section_checks import check_order
 from torchmbd.math.checked_numbers import is_whole
 
 LARGEST = 20_000_000  # bytes of a file

@@ -117,7 +117,7 @@ def profile_section(
     ]
     for web, pair in zip(webs, feet, strict=True):
         patches += _web_patches(web, pair, s, inner, order)
-    return patch_mesh(patches, order)
+    return patch_mesh(patches, order)[0]
 
 
 def _thick(faces: Array, j: int) -> Array:

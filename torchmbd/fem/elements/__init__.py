@@ -5,19 +5,15 @@ from torchmbd.fem.elements.beam import BeamMatrices
 from torchmbd.fem.elements.beam_line import BeamLine
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection
 from torchmbd.fem.elements.beams import Beams
+from torchmbd.fem.elements.cell_stiffness import ELEMENTS
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
-from torchmbd.fem.elements.given_elements import GivenElements
 from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLink
-from torchmbd.fem.elements.part import MassPoints, Part
-from torchmbd.fem.elements.plate import PlateMatrices
-from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merge_plates
-from torchmbd.fem.elements.ply_recovery import PlyBasis, ply_basis, ply_points
-from torchmbd.fem.elements.shell_elements import ELEMENTS
-from torchmbd.fem.elements.solids import CORNERS, solid_matrices
+from torchmbd.fem.elements.part import GivenElements, MassPoints, Part, PointMasses
+from torchmbd.fem.elements.plate import PlateMatrices, PlyBasis, ply_basis, ply_points
+from torchmbd.fem.elements.plates import MASSES, Plates, merge_plates
 from torchmbd.fem.elements.strains import FREEDOMS
 
 __all__ = [
-    "CORNERS",
     "ELEMENTS",
     "FREEDOMS",
     "MASSES",
@@ -43,5 +39,4 @@ __all__ = [
     "merge_plates",
     "ply_basis",
     "ply_points",
-    "solid_matrices",
 ]  # fmt: skip

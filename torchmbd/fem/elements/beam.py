@@ -17,9 +17,23 @@ Mass: half of each element's at its ends, as four particles in the plane of the 
 inertia; so products of inertia and eccentric centers need no special case in the motion.
 Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
 reverse, in the sections' stiffness, with lanes.
+
+Geometric stiffness: all six section forces on rotations, slopes and curvatures.
+
+    second-order strains       gamma2 = -phi x u' + 1/2 phi x (phi x t),      kappa2 = -1/2 phi x phi'
+    u' Kg u = 2 integral of F . gamma2 + M . kappa2
+
+phi, u'  rotation of the section and slope of the line, of the motion inside an element under forces at its ends:
+         phi = phi_1 + integral of kappa,   u' = phi x t + gamma
+F, M     force and moment of the section under the stress, at the stations
+
+They are the strains of a geometrically exact beam to the second order; so twist, shear, eccentric sections, moments and
+torsion are in it, and a rigid rotation of a stressed beam does the work of its loads, exactly. Moments at the ends are those
+that belong to rotation vectors (semitangential ones).
 Source: the flexibility (force) method, J. S. Przemieniecki, Theory of Matrix Structural Analysis (1968), chapter 8;
-W. Carnegie, J. Thomas, E. Dokumaci, Aeronaut. Q. 20 (1969), for the shear-flexible element that this one contains.
-Checked in tests/fem/elements/test_beam_*.py, tests/validation/test_beam_*.py.
+W. Carnegie, J. Thomas, E. Dokumaci, Aeronaut. Q. 20 (1969), for the shear-flexible element that this one contains; J. C.
+Simo, Comput. Methods Appl. Mech. Eng. 49 (1985) 55-70, expanded here to the second order.
+Checked in tests/fem/elements/test_beam_*.py, tests/fem/elements/test_geometric.py, tests/validation/test_beam_*.py.
 """
 
 from __future__ import annotations
@@ -36,9 +50,11 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_curve import Curves
 from torchmbd.fem.elements.facet import STEEPNESS
+from torchmbd.fem.elements.geometric import StressedCells, corner_motions
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.gradients import all_true, untransformed
 from torchmbd.math.inverse import balanced_inverse
+from torchmbd.math.quadratic_forms import factors
 from torchmbd.math.rigid_motion import hat
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -57,21 +73,6 @@ class Particles(NamedTuple):
     ends: Int[Tensor, "p 2"]
     arm: Float[Tensor, "*lanes p 3"]
     mass: Float[Tensor, "*lanes p"]
-
-
-class StationRows(NamedTuple):
-    """Motion and forces at the stations of the elements, as rows on the freedoms of both ends, mesh axes.
-
-    rows      rotation, slope of the line, curvature [m, g, 9, 12]
-    forces    force and moment of the section [m, g, 6, 12]
-    tangent   of the line [m, g, 3]
-    weight    lengths that the stations stand for [m, g], m
-    """
-
-    rows: Float[Tensor, "*lanes m g 9 12"]
-    forces: Float[Tensor, "*lanes m g 6 12"]
-    tangent: Float[Tensor, "*lanes m g 3"]
-    weight: Float[Tensor, "*lanes m g"]
 
 
 class BeamMatrices:
@@ -160,28 +161,52 @@ class BeamMatrices:
         here = _transport(turned.new_zeros(turned.shape[:-1]), turned)
         return here @ torch.stack([self._whole @ end, end], dim=-3)
 
-    def station_rows(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> StationRows:
-        """Return motions and forces at the stations of elements that are loaded at their nodes alone."""
+    def stressed(
+        self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
+    ) -> list[StressedCells]:
+        """Return the stressed cells (geometric.py) under the section forces of k motions; stiffness as of `values`."""
         compliance = balanced_inverse(stiffness)
         k = balanced_inverse(self.flexibility(compliance))
         local = self._carry @ (k @ self._ends)[..., None, :, :]  # section forces, axes of the section
         strains = compliance @ local
         _, tangent = self.curves.at(self.stations)
-        back = self._frames(tangent).mT
+        back = self._frames(tangent).mT  # to mesh axes
         (F, M), (gamma, kappa) = ((back @ x[..., :3, :], back @ x[..., 3:, :]) for x in (local, strains))
         start = torch.nn.functional.pad(torch.eye(3, dtype=kappa.dtype), (3, 6))
         run = self.length[..., None, None] * self._running  # integrals from the start to the stations
         turned = start + (run @ kappa.flatten(-2)).unflatten(-1, kappa.shape[-2:])
         slope = torch.linalg.cross(turned, tangent[..., None].expand_as(turned), dim=-2) + gamma
+        rows = torch.cat([turned, slope, kappa], -2)  # [*lanes, m, g, 9, 12]
+        forces = torch.cat([F, M], -2) @ corner_motions(self.elements, motion)[..., None, :, :]
+        F, M = forces.movedim(-1, -4).split(3, dim=-1)  # [*lanes, k, m, g, 3]
         weight = self.length[..., None] * self._weights
-        return StationRows(torch.cat([turned, slope, kappa], -2), torch.cat([F, M], -2), tangent, weight)
+        law = _law(F, M, tangent.unsqueeze(-4)) * weight[..., None, :, :, None, None]
+        return [StressedCells(self.elements, rows.unsqueeze(-2), factors(law))]
 
     def frames(self, t: Float[Tensor, " g"]) -> Float[Tensor, "m g 3 3"]:
         """Axes of the sections at parts t of the lengths, rows, mesh axes."""
         return self._frames(self.curves.at(t)[1])
 
-    def _frames(self, tangent: Float[Tensor, "m g 3"]) -> Float[Tensor, "m g 3 3"]:
-        return _axes(tangent, self._orientation, self.members, len(self.mesh.elements))
+    def _frames(self, e_x: Float[Tensor, "*lanes m g 3"]) -> Float[Tensor, "*lanes m g 3 3"]:
+        d, count = reals("orientation", self._orientation), len(self.mesh.elements)
+        if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
+            raise InputError(
+                f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
+            )
+        d = (d if d.ndim == 1 else d[self.members][:, None]).expand_as(e_x)
+        e_y = d - (d * e_x).sum(-1, keepdim=True) * e_x
+        size = e_y.norm(dim=-1, keepdim=True)
+        good = size > STEEPNESS * d.norm(dim=-1, keepdim=True)
+        if not all_true(good):
+            k = int(untransformed(good).flatten().logical_not().nonzero()[0, 0])
+            element = int(self.members[k // e_x.shape[-2] % len(self.members)])
+            along, across = (untransformed(x).reshape(-1, 3)[k].tolist() for x in (e_x, d.contiguous()))
+            raise InputError(
+                f"orientation {across} lies along element {element}, direction {along}; "
+                "allowed: a direction across the beam, to which the section's y-axis is turned"
+            )
+        e_y = e_y / size
+        return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=-2)
 
     def particles(self, mass: Float[Tensor, "*lanes m places 6 6"], consistent: bool = False) -> Particles:
         """Four particles at each place of each element, from the section mass there (m and places may be 1).
@@ -253,25 +278,12 @@ def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float
     return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([turn @ arm, turn], -1)], -2)
 
 
-def _axes(
-    e_x: Float[Tensor, "*lanes m g 3"], orientation: Sequence[float] | Tensor, members: Tensor, count: int
-) -> Float[Tensor, "*lanes m g 3 3"]:
-    d = reals("orientation", orientation)
-    if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
-        raise InputError(
-            f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
-        )
-    d = (d if d.ndim == 1 else d[members][:, None]).expand_as(e_x)
-    e_y = d - (d * e_x).sum(-1, keepdim=True) * e_x
-    size = e_y.norm(dim=-1, keepdim=True)
-    good = size > STEEPNESS * d.norm(dim=-1, keepdim=True)
-    if not all_true(good):
-        k = int(untransformed(good).flatten().logical_not().nonzero()[0, 0])
-        element = int(members[k // e_x.shape[-2] % len(members)])
-        along, across = (untransformed(x).reshape(-1, 3)[k].tolist() for x in (e_x, d.contiguous()))
-        raise InputError(
-            f"orientation {across} lies along element {element}, direction {along}; "
-            "allowed: a direction across the beam, to which the section's y-axis is turned"
-        )
-    e_y = e_y / size
-    return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=-2)
+def _law(F: Tensor, M: Tensor, t: Tensor) -> Float[Tensor, "*lanes k m g 9 9"]:
+    """L on phi, u', kappa."""
+    t, _ = torch.broadcast_tensors(t, F)
+    both = F[..., :, None] * t[..., None, :]
+    eye = torch.eye(3, dtype=F.dtype)
+    turned = 0.5 * (both + both.mT) - (F * t).sum(-1)[..., None, None] * eye
+    none, f, m = torch.zeros_like(turned), hat(F), 0.5 * hat(M)
+    rows = [torch.cat(row, -1) for row in ((turned, f, m), (f.mT, none, none), (m.mT, none, none))]
+    return torch.cat(rows, -2)

@@ -6,8 +6,14 @@ node_sets  name -> node indices; a set of one node is a named node
 middles    of elements that are arcs of circles, on their arcs halfway   [m, 3], m; None: all are straight
 
 An element's x-axis runs from its start to its end, along the tangent of an arc. Branches and closed loops are allowed;
-parts must hang together.
-Checked in tests/fem/elements/test_beam_line.py.
+parts must hang together. Nodes may be functions of parameters, geometry as a design:
+
+    BeamLine(torch.nn.Parameter(nodes))               the nodes themselves: "rod.line.nodes"
+    BeamLine.straight(length=mbd.variable(0.3))       a length: "rod.line.length"
+    BeamLine(module)                                  any torch module without arguments that returns nodes [n, 3] [m]
+
+A module is evaluated for each design by itself, so it has no axis of lanes. Straight elements only.
+Checked in tests/fem/elements/test_beam_line.py, tests/sensitivity/test_node_variables.py.
 """
 
 from __future__ import annotations
@@ -20,24 +26,74 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature, unknown
-from torchmbd.fem.elements.beam_nodes import Straight, evaluate_nodes, node_module_of
 from torchmbd.fem.mesh.mesh import node_members
-from torchmbd.math.checked_numbers import indices, is_whole, reals
+from torchmbd.fem.mesh.mesh_checks import connected_parts, repeated_rows
+from torchmbd.math.checked_numbers import indices, is_whole, parameter, reals
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import EXTENT, warn_unusual
 from torchmbd.math.variable import ParameterVector, is_variable, number
+
+
+class Nodes(nn.Module):
+    """Nodes that are a parameter [n, 3]."""
+
+    nodes: Tensor
+
+    def __init__(self, nodes: nn.Parameter):
+        super().__init__()
+        self.nodes = parameter("nodes of a BeamLine", nodes)
+
+    def forward(self) -> Tensor:
+        return self.nodes
+
+
+class Straight(nn.Module):
+    """Nodes at shares of a length [m]."""
+
+    positive = ("length",)
+    length: Tensor
+    _unit: Tensor
+
+    def __init__(self, length: Any, unit: Float[Tensor, "n 3"]):
+        super().__init__()
+        self.length = length
+        self.register_buffer("_unit", unit, persistent=False)
+
+    def forward(self) -> Tensor:
+        return self.length * self._unit
+
+
+def evaluate_nodes(shape: nn.Module) -> Tensor:
+    """Return the present nodes of a module [n, 3] without gradient; InputError where it returns something else."""
+    with torch.no_grad():
+        nodes = shape()
+    if not isinstance(nodes, Tensor) or nodes.dtype != torch.float64 or nodes.ndim != 2 or nodes.shape[1] != 3:
+        allowed = "nodes [n, 3] in float64"
+        raise InputError(f"the module of a BeamLine returns {nodes!r}; allowed: {allowed}")
+    return nodes.detach().clone()
+
+
+def varying_nodes(mesh: Any) -> bool:
+    """Whether the nodes of a mesh depend on the design."""
+    return getattr(mesh, "node_module", None) is not None
+
+
+def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:
+    """Nodes of a mesh in the present design [m]."""
+    if not varying_nodes(mesh):
+        return mesh.nodes
+    variables: ParameterVector = mesh.variables
+    return variables.evaluated()
 
 
 @checked_signature
 class BeamLine:
     """A chain or net of beam elements.
 
-    nodes      positions [n, 3] [m]; a torch.nn.Parameter, or a module that returns them, is a design variable (beam_nodes.py)
+    nodes      positions [n, 3] [m]; a torch.nn.Parameter, or a module that returns them, is a design variable
     elements   node pairs [m, 2]; default: each node with the next
     node_sets  name -> node indices; default: "start" and "end" of a chain
     middles    points halfway along elements that are arcs [m, 3] [m]
@@ -63,7 +119,9 @@ class BeamLine:
         node_sets: Mapping[str, Sequence[int]] | None = None,
         middles: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.node_module = node_module_of(nodes)
+        self.node_module = (
+            Nodes(nodes) if isinstance(nodes, nn.Parameter) else nodes if isinstance(nodes, nn.Module) else None
+        )
         self.variables = ParameterVector.of(self.node_module)
         numbers: Any = nodes if self.node_module is None else evaluate_nodes(self.node_module)
         self.nodes = reals("nodes of a BeamLine", numbers)
@@ -147,11 +205,8 @@ def _check_nodes(nodes: Tensor) -> None:
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
     warn_unusual("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
-    duplicate = _repeated(nodes.numpy())
-    if duplicate:
-        raise InputError(
-            f"BeamLine: nodes {duplicate[0]} and {duplicate[1]} share one place {nodes[duplicate[1]].tolist()}; merge them"
-        )
+    for first, k in repeated_rows(nodes.numpy()):
+        raise InputError(f"BeamLine: nodes {first} and {k} share one place {nodes[k].tolist()}; merge them")
 
 
 def _check_elements(nodes: Tensor, elements: Tensor) -> None:
@@ -163,20 +218,16 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         raise InputError(
             f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
         )
-    duplicate = _repeated(np.sort(elements.numpy(), axis=1))
-    if duplicate:
-        raise InputError(
-            f"BeamLine: elements {duplicate[0]} and {duplicate[1]} are duplicates, nodes {elements[duplicate[1]].tolist()}"
-        )
+    for first, k in repeated_rows(np.sort(elements.numpy(), axis=1)):
+        raise InputError(f"BeamLine: elements {first} and {k} are duplicates, nodes {elements[k].tolist()}")
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()
     if len(short):
         k = int(short[0])
         raise InputError(f"BeamLine: element {k}, nodes {elements[k].tolist()}, has no length; merge its nodes")
     tail, head = elements.numpy().T
-    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    parts, stray = connected_parts(tail, head, n)
     if parts > 1:
-        stray = int(np.flatnonzero(label != label[0])[0])
         raise InputError(
             f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
         )
@@ -195,10 +246,3 @@ def _check_middles(ends: Tensor, middles: Tensor) -> None:
             f"BeamLine: middle of element {k} is at {middles[k].tolist()}; allowed: as far from its start as from its end, "
             "on an arc of at most half a turn"
         )
-
-
-def _repeated(rows: np.ndarray) -> tuple[int, int] | None:
-    """The first row that repeats an earlier one, and that one."""
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(rows)))
-    return (int(first[inverse.ravel()[again[0]]]), int(again[0])) if len(again) else None

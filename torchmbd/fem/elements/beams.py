@@ -14,8 +14,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam import BeamMatrices, Line
-from torchmbd.fem.elements.beam_geometric import stressed_beams
-from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
+from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.elements.beam_section import BeamSection, definite_stiffness, line_transform
 from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints
@@ -54,15 +53,22 @@ class Beams:
             raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
         self.section = section
         self.arguments = orientation, offset, twist, mass
-        at, turn = _placed(offset, twist, len(mesh.elements), elements)
+        count, at, turn = len(mesh.elements), reals("offset", offset), reals("twist", twist)
+        if at.shape not in ((2,), (count, 2)):
+            raise InputError(f"offset has shape {tuple(at.shape)}; allowed: [2], or one for each element [{count}, 2]")
+        if turn.shape not in ((), (count,), (count, 2)):
+            allowed = f"one angle, one for each element [{count}], or two, at its start and end [{count}, 2]"
+            raise InputError(f"twist has shape {tuple(turn.shape)}; allowed: {allowed}")
+        members = slice(None) if elements is None else torch.as_tensor(elements)
+        at = (at[None] if at.ndim == 1 else at[members])[:, None]  # [m, 1, 2]; m is 1 where all elements have the same
+        turn = turn[None, None] if turn.ndim == 0 else turn[members].reshape(-1, turn[0].numel())  # [m, 1 or 2]
         turning = turn.shape[1] == 2 or mesh.middles is not None
         self._line = mesh
         self.matrices = BeamMatrices(mesh, orientation, elements, TURNING if turning else 2)
         self.pattern = self.matrices.pattern
         self._to_line = line_transform(at, _along(turn, self.matrices.stations))
-        places = line_transform(
-            at, _along(turn, torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64))
-        )  # start, end, middle
+        start_end_middle = torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64)
+        places = line_transform(at, _along(turn, start_end_middle))
         self._to_ends = places[:, :2]
         self._massive, self._consistent = places if mass == "consistent" else places[:, :2], mass == "consistent"
         with torch.no_grad():
@@ -117,7 +123,7 @@ class Beams:
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
         """The elements under the section forces of k motions."""
-        return stressed_beams(self._present, self._stiffness(), motion)
+        return self._present.stressed(self._stiffness(), motion)
 
     @property
     def ends(self) -> Int[Tensor, "places 2"]:
@@ -126,25 +132,6 @@ class Beams:
 
     def _stiffness(self) -> Float[Tensor, "*lanes m g 6 6"]:
         return self._to_line @ definite_stiffness(self.section)[..., None, None, :, :] @ self._to_line.mT
-
-
-def _placed(
-    offset: Sequence[float] | Tensor,
-    twist: float | Sequence | Tensor,
-    count: int,
-    elements: Sequence[int] | Tensor | None,
-) -> tuple[Float[Tensor, "m 1 2"], Float[Tensor, "m e"]]:
-    """Return offset and twist of the elements; m is 1 where all have the same, e is 2 where the twist varies along them."""
-    at, turn = reals("offset", offset), reals("twist", twist)
-    if at.shape not in ((2,), (count, 2)):
-        raise InputError(f"offset has shape {tuple(at.shape)}; allowed: [2], or one for each element [{count}, 2]")
-    if turn.shape not in ((), (count,), (count, 2)):
-        allowed = f"one angle, one for each element [{count}], or two, at its start and end [{count}, 2]"
-        raise InputError(f"twist has shape {tuple(turn.shape)}; allowed: {allowed}")
-    members = slice(None) if elements is None else torch.as_tensor(elements)
-    at = at[None] if at.ndim == 1 else at[members]
-    turn = turn[None, None] if turn.ndim == 0 else turn[members].reshape(-1, turn[0].numel())
-    return at[:, None], turn
 
 
 def _along(twist: Float[Tensor, "m e"], place: Float[Tensor, " g"]) -> Float[Tensor, "m g"]:

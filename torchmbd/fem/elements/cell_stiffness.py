@@ -1,4 +1,4 @@
-"""Stiffness of single cells of one kind: only of those that differ in their shape or in their laminate.
+"""Stiffness of single cells of one kind, by its element (`ELEMENTS`): only of those that differ in shape or laminate.
 
     K_cell = sum_i s_i K_i + area J' C(A, B) J,     K_i = sum_points weight E' C_i E
 
@@ -13,14 +13,25 @@ Checked in tests/fem/elements/test_plate_matrices.py, tests/fem/elements/test_in
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.fem.elements.facet import Facets
 from torchmbd.fem.elements.inner_forces import CellForces, InnerForces
+from torchmbd.fem.elements.quad import quad_strains
 from torchmbd.fem.elements.strains import Strains
-from torchmbd.fem.materials import ENTRIES, LaminateStiffness
+from torchmbd.fem.elements.triangle import triangle_strains
+from torchmbd.fem.materials import ENTRIES, IsotropicMean, LaminateStiffness
+
+#: The element of each kind of cell (strains.py says what an element is).
+ELEMENTS: dict[str, Callable[[Facets, IsotropicMean], Strains]] = {
+    "triangle": triangle_strains,
+    "quad": quad_strains,
+}
+
 
 _FIRST_ROW = {"A": (0, 0), "B": (0, 3), "D": (3, 3), "As": (6, 6)}
 _SAME = 1e-12  # of the largest number: cells that differ by less have one shape

@@ -3,7 +3,7 @@
     u' Kg u = sum_points d' L(stress) d,     d = R u        R: rows of a cell, no design but the nodes of beams
 
 Every part returns its stressed cells (part.py): of shells slopes and membrane forces (shell_geometric.py), of beams rotations,
-slopes and curvatures with all six section forces (beam_geometric.py). From these come Kg on the freedoms of all nodes, and
+slopes and curvatures with all six section forces (beam.py). From these come Kg on the freedoms of all nodes, and
 its projection onto some motions, such as modes, which needs no matrix of the size of the mesh.
 Positive where it stiffens. Differentiable, forward and reverse, in the stress and in the motions, with lanes.
 Checked in tests/fem/elements/test_geometric.py.
@@ -67,17 +67,15 @@ def assembled_geometric_stiffness(pattern: Pattern, cells: Sequence[StressedCell
         place = freedoms[:, :, None] * pattern.size + freedoms[:, None, :]
         position = torch.searchsorted(key, place.flatten())
         some = max(1, AT_ONCE * part.law.shape[-4] // (part.law[..., 0].numel() * freedoms.shape[1] ** 2))
-        values = torch.cat([_summed(part, law, position, pattern.nnz) for law in part.law.split(some, -4)], -2)
+        rows, sums = part.rows.unsqueeze(-6), []  # [*lanes, 1, m, p, r, s, f]
+        for law in part.law.split(some, -4):
+            forces = matrices(law, rows.shape[-3]) @ rows.flatten(-2)
+            K = rows.flatten(-4, -2).mT @ forces.unflatten(-1, part.rows.shape[-2:]).flatten(
+                -4, -2
+            )  # [*lanes, k, m, f, f]
+            K = 0.5 * (K + K.mT)
+            sums.append(K.new_zeros(*K.shape[:-3], pattern.nnz).index_add(-1, position, K.flatten(-3)))
+        values = torch.cat(sums, -2)
         total = values if total is None else total + values
     assert total is not None
     return total
-
-
-def _summed(cells: StressedCells, law: Tensor, position: Tensor, nnz: int) -> Float[Tensor, "*lanes k nnz"]:
-    """Of some states of stress."""
-    rows = cells.rows.unsqueeze(-6)  # [*lanes, 1, m, p, r, s, f]
-    forces = matrices(law, rows.shape[-3]) @ rows.flatten(-2)
-    m = forces.unflatten(-1, cells.rows.shape[-2:]).flatten(-4, -2)
-    small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
-    values = 0.5 * (small + small.mT)
-    return values.new_zeros(*values.shape[:-3], nnz).index_add(-1, position, values.flatten(-3))

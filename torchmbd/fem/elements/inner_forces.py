@@ -2,8 +2,8 @@
 
     N(x) = N_mean + sum_b c_b sigma_b(x),     eps - eps_mean = S (N - N_mean) - S B (kappa - kappa_mean),     S = A^-1
 
-sigma_b   four states in equilibrium, without mean (quad_states.py), of any laminate; b of them are bending of fibers along the
-          two medians, n the others
+sigma_b   four states in equilibrium, without mean (quad_membrane.py), of any laminate; b of them are bending of fibers along
+          the two medians, n the others
 w_b       what these states work on the sides of the cell, and on what bending does to the mid-surface:
           w = W u + mean sigma' S B (kappa - kappa_mean)
 U         mean sigma' S sigma

@@ -4,13 +4,17 @@
 
 Cells of one shape and one laminate have one matrix (cell_stiffness.py): a new design costs their products and one sum over
 all cells, and derivatives in the design are exact.
-Three numbers enter the strains of a cell (strains.py, shell_elements.py) from the laminate: mean Poisson's ratio, shear and
+Three numbers enter the strains of a cell (strains.py, cell_stiffness.py) from the laminate: mean Poisson's ratio, shear and
 bending length (IsotropicMean). They are constants under any change of ply angle. Where thicknesses or numbers of plies move
 or are differentiated, the strains are made anew in each design (`moved_mean`), as functions of these.
-Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units.
+Ply strains and stresses are maps of the laminate (fem/materials/ply_maps.py) times the section strains at the middle of each
+cell, where the element's are best. Both are linear in the displacements, which may be modes: `stress = basis.stress @ w` is
+then one product for all times of modal coordinates w.
+Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
+reverse, in the laminate's parameters and in the displacements, with lanes.
 Source: eqs. (10)-(13) of the paper; the elements name their own.
-Checked in tests/fem/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/convergence/test_plate*.py,
-tests/validation/test_*plate*.py.
+Checked in tests/fem/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/fem/elements/test_ply_recovery.py,
+tests/convergence/test_plate*.py, tests/validation/test_*plate*.py, tests/validation/test_ply_stresses.py.
 """
 
 from __future__ import annotations
@@ -24,12 +28,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.cell_stiffness import CellStiffness, distinct_shapes
+from torchmbd.fem.elements.cell_stiffness import ELEMENTS, CellStiffness, distinct_shapes
 from torchmbd.fem.elements.facet import Facets, facets
-from torchmbd.fem.elements.shear_recovery import shear_strains
-from torchmbd.fem.elements.shell_elements import ELEMENTS
 from torchmbd.fem.elements.strains import ShearRecovery, Strains
-from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness, present_mean
+from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness, ply_maps, present_mean
 from torchmbd.fem.mesh import Mesh, directed_area
 from torchmbd.math.gradients import in_transform, is_differentiated, untransformed
 from torchmbd.math.linear_map import apply_linear
@@ -79,25 +81,11 @@ class _Numbers(NamedTuple):
 
     def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> tuple[Tensor, ...]:
         """Return the adjoint: cotangents of entries and laws from those of the numbers."""
-        parts = self.sums.adjoint(y).split([cell.numbers for cell in self.cells], 1)
+        parts = self.sums.adjoint(y)[0].split([cell.numbers for cell in self.cells], 1)
         cotangents = [cell.adjoint(part) for cell, part in zip(self.cells, parts, strict=True)]
         return torch.stack([entries for entries, *_ in cotangents]).sum(0), *(
             law for _, *laws in cotangents for law in laws
         )
-
-
-class _Summed(NamedTuple):
-    """Sums as a linear map (linear_map.py)."""
-
-    sums: Sums
-
-    def __call__(self, *x: Tensor) -> Tensor:
-        """Sums of x[0]."""
-        return self.sums(x[0])
-
-    def adjoint(self, y: Tensor) -> tuple[Tensor, ...]:
-        """Return the adjoint."""
-        return (self.sums.adjoint(y),)
 
 
 class PlateMatrices:
@@ -144,7 +132,9 @@ class PlateMatrices:
         of_cell = chosen.new_zeros(mesh.cell_count)
         self.zones = (of_cell if zones is None else of_cell.index_copy(0, chosen, zones))[self.members]
         self.laminates = 1 + int(self.zones.max())
-        self.area = self._tributary()
+        nodes, area, *_ = self.covering_triangles
+        thirds = (area / 3.0)[:, None].expand(-1, 3).flatten()
+        self.area = area.new_zeros(len(mesh.nodes)).index_add(0, nodes.flatten(), thirds)
         self._whole = self._numbers()
         self._picked: list[tuple[Tensor, _Numbers]] = []  # for each choice of entries, of a body and its load cases
 
@@ -192,8 +182,14 @@ class PlateMatrices:
         mean = present_mean(laminate)
         start = torch.tensor([self.mean.poisson, self.mean.shear_length, self.mean.bending_length], dtype=mean.dtype)
         same = (untransformed(mean) - start).abs() <= _SAME * start.abs()
-        # A transform of torch.func wraps whatever is computed under it, also of numbers that it leaves alone.
-        varied = is_differentiated(mean) and (not in_transform(mean) or any(map(is_differentiated, _of_mean(laminate))))
+        varied = is_differentiated(mean)
+        if varied and in_transform(mean):
+            # A transform of torch.func wraps whatever is computed under it, also of numbers that it leaves alone; so these
+            # are asked: all of the laminate but its angles.
+            numbers = [x for name, x in laminate.named_parameters() if name.rpartition(".")[2] != "angles"]
+            varied = any(
+                is_differentiated(x) for x in (*numbers, getattr(laminate, "thickness", None)) if isinstance(x, Tensor)
+            )
         return None if bool(same.all()) and not varied else mean
 
     def values(
@@ -211,7 +207,7 @@ class PlateMatrices:
             constants = self.of_lanes(mean, lanes)
             kinds = zip(self.kinds.values(), picked.cells, strict=True)
             stiffness = torch.cat([cell.moved(group.moved(cell, constants), law) for group, cell in kinds], 1)
-            return apply_linear(_Summed(picked.sums), stiffness).reshape(*lanes, -1)
+            return apply_linear(picked.sums, stiffness).reshape(*lanes, -1)
         laws = [x for cell in picked.cells for x in cell.law(law.A, law.B)]
         return apply_linear(picked, numbers, *laws).reshape(*lanes, -1)
 
@@ -247,7 +243,7 @@ class PlateMatrices:
             if len(rows) > 1:
                 shear = ShearRecovery(*rows[1:])
                 cells = LaminateStiffness(*(X[..., zone, :, :] if self.several else X.unsqueeze(-3) for X in law))
-                strains = torch.cat([strains[..., :6, :], shear_strains(shear, cells, at)], dim=-2)
+                strains = torch.cat([strains[..., :6, :], shear.strains(cells, at)], dim=-2)
             fields.append(strains)
         return torch.cat(fields, dim=-3)
 
@@ -271,11 +267,6 @@ class PlateMatrices:
         """
         per_area = torch.stack([mass_per_area] * 3 + [rotary_inertia_per_area] * 3, dim=-1)
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
-
-    def _tributary(self) -> Float[Tensor, " n"]:
-        nodes, area, *_ = self.covering_triangles
-        thirds = (area / 3.0)[:, None].expand(-1, 3).reshape(-1)
-        return area.new_zeros(len(self.mesh.nodes)).index_add(0, nodes.flatten(), thirds)
 
 
 def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
@@ -303,7 +294,26 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
     return Pattern(rows, cols, 6 * n), cells
 
 
-def _of_mean(laminate: Laminate) -> list[Tensor]:
-    """The numbers of a laminate that its isotropic mean depends on: all but its angles."""
-    numbers = [x for name, x in laminate.named_parameters() if name.rpartition(".")[2] != "angles"]
-    return [*numbers, *(x for x in (getattr(laminate, "thickness", None),) if isinstance(x, Tensor))]
+class PlyBasis(NamedTuple):
+    """Ply strains and stresses [Pa] of k displacement fields at all points, components (11, 22, 12, 13, 23).
+
+    Points run over cells, layers (bottom to top) and faces (bottom, top), in this order; see `ply_points`.
+    """
+
+    strain: Float[Tensor, "*lanes points 5 k"]
+    stress: Float[Tensor, "*lanes points 5 k"]
+
+
+def ply_basis(matrices: PlateMatrices, laminate: Laminate, displacements: Float[Tensor, "*lanes n 6 k"]) -> PlyBasis:
+    """Recover the plies of k fields of nodal displacements (u1 u2 u3 phi1 phi2 phi3 of each node, mesh axes)."""
+    section = matrices.section_strains(displacements, laminate.stiffness(), matrices.moved_mean(laminate))
+    section = section[..., :, None, None, :, :]
+    cells = (lambda x: x[..., matrices.zones, :, :, :, :]) if matrices.several else (lambda x: x.unsqueeze(-5))
+    strain, stress = (cells(maps) @ section for maps in ply_maps(laminate))
+    return PlyBasis(strain.flatten(-5, -3), stress.flatten(-5, -3))
+
+
+def ply_points(matrices: PlateMatrices, laminate: Laminate) -> Int[Tensor, "points 3"]:
+    """Cell, layer from the bottom, and face (0 bottom, 1 top) of every point of a PlyBasis."""
+    layers, faces = torch.arange(len(laminate.layer_plies)), torch.arange(2)
+    return torch.cartesian_prod(matrices.members, layers, faces)

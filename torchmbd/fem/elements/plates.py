@@ -1,4 +1,4 @@
-"""Parts of an assembly: laminated plates on some cells of a mesh, and point masses.
+"""Parts of an assembly: laminated plates on some cells of a mesh.
 
 mass of a plate     "lumped": a third of each triangle at its corners, eqs. (2) and (13);
                     "consistent": at the middles of its sides, that is with linear shape functions, for comparison
@@ -32,7 +32,6 @@ from torchmbd.fem.elements.shell_geometric import stressed_shells
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.materials.isotropic_mean import present_mean
 from torchmbd.fem.mesh import Mesh
-from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -178,41 +177,6 @@ def _joined(group: dict[str, Any]) -> dict[str, Part]:
     zones = torch.repeat_interleave(torch.tensor([len(x) for x in cells]))
     laminates = [part.laminates[0] for part in (first, *others)]
     return {next(iter(group)): Plates(first.mesh, laminates, direction, torch.cat(cells), first.mass, zones)}
-
-
-class PointMasses:
-    """Masses [kg] with isotropic rotary inertias [kg m2] at nodes, or on arms from them [m]; no stiffness."""
-
-    @constant_arguments
-    def __init__(
-        self,
-        mesh: Mesh,
-        nodes: Sequence[int],
-        mass: Sequence[float],
-        rotary: Sequence[float],
-        arms: Sequence[Sequence[float]] | None = None,
-    ) -> None:
-        none = torch.empty(0, dtype=torch.long)
-        self.pattern = Pattern(none, none, 6 * len(mesh.nodes))
-        self._nodes = torch.tensor(list(nodes), dtype=torch.long)
-        self._arms = None if arms is None else torch.tensor(arms, dtype=torch.float64)
-        self._mass, self._rotary = (torch.tensor(list(x), dtype=torch.float64) for x in (mass, rotary))
-
-    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, " 0"]:
-        """No stiffness."""
-        return torch.zeros(0, dtype=torch.float64)
-
-    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
-        """No stress."""
-        return []
-
-    def modules(self) -> dict[str, nn.Module]:
-        """Nothing to design."""
-        return {}
-
-    def masses(self) -> MassPoints:
-        """The masses."""
-        return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary, self._arms)
 
 
 def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:

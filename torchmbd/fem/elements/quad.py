@@ -40,7 +40,10 @@ from torchmbd.fem.materials import IsotropicMean
 def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every quadrilateral at its six points, and its inner forces."""
     mean, points = mean.of_cells(len(plane.area)), gauss(plane.corners)
-    softness = plane.area * (plane.tilt**2 + _warp2(plane)) / mean.bending_length**2
+    sides = (plane.corners.roll(-1, dims=1) - plane.corners).norm(dim=-1)
+    # Mean square of the slope of a bilinear surface: a third of that of its sides, here of the steepest [rad2].
+    warp2 = ((plane.height.roll(-1, dims=1) - plane.height) / sides).square().amax(1) / 3.0
+    softness = plane.area * (plane.tilt**2 + warp2) / mean.bending_length**2
     flat = membrane(plane.corners, points, mean.poisson, softness, plane.at_boundary)
     constant, drill, work = (_of_corners(plane, rows) for rows in (flat.mean, flat.drill, flat.forces.work))
     warped = _of_slopes(plane, points) + _of_bows(plane)
@@ -59,12 +62,6 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     slopes, bending = curvature_slopes(plane.corners, points, mean, plane.side_area)
     slopes = bending[:, None, None, None] * to_mesh_axes(plane.axes, plate_rows(slopes))
     return Strains(at, weight, center, forces, ShearRecovery(slopes, (1.0 - bending)[:, None, None] * center[:, 6:]))
-
-
-def _warp2(plane: Facets) -> Float[Tensor, " m"]:
-    """Mean square of the slope of a bilinear surface: a third of that of its sides, here of the steepest [rad2]."""
-    length = (plane.corners.roll(-1, dims=1) - plane.corners).norm(dim=-1)
-    return ((plane.height.roll(-1, dims=1) - plane.height) / length).square().amax(1) / 3.0
 
 
 def _of_corners(plane: Facets, rows: Float[Tensor, "m *rows 12"]) -> Float[Tensor, "m *rows 4 6"]:

@@ -1,6 +1,6 @@
 """Curvatures and transverse shear strains of the discrete Kirchhoff-Mindlin quadrilateral (DKMQ).
 
-Freedoms of a corner: w, beta_x, beta_y as in dkmt_bending.py. The rotation gets a quadratic part along each side k,
+Freedoms of a corner: w, beta_x, beta_y as in triangle.py. The rotation gets a quadratic part along each side k,
 
     beta = sum_i N_i beta_i + sum_k P_k Delta_k t_k,      P = (1 - xi^2)(1 -+ eta) / 2,  (1 - eta^2)(1 +- xi) / 2
 
@@ -44,7 +44,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchmbd.fem.elements.quad_shape import Bilinear, middle
-from torchmbd.fem.elements.sides import gaps, quad_size2, split_gaps
+from torchmbd.fem.elements.sides import dyad, gaps, quad_size2, split_gaps
 from torchmbd.fem.materials import IsotropicMean
 
 #: Factors of the quadratic parts in the bending energy of squares, and of long cells.
@@ -143,11 +143,11 @@ def _quadratic_weight(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 4"]:
 
 def _twist(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 3 3"]:
     """The part of a curvature that is twist of two medians: kappa_ab = a . kappa . b, times the dual vectors of a and b."""
-    (ax, ay), (bx, by) = (v.unbind(-1) for v in medians.unbind(1))
-    (px, py), (qx, qy) = (v.unbind(-1) for v in torch.linalg.inv(medians).unbind(-1))
-    seen = torch.stack([ax * bx, ay * by, 0.5 * (ax * by + ay * bx)], dim=-1)
-    dual = 2.0 * torch.stack([px * qx, py * qy, px * qy + py * qx], dim=-1)
-    return dual[..., :, None] * seen[..., None, :]
+    twist = dyad(*medians.unbind(1)) * medians.new_tensor(
+        [1.0, 1.0, 0.5]
+    )  # of a curvature, whose third number is 2 kappa_xy
+    dual = 2.0 * dyad(*torch.linalg.inv(medians).unbind(-1))
+    return dual[..., :, None] * twist[..., None, :]
 
 
 def linear_curvatures(points: Bilinear) -> Float[Tensor, "m p 3 12"]:
@@ -164,8 +164,7 @@ def quadratic_curvatures(points: Bilinear, along: Float[Tensor, "m 4 2"]) -> Flo
     by_xi = torch.stack([-xi * (1 - eta), (1 - eta**2) / 2, -xi * (1 + eta), -(1 - eta**2) / 2], dim=-1)
     by_eta = torch.stack([-(1 - xi**2) / 2, -eta * (1 + xi), (1 - xi**2) / 2, -eta * (1 - xi)], dim=-1)
     slopes = torch.linalg.solve(points.jacobian, torch.stack([by_xi, by_eta], dim=1).expand(len(along), -1, -1, -1))
-    (x, y), (tx, ty) = slopes.unbind(2), along[:, None].unbind(-1)
-    return torch.stack([x * tx, y * ty, x * ty + y * tx], dim=2)
+    return dyad(slopes.mT, along[:, None]).mT
 
 
 def shear_strains(

@@ -3,7 +3,7 @@
 Freedoms of a corner: u, v, theta (a real in-plane rotation, no penalty).
 
 mean     strain from the work of constant stresses on the sides (sides.py): any patch test passes
-forces   that run linearly over the cell, in four states of equilibrium, from their work on the same sides (quad_states.py,
+forces   that run linearly over the cell, in four states of equilibrium, from their work on the same sides (below, and
          inner_forces.py). They follow the laminate; so strips of any ply angle bend in their plane as they should
 drill    rotations that no stress does work on: theta = 1 and theta = (1, -1, 1, -1) without displacement, with one strain D
          each, at separate points; they vanish for rigid motions, constant strains and the four states of the isotropic mean.
@@ -18,10 +18,27 @@ softness    r >= 0 of curved shells (triangle.py): the bending of the sides in t
             drill the rotations are drawn from theta to theta*(u), where they cost nothing, by 1 - 1 / sqrt(1 + 70 r). Less in
             the mean locks hemispheres, more pinched cylinders; more of the other bends the roof too much
 
+The four states of plane stress in equilibrium,
+
+    sigma_b (xx, yy, xy):   (y, 0, 0),  (0, x, 0),  (x, 0, -y),  (0, y, -x)
+
+belong to any material: strains S sigma_b are linear, hence compatible, with displacements that are quadratic,
+
+    u = a1 x^2 / 2 + a2 x y + p y^2 / 2,   v = b1 x y + b2 y^2 / 2 + q x^2 / 2,   theta = ((b1 - p) y + (q - a2) x) / 2
+
+of eps = (a1 x + a2 y, b1 x + b2 y, c1 x + c2 y), p = c2 - b1, q = c1 - a2. On the sides of a cell, which stretch linearly and
+bend as parabolas, the tractions t_b work
+
+    W_b u = sum_k int t_b . u_k ds,     u_k = (1 - s) u_i + s u_j + L_k / 2 s (1 - s) (theta_j - theta_i) n_k
+
+Bending of the fibers along a median: stress e o e times the distance across. Two of the four states are that.
+Coordinates from the centroid, in units of the square root of the area.
 Assumed: nu of the laminate's isotropic mean in drill and theta*; small strains. Rank 9, exact rigid-body motion.
 Source: sides that bend as parabolas: D. J. Allman, Comput. Struct. 19 (1984) 1-8; stresses that work on them: M. A. Aminpour,
-Int. J. Numer. Methods Eng. 33 (1992) 19-38; R. H. MacNeal, Int. J. Numer. Methods Eng. 24 (1987) 1793-1799.
-Checked in tests/fem/elements/test_quad.py, tests/fem/elements/test_slender_cells.py, tests/contracts/test_shell_elements.py.
+Int. J. Numer. Methods Eng. 33 (1992) 19-38; R. H. MacNeal, Int. J. Numer. Methods Eng. 24 (1987) 1793-1799; bending along
+medians: T. H. H. Pian and K. Sumihara, Int. J. Numer. Methods Eng. 20 (1984) 1685-1695.
+Checked in tests/fem/elements/test_quad_membrane.py, tests/fem/elements/test_quad.py, tests/fem/elements/test_slender_cells.py,
+tests/contracts/test_shell_elements.py.
 """
 
 from __future__ import annotations
@@ -34,8 +51,58 @@ from torch import Tensor
 
 from torchmbd.fem.elements.inner_forces import CellForces, InnerForces, unit_laws, zero_mean_functions
 from torchmbd.fem.elements.quad_shape import Bilinear, middle
-from torchmbd.fem.elements.quad_states import bending, displacements, side_work, stresses
-from torchmbd.fem.elements.sides import mean_strain
+from torchmbd.fem.elements.sides import dyad, mean_strain
+
+
+def stresses(z: Float[Tensor, "m p 2"]) -> Float[Tensor, "m p 3 4"]:
+    """The states at given places."""
+    x, y = z.unbind(-1)
+    zero = torch.zeros_like(x)
+    states = ((y, zero, zero), (zero, x, zero), (x, zero, -y), (zero, y, -x))
+    return torch.stack([torch.stack(state, dim=-1) for state in states], dim=-1)
+
+
+def displacements(x: Float[Tensor, "m 4 2"], S: Float[Tensor, "*laws 3 3"]) -> Float[Tensor, "*laws m 12 4"]:
+    """(u, v, theta) x 4 corners of the states, of materials with compliance S."""
+    eye = torch.eye(2, dtype=x.dtype)
+    slopes = S[..., None, :, :] @ stresses(eye[None])[0]  # d eps / dx, d eps / dy of the states [*laws, 2, 3, 4]
+    (a1, b1, c1), (a2, b2, c2) = (of.unbind(-2) for of in slopes[..., None, None, :, :, :].unbind(-3))
+    p, q = c2 - b1, c1 - a2
+    X, Y = (coordinate[..., None] for coordinate in x.unbind(-1))
+    u = 0.5 * a1 * X**2 + a2 * X * Y + 0.5 * p * Y**2
+    v = 0.5 * b2 * Y**2 + b1 * X * Y + 0.5 * q * X**2
+    theta = 0.5 * ((b1 - p) * Y + (q - a2) * X)
+    return torch.stack([u, v, theta], dim=-2).flatten(-3, -2)
+
+
+def side_work(x: Float[Tensor, "m 4 2"]) -> Float[Tensor, "m 4 12"]:
+    """W: work of the states on the sides, from (u, v, theta) of the corners."""
+    side = x.roll(-1, dims=1) - x
+    nx, ny = side[..., 1], -side[..., 0]  # times the length
+    sxx, syy, sxy = stresses(x).unbind(2)  # at the corners [m, 4, states]
+    work = x.new_zeros(len(x), 4, 4, 3)
+    for i in range(4):
+        j = (i + 1) % 4
+        n = nx[:, i, None], ny[:, i, None]
+        start, end = (
+            torch.stack([sxx[:, c] * n[0] + sxy[:, c] * n[1], sxy[:, c] * n[0] + syy[:, c] * n[1]], -1) for c in (i, j)
+        )
+        work[:, :, i, :2] += (2.0 * start + end) / 6.0
+        work[:, :, j, :2] += (start + 2.0 * end) / 6.0
+        bulge = ((start + end) * torch.stack(n, -1)).sum(-1) / 24.0
+        work[:, :, i, 2] -= bulge
+        work[:, :, j, 2] += bulge
+    return work.flatten(-2)
+
+
+def bending(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 4 2"]:
+    """R: bending of fibers along each median, as a sum of the states."""
+    slopes = stresses(torch.eye(2, dtype=medians.dtype)[None])[0].flatten(0, 1)  # [6, states]
+    ex, ey = medians.unbind(-1)
+    stress, across = torch.stack([ex * ex, ey * ey, ex * ey], -1), torch.stack([-ey, ex], -1)
+    bent = (across[..., None] * stress[..., None, :]).flatten(-2).mT  # [m, 6, median]
+    return torch.linalg.pinv(slopes) @ bent
+
 
 #: Strains per unit of theta = 1 and of theta = (1, -1, 1, -1) in a square.
 DRILL = (0.6, 0.15)
@@ -111,11 +178,7 @@ def _drill_strains(corners: Float[Tensor, "m 4 2"], at_boundary: Bool[Tensor, "m
     )
     size = torch.where(row, squat, 1.0)
     a, b = (medians / length[..., None]).unbind(1)
-
-    def pair(p: Tensor, q: Tensor) -> Tensor:
-        return torch.stack([p[:, 0] * q[:, 0], p[:, 1] * q[:, 1], p[:, 0] * q[:, 1] + p[:, 1] * q[:, 0]], dim=-1)
-
-    return size[:, None, None] * torch.stack([DRILL[0] * pair(a, b), DRILL[1] * (pair(a, a) - pair(b, b))], dim=1)
+    return size[:, None, None] * torch.stack([DRILL[0] * dyad(a, b), DRILL[1] * (dyad(a, a) - dyad(b, b))], dim=1)
 
 
 def _softened(forces: InnerForces, drill: Tensor, S: Tensor, softness: Tensor) -> Float[Tensor, "m 12 12"]:

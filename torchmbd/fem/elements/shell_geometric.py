@@ -26,6 +26,7 @@ from torchmbd.fem.elements.inner_forces import CellForces
 from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.quad_shape import ETA, XI, gauss
 from torchmbd.fem.elements.strains import Strains
+from torchmbd.fem.elements.triangle import barycentric_gradients
 from torchmbd.fem.materials import ENTRIES, LaminateStiffness
 from torchmbd.math.rigid_motion import hat
 
@@ -83,7 +84,7 @@ Rows = Float[Tensor, "m p 2 3 f"]
 
 def slopes(kind: str, plane: Facets) -> Rows:
     """Slopes of the displacements, mesh axes, along both axes of every cell at its points."""
-    linear, bows = _triangle(plane.corners) if kind == "triangle" else _quad(plane.corners)
+    linear, bows = _triangle(plane) if kind == "triangle" else _quad(plane.corners)
     m, p, _, c = linear.shape
     local = torch.cat([plane.corners, plane.height[..., None]], -1)
     side = (local.roll(-1, dims=1) - local) @ plane.axes  # from each corner to the next, mesh axes
@@ -97,12 +98,10 @@ def slopes(kind: str, plane: Facets) -> Rows:
     return rows.flatten(-2)
 
 
-def _triangle(x: Float[Tensor, "m 3 2"]) -> tuple[Float[Tensor, "m 3 2 3"], Float[Tensor, "m 3 2 3"]]:
+def _triangle(plane: Facets) -> tuple[Float[Tensor, "m 3 2 3"], Float[Tensor, "m 3 2 3"]]:
     """Slopes of the corners' functions l and of 4 l_i l_j of the sides 12, 23, 31, at the middles of the sides."""
-    opposite = x.roll(-2, dims=1) - x.roll(-1, dims=1)  # from j to k, for corners i, j, k
-    double = opposite[:, 0, 0] * opposite[:, 1, 1] - opposite[:, 0, 1] * opposite[:, 1, 0]
-    grad = torch.stack([-opposite[..., 1], opposite[..., 0]], 1) / double[:, None, None]  # [m, 2, corner]
-    middle = torch.tensor([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]], dtype=x.dtype)  # l at the points
+    grad = barycentric_gradients(plane.corners, plane.area).mT  # [m, 2, corner]
+    middle = torch.tensor([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]], dtype=grad.dtype)  # l at the points
     i, j = [0, 1, 2], [1, 2, 0]
     bows = 4.0 * (middle[:, None, i] * grad[:, None][..., j] + middle[:, None, j] * grad[:, None][..., i])
     return grad[:, None].expand(-1, 3, -1, -1), bows

@@ -13,11 +13,11 @@ gap       mean shear strain of a side with linear rotations,  g_k = (w_j - w_i) 
 
               Delta_k = -3/2 g_k / (1 + phi_k),     gamma_k = g_k phi_k / (1 + phi_k),     phi_k = shear_length^2 / size_k^2
 
-          Delta_k: the quadratic part of the rotation along the side (dkmt_bending.py)
+          Delta_k: the quadratic part of the rotation along the side (triangle.py)
 size_k    1 / size^2 = 1 / L_k^2 + (L_k / cell)^2 of quadrilaterals: a gap is closed by bending along the side, or by twist
           across the cell (cell: mean area at this side [m2])   [m]
-Source: C. A. Felippa (2003), see opt_membrane.py; I. Katili (1993), see dkmt_bending.py.
-Checked in tests/fem/elements/test_opt_membrane.py, tests/fem/elements/test_dkmt_bending.py,
+Source: C. A. Felippa (2003), see triangle.py; I. Katili (1993), see triangle.py.
+Checked in tests/fem/elements/test_triangle.py, tests/fem/elements/test_triangle.py,
 tests/fem/elements/test_plate_patch.py.
 """
 
@@ -39,6 +39,12 @@ def mean_strain(
     bulge = alpha[..., None] / 12.0 * torch.stack([nx * nx, ny * ny, 2.0 * nx * ny], -1)
     of_corner = [0.5 * (push + push.roll(1, dims=1)), (bulge.roll(1, dims=1) - bulge)[..., None]]
     return torch.cat(of_corner, -1).transpose(1, 2).flatten(-2) / area[:, None, None]
+
+
+def dyad(p: Float[Tensor, "*n 2"], q: Float[Tensor, "*n 2"]) -> Float[Tensor, "*n 3"]:
+    """The symmetric product p o q of vectors as a strain: p_x q_x, p_y q_y, p_x q_y + p_y q_x."""
+    (px, py), (qx, qy) = p.unbind(-1), q.unbind(-1)
+    return torch.stack([px * qx, py * qy, px * qy + py * qx], dim=-1)
 
 
 def gaps(

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.fem.elements import BeamLine, BeamMatrices
-from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
+from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.exact_beam.assemble import beam_data
 from torchmbd.fem.exact_beam.continuation import STATUS, Continuation
 from torchmbd.fem.exact_beam.data import BeamData, Topology

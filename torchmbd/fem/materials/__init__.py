@@ -1,6 +1,5 @@
 """Plies and laminates: from elastic constants and angles to plate stiffness, ply stresses and failure."""
 
-from torchmbd.fem.materials.divided_laminate import DividedLaminate
 from torchmbd.fem.materials.failure_forms import FailureForms
 from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.fem.materials.isotropic_mean import IsotropicMean, present_mean
@@ -15,7 +14,6 @@ __all__ = [
     "ENTRIES",
     "MODES",
     "PLY_COMPONENTS",
-    "DividedLaminate",
     "FailureForms",
     "IsotropicMean",
     "Laminate",

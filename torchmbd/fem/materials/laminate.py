@@ -38,12 +38,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature, true_or_false
-from torchmbd.fem.materials.laminate_checks import (
-    checked_angles,
-    checked_correction,
-    checked_plies,
-    checked_thickness,
-)
+from torchmbd.fem.materials.laminate_checks import checked_angles, checked_correction, checked_plies, checked_thickness
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
 from torchmbd.math.checked_numbers import is_real
@@ -129,7 +124,7 @@ class Laminate(nn.Module):
         if not is_real(offset):
             raise InputError(f"Laminate: offset = {offset!r}; allowed: a finite number [m]")
         self.offset = float(offset)
-        self.angles = checked_angles(angles)
+        self.angles = checked_angles("Laminate", angles)
         layers = self.angles.numel()
         plies = checked_plies(ply, layers)
         self.symmetric = true_or_false("Laminate: symmetric", symmetric)

@@ -1,4 +1,4 @@
-"""Checks of the arguments of a laminate: angles, plies, thicknesses and the correction of shear.
+"""Checks of the arguments of a laminate: angles (of a section too), plies, thicknesses and the correction of shear.
 
 Checked in tests/fem/materials/test_laminate.py.
 """
@@ -15,11 +15,11 @@ from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, check_angles, warn_unusual
 
 
-def checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
-    theta = parameter("angles of a Laminate", angles)
+def checked_angles(owner: str, angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter(f"angles of a {owner}", angles)
     if theta.ndim != 1 or theta.numel() == 0:
-        raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
-    check_angles("angles", theta.tolist(), "Laminate: ")
+        raise InputError(f"{owner}: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+    check_angles("angles", theta.tolist(), f"{owner}: ")
     return theta
 
 

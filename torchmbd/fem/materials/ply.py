@@ -92,7 +92,9 @@ class Ply(Lamina):
 
     def __post_init__(self) -> None:
         check_positive(self)
-        check_loss(self.loss)
+        loss = number(self.loss)
+        if not (is_real(loss) and math.isfinite(loss) and loss >= 0.0):
+            raise InputError(f"Ply: loss = {loss!r}; allowed: zero or positive, or mbd.variable(...) of such a number")
         nu12 = number(self.nu12)
         if not (is_real(nu12) and math.isfinite(nu12)):
             raise InputError(f"Ply: nu12 = {nu12!r}; allowed: a finite number, or mbd.variable(...) of one")
@@ -141,9 +143,8 @@ class IsotropicPly(Lamina):
     loss: float | Tensor = 0.0
 
     def __post_init__(self) -> None:
-        Ply.isotropic(
-            number(self.E), number(self.nu), number(self.density), self.strength, self.loss
-        )  # the checks of a ply
+        E, nu, density = (number(x) for x in (self.E, self.nu, self.density))
+        Ply.isotropic(E, nu, density, self.strength, self.loss)  # the checks of a ply
 
     @property
     def E1(self) -> float | Tensor:
@@ -163,13 +164,6 @@ class IsotropicPly(Lamina):
         return self.E / (2.0 * (1.0 + self.nu))
 
     G13 = G23 = G12
-
-
-def check_loss(loss: Any) -> None:
-    """InputError for a loss factor that is none."""
-    value = number(loss)
-    if not (is_real(value) and math.isfinite(value) and value >= 0.0):
-        raise InputError(f"Ply: loss = {value!r}; allowed: zero or positive, or mbd.variable(...) of such a number")
 
 
 def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:

@@ -104,13 +104,9 @@ def progressive_failure(
         layer = int(failing.nonzero()[0])
         mode = int(reached[layer].argmin())
         load = _exact(rule, stress[layer], numbers[layer], mode, reached[layer, mode])
-        steps.append(
-            PlyLoss(
-                load if not steps else torch.maximum(load, steps[-1].load),
-                failing.nonzero().flatten().tolist(),
-                rule.names[mode],
-            )
-        )
+        if steps:
+            load = torch.maximum(load, steps[-1].load)
+        steps.append(PlyLoss(load, failing.nonzero().flatten().tolist(), rule.names[mode]))
         broken = failing & (reached[:, of_fiber] <= least * (1.0 + TOGETHER)).any(1)
         fiber, matrix = fiber & ~broken, matrix & ~failing
     return steps
@@ -137,9 +133,8 @@ def _reached(rule: FailureModes, stress: Tensor, strength: Tensor) -> Float[Tens
     """Return the load at which the index of each mode becomes one; infinite where it never does."""
 
     def failed(load: Tensor) -> Tensor:
-        indices = rule.indices(
-            load[..., None] * stress.unsqueeze(-2), strength.unsqueeze(-2)
-        )  # every mode at every load
+        # Every mode at every load.
+        indices = rule.indices(load[..., None] * stress.unsqueeze(-2), strength.unsqueeze(-2))
         return indices.diagonal(dim1=-2, dim2=-1) >= 1.0
 
     low = stress.new_full((*stress.shape[:2], len(rule.names)), -WIDEST)

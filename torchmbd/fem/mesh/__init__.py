@@ -4,9 +4,8 @@
 Mesh(27 nodes, 0 triangles, 16 quadrilaterals, 0 lines)
 """
 
-from torchmbd.fem.mesh.mesh import CoveringTriangles, Mesh
+from torchmbd.fem.mesh.mesh import CoveringTriangles, Mesh, NodeCloud
 from torchmbd.fem.mesh.mesh_checks import directed_area
-from torchmbd.fem.mesh.node_cloud import NodeCloud
 from torchmbd.fem.mesh.quads import cut_quads
 from torchmbd.fem.mesh.rectangle import rectangle
 

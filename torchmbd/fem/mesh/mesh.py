@@ -91,12 +91,8 @@ class Mesh:
 
     def _check(self) -> None:
         check(self)
-        warn_unusual(
-            "nodes of a Mesh: extent",
-            float((self.nodes.amax(0) - self.nodes.amin(0)).norm()),
-            "m",
-            EXTENT,
-        )
+        extent = float((self.nodes.amax(0) - self.nodes.amin(0)).norm())
+        warn_unusual("nodes of a Mesh: extent", extent, "m", EXTENT)
 
     def __repr__(self) -> str:
         quads = f"{len(self.quads)} quadrilaterals, " if len(self.quads) else ""
@@ -208,3 +204,23 @@ class Mesh:
     def areas(self) -> Float[Tensor, " cells"]:
         """Areas of the cells [m2], of a warped one seen along its normal."""
         return self.directed_areas.norm(dim=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NodeCloud(Mesh):
+    """Nodes [n, 3] [m] with names of a body whose matrices come from outside; they may share a place.
+
+    Lines are for pictures only.
+    """
+
+    def __repr__(self) -> str:
+        return f"NodeCloud({len(self.nodes)} nodes)"
+
+    def _check(self) -> None:
+        nodes = self.nodes
+        if nodes.ndim != 2 or nodes.shape[1] != 3 or not len(nodes) or not bool(torch.isfinite(nodes).all()):
+            raise InputError(f"nodes have shape {tuple(nodes.shape)}; allowed: finite numbers [n, 3]")
+        for name, members in {"lines": self.lines.flatten().tolist(), **self.node_sets}.items():
+            for k in members:
+                if not 0 <= k < len(nodes):
+                    raise InputError(f"{name!r} has node {k}; allowed: 0 to {len(nodes) - 1}")

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -61,6 +61,21 @@ def directed_area(p: Float[Tensor, "m corners 3"]) -> Float[Tensor, "m 3"]:
     """Area of polygons along their normals [m2]; of a triangle half the cross product of two sides, to the last digit."""
     arms = p - p[:, :1]
     return torch.linalg.cross(arms[:, 1:-1], arms[:, 2:]).sum(1) / 2.0
+
+
+def repeated_rows(rows: np.ndarray) -> Int[np.ndarray, "k 2"]:
+    """Rows that repeat an earlier one: that one's index, and theirs."""
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    earlier = first[inverse.ravel()]
+    again = np.flatnonzero(earlier != np.arange(len(rows)))
+    return np.stack([earlier[again], again], axis=1)
+
+
+def connected_parts(tail: np.ndarray, head: np.ndarray, nodes: int) -> tuple[int, int]:
+    """Number of parts of a graph of node pairs, and a node that is not connected with node 0 (0: there is none)."""
+    graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(nodes, nodes))
+    parts, label = connected_components(graph, directed=False)
+    return parts, int(np.argmax(label != label[0]))
 
 
 def check(mesh: Cells) -> None:
@@ -123,13 +138,11 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     if len(bad):
         k = int(bad[0])
         raise InputError(f"Mesh: {mesh.cell_name(start + k)} has nodes {corners[k].tolist()}; allowed: 0 to {n - 1}")
-    ordered = np.sort(corners.numpy(), axis=1)
-    _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
-    duplicate = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
-    if len(duplicate):
-        k = int(duplicate[0])
-        original, copy = mesh.cell_name(start + int(first[inverse.ravel()[k]])), mesh.cell_name(start + k)
-        _refuse(mesh, f"Mesh: {original} and {copy} are duplicates, nodes {corners[k].tolist()}", len(duplicate))
+    duplicates = repeated_rows(np.sort(corners.numpy(), axis=1))
+    if len(duplicates):
+        original, copy = (mesh.cell_name(start + int(k)) for k in duplicates[0])
+        text = f"Mesh: {original} and {copy} are duplicates, nodes {corners[duplicates[0, 1]].tolist()}"
+        _refuse(mesh, text, len(duplicates))
     p = mesh.nodes[corners]
     ahead, back, area = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p, directed_area(p)
     height = torch.linalg.cross(ahead, back)  # of every corner: twice its triangle's directed area
@@ -139,18 +152,15 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     wrong = (~open).nonzero().flatten().tolist()
     if wrong:
         name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
-        raise InputError(f"Mesh: {name}, nodes {nodes}, {_collapsed(corners.shape[1])}")
+        shape = "is collapsed, concave or crosses itself; allowed: convex, corners in turn"
+        if corners.shape[1] == 3:
+            shape = "is collapsed (its corners are on a line)"
+        raise InputError(f"Mesh: {name}, nodes {nodes}, {shape}")
     wrong = (~flat).nonzero().flatten().tolist()
     if wrong:
         name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
         text = f"Mesh: {name}, nodes {nodes}, is warped by more than 40 degrees; cut it in two"
         _refuse(mesh, text, len(wrong))
-
-
-def _collapsed(corners: int) -> str:
-    if corners == 3:
-        return "is collapsed (its corners are on a line)"
-    return "is collapsed, concave or crosses itself; allowed: convex, corners in turn"
 
 
 def _check_orphans(mesh: Cells) -> None:
@@ -204,9 +214,8 @@ def _check_winding(mesh: Cells) -> None:
 def _check_connected(mesh: Cells) -> None:
     (tail, head, _), lines, n = _sides(mesh), mesh.lines.numpy(), len(mesh.nodes)
     tail, head = np.concatenate([tail, lines[:, 0]]), np.concatenate([head, lines[:, 1]])
-    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    parts, stray = connected_parts(tail, head, n)
     if parts > 1:
-        stray = int(np.flatnonzero(label != label[0])[0])
         raise InputError(
             f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)} is not connected with {mesh.node_name(0)}); "
             "allowed: one"

@@ -7,7 +7,9 @@
 The inverses of the S_i are formed: a solve is then three matrix products for each block and nothing else, which runs
 at the speed of matrix products over all lanes. For positive definite A the forward error is that of a banded
 Cholesky factorization (both are bounded by the condition of A; measured on plates, they are equal).
-Tensors are [lane, N, columns], in the order of the partition. No autograd inside.
+Roots of the mass give coordinates in which it is the identity: M = G G', y = G' x. A diagonal M has G = sqrt(M). A sparse
+one shares the block-tridiagonal partition of K, and G is block-bidiagonal.
+Tensors are [lane, N, columns] in the order of the partition. No autograd inside.
 Checked in tests/fem/reduction/test_sparse_modes.py.
 """
 
@@ -16,8 +18,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.fem.reduction.forms import Form
-from torchmbd.fem.reduction.partition import Partition, form_sums
+from torchmbd.errors import InputError
+from torchmbd.fem.reduction.forms import Diagonal, Form, lane_name
+from torchmbd.fem.reduction.partition import Partition, form_sums, partition
+from torchmbd.fem.reduction.shift import SAFE_PIVOT
 from torchmbd.math.products import Factor, compiled_products
 
 SMALL = 64  # largest number of rows of blocks that compiled code eliminates; LAPACK is faster for larger ones
@@ -35,6 +39,30 @@ def views(layout: Partition, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     parts = flat.split([r * c for r, c in shapes], dim=1)
     blocks = [part.view(len(flat), *shape) for part, shape in zip(parts, shapes, strict=True)]
     return blocks[: len(sizes)], blocks[len(sizes) :]
+
+
+class Solver:
+    """A^-1 of symmetric positive definite matrices of one form, after `factorize`."""
+
+    factor: BlockFactor
+
+    def __init__(self, form: Form, layout: Partition | None = None) -> None:
+        self.form, self.layout = form, layout or partition(form, Diagonal(form.size))
+
+    def factorize(self, values: Tensor, fault: str) -> None:
+        """Factorize A of values [lane, *entry]; InputError says its lane and `fault` where it is not positive definite."""
+        self.factor = BlockFactor(self.layout, storage(self.layout, self.form, values))
+        weak = self.factor.pivot <= SAFE_PIVOT
+        if weak.any():
+            lane = lane_name(int(weak.nonzero()[0]), len(values))
+            raise InputError(f"K{lane} {fault} without stiffness, or against it; hold more freedoms")
+
+    def solve(self, F: Tensor) -> Tensor:
+        """A^-1 F for columns F [lane, T, N, k]."""
+        lanes, T, N, k = F.shape
+        flat = F.movedim(1, 2).reshape(lanes, N, T * k).index_select(1, self.layout.order)
+        solved = self.factor.solve(flat).index_select(1, self.layout.inverse)
+        return solved.reshape(lanes, N, T, k).movedim(2, 1)
 
 
 class BlockFactor:
@@ -61,7 +89,7 @@ class BlockFactor:
         L, info = torch.linalg.cholesky_ex(S)
         smallest = (L.diagonal(dim1=-2, dim2=-1) ** 2 / D.diagonal(dim1=-2, dim2=-1)).amin(-1)
         if info.any():  # a lane that cannot be factorized must not stop the others; its `pivot` is negative
-            L = torch.where((info == 0)[:, None, None], L, torch.eye(L.shape[-1], dtype=L.dtype, device=L.device))
+            L = torch.where((info == 0)[:, None, None], L, torch.eye(L.shape[-1], dtype=L.dtype))
         D.copy_(torch.cholesky_inverse(L))
         if i < len(self.E):
             self._before = self.E[i].clone()
@@ -83,3 +111,73 @@ class BlockFactor:
             x = torch.bmm(self.S_inverse[i], forward[i]).baddbmm_(self.E[i].mT, x, alpha=-1)
             solution[:, self.bounds[i] : self.bounds[i + 1]] = x
         return solution
+
+
+class DiagonalRoot:
+    """G of a diagonal mass [lane, N]."""
+
+    def __init__(self, layout: Partition, values: Tensor) -> None:
+        self.G = values[:, layout.order].sqrt()[:, :, None]
+
+    def lower(self, X: Tensor) -> Tensor:
+        return self.G * X
+
+    def upper(self, X: Tensor) -> Tensor:
+        return self.G * X
+
+    def upper_inverse(self, X: Tensor) -> Tensor:
+        return X / self.G
+
+
+class BlockRoot:
+    """G of a block-tridiagonal mass: L_i on the diagonal, C_i below it."""
+
+    def __init__(self, layout: Partition, flat: Tensor) -> None:
+        D, B = views(layout, flat)
+        self.bounds = layout.bounds
+        self.L: list[Tensor] = []
+        self.C: list[Tensor] = []
+        for i, block in enumerate(D):
+            S = block if i == 0 else torch.baddbmm(block, self.C[-1], self.C[-1].mT, alpha=-1)
+            L, info = torch.linalg.cholesky_ex(S)
+            if info.any():
+                lane = int(info.nonzero()[0])
+                row = int(layout.order[layout.bounds[i] + int(info[lane]) - 1])
+                raise InputError(
+                    f"M{lane_name(lane, len(flat))} is not positive definite: "
+                    f"elimination leaves no positive number in row {row}"
+                )
+            self.L.append(L)
+            if i + 1 < len(D):
+                self.C.append(torch.linalg.solve_triangular(L, B[i].mT, upper=False).mT)
+
+    def _parts(self, X: Tensor) -> list[Tensor]:
+        return [X[:, start:end] for start, end in zip(self.bounds, self.bounds[1:], strict=False)]
+
+    def lower(self, X: Tensor) -> Tensor:
+        """G X."""
+        parts = self._parts(X)
+        rows = [L @ x for L, x in zip(self.L, parts, strict=True)]
+        return torch.cat(rows[:1] + [r + C @ x for r, C, x in zip(rows[1:], self.C, parts, strict=False)], 1)
+
+    def upper(self, X: Tensor) -> Tensor:
+        """G' X."""
+        parts = self._parts(X)
+        rows = [L.mT @ x for L, x in zip(self.L, parts, strict=True)]
+        coupled = [r + C.mT @ x for r, C, x in zip(rows, self.C, parts[1:], strict=False)]
+        return torch.cat(coupled + rows[-1:], 1)
+
+    def upper_inverse(self, X: Tensor) -> Tensor:
+        """G'^-1 X."""
+        parts, rows = self._parts(X), []
+        for i in range(len(parts) - 1, -1, -1):
+            right = parts[i] if not rows else parts[i] - self.C[i].mT @ rows[-1]
+            rows.append(torch.linalg.solve_triangular(self.L[i].mT, right, upper=True))
+        return torch.cat(rows[::-1], 1)
+
+
+def mass_root(layout: Partition, form: Form, values: Tensor) -> DiagonalRoot | BlockRoot:
+    """Factorize M. Raises InputError where it is not positive definite."""
+    if isinstance(form, Diagonal):
+        return DiagonalRoot(layout, values)
+    return BlockRoot(layout, storage(layout, form, values))

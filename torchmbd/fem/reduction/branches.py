@@ -3,7 +3,7 @@
 K and M are analytic along a line b + t d through a design. Then so are eigenvalues and modes, with the right basis within
 each cluster (Rellich). This basis is found order by order:
 
-1. series.py gives Kr(t) = Kr_0 + t Kr_1 + t^2 Kr_2 + ... of the retained span.
+1. `retained_series` gives Kr(t) = Kr_0 + t Kr_1 + t^2 Kr_2 + ... of the retained span.
 2. A cluster of Kr_0 is again a span that moves: the same series inside the n x n problem gives its block
    B(t) = lambda 1 + t B_1 + t^2 B_2 + ...
 3. (B(t) - lambda) / t = B_1 + t B_2 + ... is a problem of the same kind. Its eigenvalues are the slopes of the branches,
@@ -16,6 +16,19 @@ orders do not split is repeated along the line as far as can be seen: any basis 
 a span. With several design variables each has its own right basis; they agree only where the cluster's matrices
 commute, and then one direction that splits the cluster gives it. Nothing else can be differentiated individually.
 
+The series of the retained span along the line:
+
+    K(t) Psi(t) = M(t) Psi(t) Kr(t),     Psi(t)' M(t) Psi(t) = 1,     X(t) = X_0 + t X_1 + t^2 X_2 + ...
+
+With Psi_m = Psi_0 S_m + Z_m, Psi_0' M_0 Z_m = 0, the terms of order t^m give, as transport.py does for m = 1,
+
+    N_m  = sum_{a+b+c = m; b, c < m} Psi_c' M_a Psi_b            S_m = -N_m / 2, symmetric
+    F_m  = sum_{a+b = m; b < m} K_a Psi_b  -  sum_{a+b+c = m; b, c < m} M_a Psi_b Kr_c
+    Kr_m = Psi_0' F_m + Kr_0 S_m - S_m Kr_0
+    (K_0 - lambda_i M_0) z_m,i = -P f_m,i
+
+Every order needs one more deflated solve with the factorization of the first; only gaps to discarded modes appear at
+any order. No autograd inside.
 Source: Dailey, AIAA J. 27 (1989) 486-491; Kato, Perturbation Theory for Linear Operators, section II.2 (reduction
 process). Checked in tests/sensitivity/test_eigenpair_branches.py.
 """
@@ -32,12 +45,9 @@ from torch import Tensor
 from torch.func import jvp
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, rounding, solve
-from torchmbd.fem.reduction.eigenpairs import same_cluster
+from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, rounding, signs, solve
+from torchmbd.fem.reduction.eigenpairs import ModeSeparation, same_cluster
 from torchmbd.fem.reduction.forms import Dense, Diagonal
-from torchmbd.fem.reduction.near_modes import ModeSeparation
-from torchmbd.fem.reduction.series import retained_series
-from torchmbd.fem.reduction.signs import signs
 from torchmbd.fem.reduction.transport import Pencil
 
 UNSPLIT = -1
@@ -183,3 +193,27 @@ def _cluster_series(A: list[Tensor], values: Tensor, chosen: Tensor) -> tuple[li
     identity = [torch.full((1, n), float(m == 0), dtype=values.dtype) for m in range(len(A))]
     start = torch.eye(n, dtype=values.dtype)[None, :, chosen]
     return retained_series(pencil, values[None, chosen], start, [a[None] for a in A], identity)
+
+
+def retained_series(
+    pencil: Pencil, values: Tensor, psi: Tensor, K: list[Tensor], M: list[Tensor]
+) -> tuple[list[Tensor], list[Tensor]]:
+    """Psi_m [N, n] and Kr_m [n, n] from the Taylor coefficients of the values of K and M, all with one lane [1, ...].
+
+    `values`, `psi`: eigenvalues [1, n] and vectors [1, N, n] at t = 0, for which `pencil` has been solved.
+    """
+    Psi, Kr = [psi], [torch.diag_embed(values)]
+    for m in range(1, len(K)):
+        M_Psi = [[pencil.M_form.multiply(M[a], Psi[b]) for b in range(m)] for a in range(m + 1)]
+        terms = [(a, b, m - a - b) for a in range(m + 1) for b in range(m) if 0 <= m - a - b < m]
+        N, F = torch.zeros_like(Kr[0]), torch.zeros_like(psi)
+        for a, b, c in terms:
+            N += Psi[c].mT @ M_Psi[a][b]
+            F -= M_Psi[a][b] @ Kr[c]
+        for b in range(m):
+            F += pencil.K_form.multiply(K[m - b], Psi[b])
+        S = -N / 2  # the sum is symmetric: with each product it holds its transpose
+        Kr.append(psi.mT @ F + Kr[0] @ S - S @ Kr[0])
+        Z = -pencil.modes.deflated_solve(F[:, :, None, :])[:, :, 0, :]
+        Psi.append(psi @ S + Z)
+    return [p[0] for p in Psi], [k[0] for k in Kr]

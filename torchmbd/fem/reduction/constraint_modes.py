@@ -31,16 +31,13 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import Matrix, parse_pencil
-from torchmbd.fem.reduction.blocks import BlockFactor, storage
-from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, check, check_positive_diagonal, lane_name
-from torchmbd.fem.reduction.operator_call import call_as_operator
-from torchmbd.fem.reduction.partition import partition
-from torchmbd.fem.reduction.shift import SAFE_PIVOT
-from torchmbd.fem.reduction.transport import Pencil, apply_batched
+from torchmbd.fem.reduction.blocks import Solver
+from torchmbd.fem.reduction.forms import Dense, Sparse, check, check_positive_diagonal
+from torchmbd.fem.reduction.operator_call import ModeDerivative
+from torchmbd.fem.reduction.transport import Pencil
 from torchmbd.math.checked_numbers import indices
-from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.sparse import Pattern, SparseMatrix
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import apply_as_lanes
 
 
 def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Tensor, Tensor]:
@@ -95,34 +92,21 @@ def interior(matrix: Matrix, interface: tuple[int, ...], size: int) -> Matrix:
 class Split:
     """The form of K and its interior freedoms; and, after `factorize`, the factor of K_oo."""
 
-    factor: BlockFactor
-
     def __init__(self, pencil: Pencil, interface: tuple[int, ...]) -> None:
         self.pencil, self.interface = pencil, interface
         self.interior = interior_freedoms(interface, pencil.K_form.size)
 
     def factorize(self, K: Tensor) -> None:
-        form: Form
         if isinstance(self.pencil.K_form, Sparse):
             pattern, positions = _restricted(self.pencil.K_form.pattern, self.interface)
-            form, values = Sparse(pattern), K[:, positions]
+            self.solver, values = Solver(Sparse(pattern)), K[:, positions]
         else:
-            form, values = Dense(len(self.interior)), K[:, self.interior][:, :, self.interior]
-        self.layout = partition(form, Diagonal(form.size))
-        self.factor = BlockFactor(self.layout, storage(self.layout, form, values))
-        weak = self.factor.pivot <= SAFE_PIVOT
-        if weak.any():
-            lane = lane_name(int(weak.nonzero()[0]), len(K))
-            raise InputError(
-                f"K{lane} is not positive definite with the interface held: the rest can move without "
-                "stiffness, or against it; hold more freedoms"
-            )
+            self.solver, values = Solver(Dense(len(self.interior))), K[:, self.interior][:, :, self.interior]
+        self.solver.factorize(values, "is not positive definite with the interface held: the rest can move")
 
     def solve(self, F: Tensor) -> Tensor:
         """K_oo^-1 F_o for columns F [lane, T, N, k], with zeros in the interface rows."""
-        columns = F[:, :, self.interior].movedim(1, 2)
-        flat = columns.flatten(2)[:, self.layout.order]
-        solved = self.factor.solve(flat)[:, self.layout.inverse].reshape(columns.shape).movedim(2, 1)
+        solved = self.solver.solve(F[:, :, self.interior])
         return torch.zeros_like(F).index_copy(2, self.interior, solved)
 
 
@@ -152,16 +136,14 @@ class _ConstraintModes(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, K: Tensor, M: Tensor) -> tuple:
-        K, M = (batch_first(x, dim, info.batch_size) for x, dim in ((K, in_dims[1]), (M, in_dims[2])))
-        outputs = _ConstraintModes.apply(split, K.flatten(0, 1), M.flatten(0, 1))
-        return tuple(o.unflatten(0, (info.batch_size, K.shape[1])) for o in outputs), (0, 0)
+        return apply_as_lanes(partial(_ConstraintModes.apply, split), info, in_dims[1:], K, M)
 
     @staticmethod
     def jvp(ctx: Any, _split: Any, dK: Tensor | None, _dM: Any) -> Any:
         (T,) = ctx.saved_tensors
         if dK is None:
             return torch.zeros_like(T), T.new_zeros(len(T), T.shape[-1], T.shape[-1])
-        dT, dS = _Tangent.apply(ctx.split, T, dK.unsqueeze(1))
+        dT, dS = ModeDerivative.apply(partial(_tangent, ctx.split), 1, T, dK.unsqueeze(1))
         return dT.squeeze(1), dS.squeeze(1)
 
     @staticmethod
@@ -169,43 +151,17 @@ class _ConstraintModes(torch.autograd.Function):
         (T,) = ctx.saved_tensors
         columns = torch.zeros_like(T) if G is None else G
         small = torch.zeros_like(T[:, : T.shape[-1]]) if H is None else H
-        return None, _Cotangent.apply(ctx.split, T, columns.unsqueeze(1), small.unsqueeze(1)).squeeze(1), None
+        K_bar, _ = ModeDerivative.apply(partial(_cotangent, ctx.split), 1, T, columns.unsqueeze(1), small.unsqueeze(1))
+        return None, K_bar.squeeze(1), None
 
 
-class _Tangent(FirstDerivative):
+def _tangent(split: Split, T: Tensor, dK: Tensor) -> tuple[Tensor, Tensor]:
     """dT [lane, T, N, i] and dS [lane, T, i, i] from dK [lane, T, *entry] by (1)."""
-
-    of = "modes"
-
-    @staticmethod
-    def forward(split: Split, T: Tensor, dK: Tensor) -> tuple[Tensor, Tensor]:
-        return call_as_operator(partial(_tangent, split), T, dK)
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
-        return apply_batched(_Tangent, info, in_dims, split, tensors, state=1)
-
-
-class _Cotangent(FirstDerivative):
-    """The cotangent of K [lane, T, *entry] from those of T [lane, T, N, i] and S [lane, T, i, i] by (2)."""
-
-    of = "modes"
-
-    @staticmethod
-    def forward(split: Split, T: Tensor, G: Tensor, H: Tensor) -> Tensor:
-        return call_as_operator(partial(_cotangent, split), T, G, H)[0]
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
-        (K_bar,), (dim,) = apply_batched(_Cotangent, info, in_dims, split, tensors, state=1)
-        return K_bar, dim
-
-
-def _tangent(split: Split, T: Tensor, dK: Tensor, *_: None) -> tuple[Tensor, Tensor]:
     F = split.pencil.K_form.multiply(dK, T[:, None])
     return -split.solve(F), T.mT[:, None] @ F
 
 
-def _cotangent(split: Split, T: Tensor, G: Tensor, H: Tensor, _: None) -> tuple[Tensor, Tensor]:
+def _cotangent(split: Split, T: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
+    """The cotangent of K [lane, T, *entry] from those of T [lane, T, N, i] and S [lane, T, i, i] by (2), and nothing."""
     columns = T[:, None]
-    return split.pencil.K_form.pair(columns @ H - split.solve(G), columns), T.new_zeros(0)
+    return split.pencil.K_form.pair(columns @ H - split.solve(G), columns), T.new_zeros(*G.shape[:2], 0)

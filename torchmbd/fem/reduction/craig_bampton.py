@@ -77,16 +77,11 @@ def craig_bampton(
         Phi = inner.vectors.new_zeros(*inner.vectors.shape[:-2], size, n)
         Phi = Phi.index_copy(-2, interior_freedoms(held, size), inner.vectors)
         T = torch.cat([T, Phi], -1)
-        stiffness = _block_diagonal(stiffness, inner.stiffness)
+        pad = torch.nn.functional.pad
+        stiffness = torch.cat([pad(stiffness, (0, n)), pad(inner.stiffness, (len(held), 0))], -2)
     mass = T.mT @ _times(M, T)
     small = modal_basis(stiffness, (mass + mass.mT) / 2, T.shape[-1])
     return ModalBasis(T @ small.vectors, small.stiffness)
-
-
-def _block_diagonal(A: Tensor, B: Tensor) -> Tensor:
-    """[..., i, i] and [..., n, n] -> [..., i + n, i + n]."""
-    i, n = A.shape[-1], B.shape[-1]
-    return torch.cat([torch.nn.functional.pad(A, (0, n)), torch.nn.functional.pad(B, (i, 0))], -2)
 
 
 def _times(M: Matrix, X: Tensor) -> Tensor:

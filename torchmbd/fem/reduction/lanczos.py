@@ -24,7 +24,7 @@ from torch import Tensor
 
 BLOCK = 8  # columns, which fill the registers of a processor
 CLOSE = (
-    0.1  # within this relative distance of as many eigenvalues as the block has columns, one more may have been missed
+    0.1  # relative distance; where as many eigenvalues as the block has columns are so near, one may have been missed
 )
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
@@ -90,7 +90,6 @@ def lanczos(
     size: int,
     n: int,
     tolerance: float,
-    device: torch.device | None = None,
     extend: Callable[[Recurrence, int], None] | None = None,
 ) -> Ritz | None:
     """Iterate until n pairs in every lane have residuals below tolerance, relative to mu.
@@ -99,22 +98,19 @@ def lanczos(
     Returns None when the Krylov space fills half of the whole space before that: a dense method is faster then.
     """
     extend = extend or (lambda recurrence, steps: recurrence.extend(apply, steps))
-    ritz = _iterate(extend, _random(lanes, size, BLOCK, device), n, tolerance)
-    if ritz is not None and _crowded(ritz.mu[:, : n + 1]) and misses_eigenvector(apply, ritz, n):
-        ritz = _iterate(extend, _random(lanes, size, n + 2, device), n, tolerance)
+    ritz = _iterate(extend, _random(lanes, size, BLOCK), n, tolerance)
+    if ritz is not None:
+        mu = ritz.mu[:, : n + 1]
+        first, last = mu[:, : 1 - BLOCK], mu[:, BLOCK - 1 :]  # of as many neighbors as a block has columns
+        if (first - last <= CLOSE * first).any() and misses_eigenvector(apply, ritz, n):
+            ritz = _iterate(extend, _random(lanes, size, n + 2), n, tolerance)
     return ritz
 
 
-def _random(lanes: int, size: int, columns: int, device: torch.device | None) -> Tensor:
+def _random(lanes: int, size: int, columns: int) -> Tensor:
     """Return orthonormal columns, the same ones in every lane and in every run."""
     start = np.random.default_rng(columns).standard_normal((size, columns))  # torch's may not be drawn under vmap
-    return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1).to(device)
-
-
-def _crowded(mu: Tensor) -> bool:
-    """Whether as many of mu [lane, n] lie close together as a block has columns."""
-    first, last = mu[:, : 1 - BLOCK], mu[:, BLOCK - 1 :]
-    return bool((first - last <= CLOSE * first).any())
+    return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1)
 
 
 def _iterate(extend: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
@@ -184,7 +180,7 @@ def _repair(X: Tensor, R: Tensor, basis: Tensor, taken: Tensor) -> Tensor:
 def misses_eigenvector(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
     """Whether one of the n wanted eigenvectors of H is orthogonal to Q, and so was missed."""
     lanes, size, _ = ritz.Q.shape
-    X = _random(lanes, size, 2, ritz.Q.device)
+    X = _random(lanes, size, 2)
     growth = torch.zeros_like(ritz.mu[:, 0])
     for _ in range(PROBES):
         _orthogonalize(X, ritz.Q, 1)

@@ -13,19 +13,16 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.fem.reduction.transport import DeflatedSolver
 
 
-class Modes(Protocol):
-    """A solved eigenproblem of a batch of lanes, as DenseModes and SparseModes."""
+class Modes(DeflatedSolver, Protocol):
+    """The modes of a solved eigenproblem too, as DenseModes and SparseModes."""
 
     shift: Tensor
 
     def lowest(self) -> tuple[Tensor, Tensor]:
         """Eigenvalues [lane, more than n] and vectors [lane, N, n]."""
-        ...
-
-    def deflated_solve(self, F: Tensor) -> Tensor:
-        """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F and Z [lane, N, T, n]."""
         ...
 
 
@@ -45,7 +42,7 @@ def distinct(K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
 
     Lanes of other numbers with the same sum, of which there are hardly any, count as lanes of their own.
     """
-    lanes = torch.arange(len(K), device=K.device)
+    lanes = torch.arange(len(K))
     sums, index = K.flatten(1).sum(1).unique(return_inverse=True)
     if len(sums) == len(K):
         return lanes, lanes

@@ -21,10 +21,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure
-from torchmbd.fem.reduction.blocks import BlockFactor, storage
+from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
 from torchmbd.fem.reduction.forms import Form
 from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
-from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
 from torchmbd.math.products import compiled_products
@@ -64,22 +63,14 @@ class SparseModes:
             self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device, self._extend)
+        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self._extend)
 
     def _extend(self, recurrence: Recurrence, steps: int) -> None:
         """Extend as `Recurrence.extend`, by compiled code where it exists."""
         if isinstance(self.root, BlockRoot) or (code := compiled_products(recurrence.X)) is None:
             return recurrence.extend(self._apply, steps)
-        code.lanczos(
-            self.factor.compiled,
-            self.root.G,
-            recurrence.steps,
-            steps,
-            recurrence.Q,
-            recurrence.T,
-            recurrence.X,
-            recurrence.R,
-        )
+        state = recurrence.Q, recurrence.T, recurrence.X, recurrence.R
+        code.lanczos(self.factor.compiled, self.root.G, recurrence.steps, steps, *state)
         recurrence.steps = steps
 
     def _apply(self, X: Tensor) -> Tensor:
@@ -123,7 +114,7 @@ class SparseModes:
                 raise SimulationFailure(NO_CONVERGENCE)
             return self._discard(y)
         tiny = torch.finfo(y.dtype).tiny
-        result, columns = torch.empty_like(y), torch.arange(y.shape[2], device=y.device)
+        result, columns = torch.empty_like(y), torch.arange(y.shape[2])
         d, square = r.clone(), (r * r).sum(1, keepdim=True)
         for _ in range(MOST_STEPS):
             open_ = (square.sqrt() > target).any(0)[0].nonzero().squeeze(-1)
@@ -135,9 +126,7 @@ class SparseModes:
                 return self._discard(result)
             Hd = self._discard(torch.addcmul(d, inverse_mu, self._apply(d), value=-1))
             step = square / (d * Hd).sum(1, keepdim=True).clamp_min(tiny)
-            step = torch.where(
-                square.sqrt() > target, step, 0.0
-            )  # converged columns do not change: the quotient would be that of rounding
+            step = torch.where(square.sqrt() > target, step, 0.0)  # of converged columns it would be that of rounding
             y.addcmul_(step, d)
             r.addcmul_(step, Hd, value=-1)
             before, square = square, (r * r).sum(1, keepdim=True)

@@ -24,13 +24,8 @@ from torch import Tensor
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction.basis import CLUSTER, ModalBasis
 
-NODES = (
-    0.5 - 0.15**0.5,
-    0.5,
-    0.5 + 0.15**0.5,
-    0.5 - 0.75**0.5 / 3,
-    0.5 + 0.75**0.5 / 3,
-)  # three, then two Gauss points
+#: Three, then two Gauss points.
+NODES = (0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5, 0.5 - 0.75**0.5 / 3, 0.5 + 0.75**0.5 / 3)
 
 
 @checked_signature

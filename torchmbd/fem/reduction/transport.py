@@ -37,25 +37,18 @@ place of -f_i, and W = Psi' G + Kr H + H Kr:
 
     <G, dPsi> + <H, dKr> = sum_i -y_i' (dK - lambda_i dM) psi_i + <Psi H Psi', dK> - 1/2 <Psi W Psi', dM>  (6)
 
-Under transforms of torch.func each of the two Functions runs once: `vmap` over tangents adds columns to the one deflated
-solve, `vmap` over designs adds lanes. Second derivatives of modes raise NotImplementedError.
-
 Source: Dailey (AIAA J. 27 (1989) 486-491) and Nelson (AIAA J. 14 (1976) 1201-1205) for the individual modes; (1)-(6)
 are derived here. Checked in tests/sensitivity/test_eigen_subspace.py.
 """
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from torchmbd.fem.reduction.forms import Form
-from torchmbd.fem.reduction.operator_call import call_as_operator
-from torchmbd.math.first_derivative import FirstDerivative
-from torchmbd.math.vmap import batch_first
 
 
 class DeflatedSolver(Protocol):
@@ -75,39 +68,8 @@ class Pencil:
         self.K_form, self.M_form = K_form, M_form
 
 
-class Tangent(FirstDerivative):
+def tangent(pencil: Pencil, values: Tensor, psi: Tensor, dK: Tensor | None, dM: Tensor | None) -> tuple[Tensor, Tensor]:
     """dPsi [lane, T, N, n] and dKr [lane, T, n, n] from dK, dM [lane, T, *entry] by (1), (4), (5)."""
-
-    of = "modes"
-
-    @staticmethod
-    def forward(
-        pencil: Pencil, values: Tensor, psi: Tensor, dK: Tensor | None, dM: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        return call_as_operator(partial(_tangent, pencil), values, psi, dK, dM)
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
-        return apply_batched(Tangent, info, in_dims, pencil, tensors)
-
-
-class Cotangent(FirstDerivative):
-    """The cotangents of K and M [lane, T, *entry] from those of Psi [lane, T, N, n] and Kr [lane, T, n, n] by (6)."""
-
-    of = "modes"
-
-    @staticmethod
-    def forward(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
-        return call_as_operator(partial(_cotangent, pencil), values, psi, G, H)
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
-        return apply_batched(Cotangent, info, in_dims, pencil, tensors)
-
-
-def _tangent(
-    pencil: Pencil, values: Tensor, psi: Tensor, dK: Tensor | None, dM: Tensor | None
-) -> tuple[Tensor, Tensor]:
     columns = psi[:, None]
     F = torch.zeros_like(columns)
     dKr = S = torch.zeros_like(psi[:, None, :0, :0])
@@ -124,35 +86,11 @@ def _tangent(
     return (dPsi if dM is None else dPsi + columns @ S), dKr
 
 
-def _cotangent(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
+def cotangent(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
+    """The cotangents of K and M [lane, T, *entry] from those of Psi [lane, T, N, n] and Kr [lane, T, n, n] by (6)."""
     columns, lam = psi[:, None], values[:, None, None, :]
     Y = pencil.modes.deflated_solve(G.movedim(1, 2)).movedim(2, 1)
     W = columns.mT @ G + (values[:, None, :, None] + lam) * H
     K_bar = pencil.K_form.pair(columns @ H - Y, columns)
     M_bar = pencil.M_form.pair(Y * lam - columns @ W.mT / 2, columns)
     return K_bar, M_bar
-
-
-def apply_batched(
-    function: Any, info: Any, in_dims: tuple, static: Any, tensors: tuple[Tensor | None, ...], state: int = 2
-) -> tuple:
-    """Apply a Function under vmap: over designs as more lanes, over tangents alone as more T of the same lanes.
-
-    static   the first argument of the Function, without a batch
-    state    number of first tensors that belong to the design; vmap is over designs where one of them has a batch dimension
-    """
-    dims = in_dims[1:]
-    size = info.batch_size
-    wide = [None if x is None else batch_first(x, dim, size) for x, dim in zip(tensors, dims, strict=True)]
-    if all(dim is None for dim in dims[:state]):
-        # [B, lane, T, ...] -> [lane, B T, ...]: one solve with more columns
-        merged = [None if w is None else w.movedim(0, 1).flatten(1, 2) for w in wide[state:]]
-        outputs = _several(function.apply(static, *tensors[:state], *merged))
-        return tuple(o.unflatten(1, (size, -1)) for o in outputs), (1,) * len(outputs)
-    lanes = next(w for w in wide if w is not None).shape[1]
-    outputs = _several(function.apply(static, *(None if w is None else w.flatten(0, 1) for w in wide)))
-    return tuple(o.unflatten(0, (size, lanes)) for o in outputs), (0,) * len(outputs)
-
-
-def _several(outputs: Tensor | tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-    return outputs if isinstance(outputs, tuple) else (outputs,)

@@ -45,9 +45,8 @@ class SectionGeometry:
         most = max(block.shape[1] for block in mesh.elements)
         self.connectivity = torch.cat([pad(block, (0, most - block.shape[1])) for block in mesh.elements])
         self.dofs = (3 * self.connectivity[..., None] + torch.arange(3)).flatten(1)
-        self._units = torch.cat(
-            [mesh.nodes.new_zeros(0, *mesh.nodes.shape), *(of for _, of in mesh.dimensions.values())]
-        )
+        none = mesh.nodes.new_zeros(0, *mesh.nodes.shape)
+        self._units = torch.cat([none, *(units for _, units in mesh.dimensions.values())])
         sizes = [x.detach().flatten() for x, _ in mesh.dimensions.values()]
         self._rest = mesh.nodes - torch.einsum("e,eni->ni", torch.cat([mesh.nodes.new_zeros(0), *sizes]), self._units)
         self._set_nodes(mesh.nodes)
@@ -92,7 +91,10 @@ class SectionGeometry:
 
     @cached_property
     def B(self) -> Float[Tensor, "*lanes m 6g 3k"]:
-        return _warping_strains(self._slopes @ self.rotation[..., 1:, 1:].mT, self.rotation).flatten(-3, -2)
+        ds, dn = (self._slopes @ self.rotation[..., 1:, 1:].mT)[..., None, :].unbind(-1)  # slopes along s and n
+        x, s, n = (self.rotation[..., None, i, :] for i in range(3))
+        rows = [torch.zeros_like(ds * x), ds * s, dn * n, dn * s + ds * n, dn * x, ds * x]
+        return torch.stack(rows, dim=-3).flatten(-2).flatten(-3, -2)
 
     @cached_property
     def Z(self) -> Float[Tensor, "*lanes m g 3 6"]:
@@ -101,7 +103,11 @@ class SectionGeometry:
     @property
     def rigid(self) -> Float[Tensor, "*lanes m g 3 6"]:
         """Displacement gradient along x of a rigid section, in section axes."""
-        return _rigid(self.points)
+        y, z = self.points.unbind(-1)
+        o = torch.zeros_like(y)
+        unit = o + 1.0
+        rows = [unit, o, o, o, z, -y, o, unit, o, -z, o, o, o, o, unit, y, o, o]
+        return torch.stack(rows, -1).unflatten(-1, (3, 6))
 
     @property
     def field_size(self) -> int:
@@ -110,11 +116,11 @@ class SectionGeometry:
 
     def warp_strain(self, u: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
         """B u."""
-        return self._per_point(self.B @ u[..., self.dofs, :], 6)
+        return (self.B @ u[..., self.dofs, :]).unflatten(-2, (-1, 6))
 
     def warping_rate_strain(self, du: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
         """P H u', strains of warping that varies along the beam."""
-        return _face_strains(self._per_point(self.H @ du[..., self.dofs, :], 3))
+        return _face_strains((self.H @ du[..., self.dofs, :]).unflatten(-2, (-1, 3)))
 
     def rigid_strain(self, psi: Float[Tensor, "*lanes 6 c"]) -> Tensor:
         """P Z psi."""
@@ -152,13 +158,6 @@ class SectionGeometry:
         """E u of the elements' stiffness, at the nodes [*lanes, freedoms, c]."""
         return self._assembled(E @ u[..., self.dofs, :])
 
-    def elements_of_layers(self, layers: int) -> list[Tensor]:
-        """Return the indices of the elements of each layer."""
-        return [(self.layer == k).nonzero()[:, 0] for k in range(layers)]
-
-    def _per_point(self, flat: Tensor, rows: int) -> Tensor:
-        return flat.unflatten(-2, (-1, rows))
-
     def _assembled(self, element: Tensor) -> Tensor:
         result = element.new_zeros(*element.shape[:-3], 3 * self.nodes, element.shape[-1])
         return result.index_add(-2, self.dofs.flatten(), element.flatten(-3, -2))
@@ -187,29 +186,6 @@ def _wall_rotation(along: Tensor) -> Float[Tensor, "*lanes m g 3 3"]:
     c, s = along.unbind(-1)
     o = torch.zeros_like(c)
     return torch.stack([o + 1.0, o, o, o, c, s, o, -s, c], -1).unflatten(-1, (3, 3))
-
-
-def _rigid(yz: Tensor) -> Float[Tensor, "*lanes m g 3 6"]:
-    y, z = yz.unbind(-1)
-    o = torch.zeros_like(y)
-    unit = o + 1.0
-    rows = [unit, o, o, o, z, -y, o, unit, o, -z, o, o, o, o, unit, y, o, o]
-    return torch.stack(rows, -1).unflatten(-1, (3, 6))
-
-
-def _warping_strains(slopes: Tensor, turn: Tensor) -> Float[Tensor, "m g 6 3k"]:
-    """From slopes in wall axes (s, n) [m, g, k, 2] and the turn of displacements."""
-    ds, dn = slopes[..., 0], slopes[..., 1]
-    x, s, n = (turn[..., None, i, :] for i in range(3))
-    rows = [
-        torch.zeros_like(ds[..., None] * x),
-        ds[..., None] * s,
-        dn[..., None] * n,
-        dn[..., None] * s + ds[..., None] * n,
-        dn[..., None] * x,
-        ds[..., None] * x,
-    ]
-    return torch.stack(rows, dim=-3).flatten(-2)
 
 
 def _face_strains(face: Tensor) -> Tensor:

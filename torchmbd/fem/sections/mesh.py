@@ -22,13 +22,12 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.sections.shapes import rule, shape
+from torchmbd.fem.mesh.mesh_checks import connected_parts, repeated_rows
+from torchmbd.fem.sections.shapes import corners, rule, shape
 from torchmbd.math.checked_numbers import indices, reals
 
 KINDS = (3, 4, 6, 8)
@@ -79,11 +78,8 @@ class SectionMesh:
             raise InputError(
                 f"SectionMesh: node {int(bad[0])} is at {self.nodes[bad[0]].tolist()}; allowed: finite coordinates"
             )
-        _, first, inverse = np.unique(self.nodes.numpy(), axis=0, return_index=True, return_inverse=True)
-        duplicate = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.nodes)))
-        if len(duplicate):
-            pair = (int(first[inverse.ravel()[duplicate[0]]]), int(duplicate[0]))
-            raise InputError(f"SectionMesh: nodes {pair[0]} and {pair[1]} share one place; merge them")
+        for first, k in repeated_rows(self.nodes.numpy()):
+            raise InputError(f"SectionMesh: nodes {first} and {k} share one place; merge them")
         if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
             raise InputError("SectionMesh: plane_angle holds numbers that are not finite; allowed: finite, in rad")
         if self.layer.min() < 0:
@@ -101,7 +97,7 @@ class SectionMesh:
                 raise InputError(
                     f"SectionMesh: element {start + k} has nodes {block[k].tolist()}; allowed: 0 to {n - 1}"
                 )
-            points = torch.cat([rule(block.shape[1])[0], _corners(block.shape[1])])
+            points = torch.cat([rule(block.shape[1])[0], corners(block.shape[1])])
             jacobian = torch.einsum("gki,mkj->mgij", shape(block.shape[1], points)[1], self.nodes[block])
             area = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
             size = (self.nodes[block].amax(1) - self.nodes[block].amin(1)).amax(1)
@@ -121,10 +117,8 @@ class SectionMesh:
     def _check_connected(self) -> None:
         tail = np.concatenate([block.numpy().ravel() for block in self.elements])
         head = np.concatenate([np.roll(block.numpy(), -1, axis=1).ravel() for block in self.elements])
-        graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(self.nodes),) * 2)
-        parts, label = connected_components(graph, directed=False)
+        parts, stray = connected_parts(tail, head, len(self.nodes))
         if parts > 1:
-            stray = int(np.flatnonzero(label != label[0])[0])
             raise InputError(
                 f"SectionMesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
             )
@@ -166,14 +160,11 @@ def _sides(elements: Sequence[Tensor]) -> tuple[np.ndarray, np.ndarray]:
 
 def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequence[ArrayLike | Tensor]:
     """One array for each kind of element: a list whose first item is itself a list of rows, or one array alone."""
-    if isinstance(elements, list | tuple) and elements and not _is_row(elements[0]):
-        return elements
+    if isinstance(elements, list | tuple) and elements:
+        first: Any = elements[0]  # the nodes of an element, or an array of elements
+        if first.ndim != 1 if hasattr(first, "ndim") else len(first) and hasattr(first[0], "__len__"):
+            return elements
     return [elements]  # pyright: ignore[reportReturnType]
-
-
-def _is_row(elements: Any) -> bool:
-    """Whether a list starts with one element's nodes, not with an array of elements."""
-    return elements.ndim == 1 if hasattr(elements, "ndim") else not (len(elements) and hasattr(elements[0], "__len__"))
 
 
 def _per_element(name: str, values: Tensor, count: int) -> Tensor:
@@ -181,9 +172,3 @@ def _per_element(name: str, values: Tensor, count: int) -> Tensor:
         shape = tuple(values.shape)
         raise InputError(f"SectionMesh: {name} has shape {shape}; allowed: one number, or one for each element")
     return values.expand(count).clone()
-
-
-def _corners(nodes: int) -> Tensor:
-    if nodes in (3, 6):
-        return torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
-    return torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], dtype=torch.float64)

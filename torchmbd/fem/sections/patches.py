@@ -39,7 +39,7 @@ def parametric_mesh(
     sizes = {
         name: x.detach().numpy() if isinstance(x, Tensor) else np.asarray(x, float) for name, x in dimensions.items()
     }
-    mesh, kept = _mesh_of_patches(build(**sizes), order, plane_angle)
+    mesh, kept = patch_mesh(build(**sizes), order, plane_angle)
     for name, x in dimensions.items():
         if isinstance(x, nn.Parameter):
             nothing = {other: 0.0 * size for other, size in sizes.items()}
@@ -49,15 +49,13 @@ def parametric_mesh(
     return mesh
 
 
-def patch_mesh(patches: Sequence[Patch], order: int) -> SectionMesh:
-    """The mesh of patches."""
-    return _mesh_of_patches(patches, order, None)[0]
-
-
-def _mesh_of_patches(
-    patches: Sequence[Patch], order: int, plane_angle: float | None
+def patch_mesh(
+    patches: Sequence[Patch], order: int, plane_angle: float | None = None
 ) -> tuple[SectionMesh, NDArray[np.int64]]:
-    """Return the mesh of patches, whose common points are merged, and the indices of its nodes among all points."""
+    """Return the mesh of patches and the indices of its nodes among all points.
+
+    Points that agree to a millionth of the smallest element are one node.
+    """
     elements, layer, start = [], [], 0
     for patch in patches:
         rows, columns = patch.points.shape[:2]
@@ -66,9 +64,14 @@ def _mesh_of_patches(
         elements.append(block.reshape(-1, block.shape[-1]))
         layer.append(np.full(i.size, patch.layer))
         start += rows * columns
-    nodes = _points(patches)
-    kept, connectivity = _merged(nodes, np.concatenate(elements))
-    return SectionMesh(nodes[kept], connectivity, np.concatenate(layer), plane_angle), kept
+    nodes, elements = _points(patches), np.concatenate(elements)
+    corners = nodes[elements]
+    size = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min()
+    _, first, inverse = np.unique(np.round(nodes / (1e-6 * size)), axis=0, return_index=True, return_inverse=True)
+    used, connectivity = np.unique(inverse.ravel()[elements], return_inverse=True)
+    kept = first[used]
+    mesh = SectionMesh(nodes[kept], connectivity.reshape(elements.shape), np.concatenate(layer), plane_angle)
+    return mesh, kept
 
 
 def _points(patches: Sequence[Patch]) -> NDArray[np.float64]:
@@ -96,12 +99,3 @@ def between(low: NDArray[np.float64], high: NDArray[np.float64], cells: int, ord
     """Points [I, J, 2] on the straight lines from low [I, 2] to high [I, 2]."""
     t = np.linspace(0.0, 1.0, cells * order + 1)[None, :, None]
     return low[:, None] * (1 - t) + high[:, None] * t
-
-
-def _merged(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merge nodes that agree to a millionth of the smallest element: return the nodes kept, and the elements by these."""
-    corners = nodes[elements]
-    size = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min()
-    _, first, inverse = np.unique(np.round(nodes / (1e-6 * size)), axis=0, return_index=True, return_inverse=True)
-    used, connectivity = np.unique(inverse.ravel()[elements], return_inverse=True)
-    return first[used], connectivity.reshape(elements.shape)

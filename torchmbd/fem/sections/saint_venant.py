@@ -37,9 +37,8 @@ from torch import Tensor
 
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.warping import WarpingProblem, solve
-from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import FirstDerivative, apply_as_lanes
 from torchmbd.process import one_thread
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
@@ -63,7 +62,7 @@ class UnitFields(NamedTuple):
 def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*lanes layers 6 6"]) -> UnitFields:
     """Solve for the six unit forces, in the order N, V_y, V_z, T, M_y, M_z. Differentiable in D and in the geometry g."""
     E = g.element_stiffness(D)
-    rigid = g.rigid_strain(torch.eye(6, dtype=D.dtype, device=D.device)[:, CLASSICAL])
+    rigid = g.rigid_strain(torch.eye(6, dtype=D.dtype)[:, CLASSICAL])
     u0 = -solve(problem, E, g.warp_force(g.stress(D, rigid)))
     strain = rigid + g.warp_strain(u0)
     stress = g.stress(D, strain)
@@ -103,58 +102,42 @@ class _Compliance(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _apply_flattened(_Compliance, info, in_dims, problem, x, D)
+        return apply_as_lanes(partial(_Compliance.apply, problem), info, in_dims[1:], x, D)
 
     @staticmethod
     def jvp(ctx: Any, _: Any, dx: Tensor | None, dD: Tensor | None) -> Tensor:
-        of_x = (
-            0.0
-            if dx is None
-            else torch.einsum("lije,le->lij", _ByDimensions.apply(ctx.problem, *ctx.saved_tensors), dx)
-        )
-        of_D = (
-            0.0
-            if dD is None
-            else torch.einsum("lijkab,lkab->lij", _ByStiffness.apply(ctx.problem, *ctx.saved_tensors), dD)
-        )
-        return of_x + of_D  # pyright: ignore[reportReturnType]
+        dS: Any = 0.0
+        if dx is not None:
+            dS = torch.einsum("lije,le->lij", _Jacobian.apply(_by_dimensions, ctx.problem, *ctx.saved_tensors), dx)
+        if dD is not None:
+            by_D = _Jacobian.apply(_by_stiffness, ctx.problem, *ctx.saved_tensors)
+            dS = dS + torch.einsum("lijkab,lkab->lij", by_D, dD)
+        return dS
 
     @staticmethod
     def backward(ctx: Any, S_bar: Tensor | None) -> Any:
         x_bar = D_bar = None
         if S_bar is not None and ctx.needs_input_grad[1]:
-            x_bar = torch.einsum("lij,lije->le", S_bar, _ByDimensions.apply(ctx.problem, *ctx.saved_tensors))
+            by_x = _Jacobian.apply(_by_dimensions, ctx.problem, *ctx.saved_tensors)
+            x_bar = torch.einsum("lij,lije->le", S_bar, by_x)
         if S_bar is not None and ctx.needs_input_grad[2]:
-            D_bar = torch.einsum("lij,lijkab->lkab", S_bar, _ByStiffness.apply(ctx.problem, *ctx.saved_tensors))
+            by_D = _Jacobian.apply(_by_stiffness, ctx.problem, *ctx.saved_tensors)
+            D_bar = torch.einsum("lij,lijkab->lkab", S_bar, by_D)
         return None, x_bar, D_bar
 
 
-class _ByDimensions(FirstDerivative):
-    """dS_ij / dx_e [lane, 6, 6, e], by the chain of the solutions."""
+class _Jacobian(FirstDerivative):
+    """dS / dx or dS / dD, by `_by_dimensions` or `_by_stiffness`."""
 
     of = "section stiffness"
 
     @staticmethod
-    def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
-        return _for_distinct_designs(_by_dimensions, problem, x, D)
+    def forward(f: FunctionType, problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
+        return _for_distinct_designs(f, problem, x, D)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _apply_flattened(_ByDimensions, info, in_dims, problem, x, D)
-
-
-class _ByStiffness(FirstDerivative):
-    """dS_ij / dD_kab [lane, 6, 6, layers, 6, 6], for symmetric changes of D."""
-
-    of = "section stiffness"
-
-    @staticmethod
-    def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
-        return _for_distinct_designs(_by_stiffness, problem, x, D)
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
-        return _apply_flattened(_ByStiffness, info, in_dims, problem, x, D)
+    def vmap(info: Any, in_dims: tuple, f: FunctionType, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
+        return apply_as_lanes(partial(_Jacobian.apply, f, problem), info, in_dims[2:], x, D)
 
 
 @one_thread()
@@ -176,13 +159,15 @@ def _energy(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lan
 
 
 def _by_dimensions(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 e"]:
-    units = torch.eye(x.shape[1], dtype=x.dtype, device=x.device)[:, None].expand(-1, len(x), -1)
+    """dS_ij / dx_e, by the chain of the solutions."""
+    units = torch.eye(x.shape[1], dtype=x.dtype)[:, None].expand(-1, len(x), -1)
     energy = partial(_energy, problem, D=D)
     many = max(1, _NUMBERS_OF_DIRECTIONS // (len(x) * problem.geometry.field_size))
     return torch.vmap(lambda e: torch.func.jvp(energy, (x,), (e,))[1], out_dims=-1, chunk_size=many)(units)
 
 
 def _by_stiffness(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 layers 6 6"]:
+    """dS_ij / dD_kab, for symmetric changes of D."""
     g = problem.geometry.with_dimensions(x)
     U, strain, stress = unit_fields(problem, g, D)
     E = g.element_stiffness(D)
@@ -217,17 +202,11 @@ def _pairs(g: SectionGeometry, first: Tensor, second: Tensor, layers: int) -> Fl
     p, q = first.shape[-1], second.shape[-1]
     weighted = g.weight[..., None, None] * first
     result = first.new_zeros(len(first), p, q, layers, 6, 6)
-    for k, elements in enumerate(g.elements_of_layers(layers)):
+    for k in range(layers):
+        elements = (g.layer == k).nonzero()[:, 0]
         a, b = (x[:, elements].flatten(1, 2).flatten(2) for x in (weighted, second))  # [lane, points, 6 columns]
         result[:, :, :, k] = (a.mT @ b).unflatten(-1, (6, q)).unflatten(-3, (6, p)).permute(0, 2, 4, 1, 3)
     return result
-
-
-def _apply_flattened(
-    function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, *tensors: Tensor
-) -> tuple[Tensor, int]:
-    full = [batch_first(y, dim, info.batch_size) for y, dim in zip(tensors, in_dims[1:], strict=True)]
-    return function.apply(problem, *(y.flatten(0, 1) for y in full)).unflatten(0, full[0].shape[:2]), 0
 
 
 def _columns(matrix: Tensor) -> Tensor:

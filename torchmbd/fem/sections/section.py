@@ -33,15 +33,15 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.fem.materials.laminate_checks import checked_angles
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.orthotropic import Orthotropic, in_wall_axes, strain_rotation
 from torchmbd.fem.sections.saint_venant import UnitFields, compliance, unit_fields
 from torchmbd.fem.sections.warping import WarpingProblem
-from torchmbd.math.checked_numbers import differentiable_reals, parameter
+from torchmbd.math.checked_numbers import differentiable_reals
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.plausible_units import check_angles
 from torchmbd.math.variable import LayerNumbers, stacked, without_variables
 
 #: The order of forces, moments and generalized strains.
@@ -66,12 +66,8 @@ class Section(nn.Module):
     The functions of `mbd.sections` make it: tube, box, strip, i_section, circle, rectangle.
     """
 
-    positive: ClassVar[tuple[str, ...]] = (
-        "width",
-        "height",
-        "radius",
-        "thickness",
-    )  # parameters that are, in any design
+    #: Parameters that are positive in any design.
+    positive: ClassVar[tuple[str, ...]] = ("width", "height", "radius", "thickness")
     angles: Tensor
     _constant: Tensor
 
@@ -82,7 +78,7 @@ class Section(nn.Module):
         angles: Sequence[float] | Tensor = (0.0,),
     ) -> None:
         super().__init__()
-        theta = _checked_angles(angles)
+        theta = checked_angles("Section", angles)
         plies = [ply] * len(theta) if isinstance(ply, Lamina | Orthotropic) else list(ply)
         if len(plies) != len(theta):
             raise InputError(f"Section: {len(plies)} plies for {len(theta)} angles; allowed: one ply, or one per angle")
@@ -192,10 +188,8 @@ class Section(nn.Module):
     def unit_stress(self) -> Float[Tensor, "*lanes points 6 6"]:
         """Stresses [Pa] in ply axes (11, 22, 33, 23, 13, 12) at the `stress_points`; last axis: the six unit forces."""
         element, point = self.stress_points.unbind(1)
-        return (
-            self._to_plies()[..., self.problem.geometry.layer[element], :, :]
-            @ self.unit_fields().stress[..., element, point, :, :]
-        )
+        to_plies = self._to_plies()[..., self.problem.geometry.layer[element], :, :]
+        return to_plies @ self.unit_fields().stress[..., element, point, :, :]
 
     def unit_fields(self) -> UnitFields:
         """Strains and stresses in wall axes for unit forces (saint_venant.py)."""
@@ -211,11 +205,3 @@ def _constants_of(solids: Sequence[Orthotropic]) -> Float[Tensor, "*lanes layers
     rows = [(solid.stiffness().flatten(-2), stacked([solid.density])) for solid in solids]
     lanes = np.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
     return torch.stack([torch.cat([x.expand(*lanes, -1) for x in row], -1) for row in rows], -2)
-
-
-def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
-    theta = parameter("angles of a Section", angles)
-    if theta.ndim != 1 or theta.numel() == 0:
-        raise InputError(f"Section: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
-    check_angles("angles", theta.tolist(), "Section: ")
-    return theta

@@ -17,7 +17,7 @@ import math
 import torch
 from torch import Tensor
 
-_CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+from torchmbd.fem.shape_functions import serendipity_powers, shape_functions, simplex_powers
 
 
 def rule(nodes: int) -> tuple[Tensor, Tensor]:
@@ -38,51 +38,19 @@ def rule(nodes: int) -> tuple[Tensor, Tensor]:
     return torch.tensor(points, dtype=torch.float64), torch.tensor(weights, dtype=torch.float64)
 
 
+def corners(nodes: int) -> Tensor:
+    """Corners of the element with so many nodes, natural coordinates [3 or 4, 2]."""
+    places = (
+        ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        if nodes in (3, 6)
+        else ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+    )
+    return torch.tensor(places, dtype=torch.float64)
+
+
 def shape(nodes: int, points: Tensor) -> tuple[Tensor, Tensor]:
     """Shape functions [g, nodes] and their natural derivatives [g, nodes, 2] at points [g, 2]."""
-    x, y = points[:, 0], points[:, 1]
-    return {3: _triangle, 6: _quadratic_triangle, 4: _quadrilateral, 8: _serendipity}[nodes](x, y)
-
-
-def _triangle(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    unit = torch.ones_like(x)
-    N = torch.stack([unit - x - y, x, y], dim=-1)
-    dN = torch.tensor([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]], dtype=x.dtype).expand(len(x), 3, 2)
-    return N, dN
-
-
-def _quadratic_triangle(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    L, dL = _triangle(x, y)
-    N, dN = [], []
-    for i in range(3):
-        N.append(L[:, i] * (2 * L[:, i] - 1))
-        dN.append((4 * L[:, i] - 1)[:, None] * dL[:, i])
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        N.append(4 * L[:, i] * L[:, j])
-        dN.append(4 * (L[:, i, None] * dL[:, j] + L[:, j, None] * dL[:, i]))
-    return torch.stack(N, dim=-1), torch.stack(dN, dim=1)
-
-
-def _quadrilateral(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    N, dN = [], []
-    for a, b in _CORNERS:
-        N.append((1 + a * x) * (1 + b * y) / 4)
-        dN.append(torch.stack([a * (1 + b * y) / 4, b * (1 + a * x) / 4], dim=-1))
-    return torch.stack(N, dim=-1), torch.stack(dN, dim=1)
-
-
-def _serendipity(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    N, dN = [], []
-    for a, b in _CORNERS:
-        N.append((1 + a * x) * (1 + b * y) * (a * x + b * y - 1) / 4)
-        dx = a * (1 + b * y) * (2 * a * x + b * y) / 4
-        dy = b * (1 + a * x) * (a * x + 2 * b * y) / 4
-        dN.append(torch.stack([dx, dy], dim=-1))
-    for a, b in ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)):
-        if a == 0.0:
-            N.append((1 - x * x) * (1 + b * y) / 2)
-            dN.append(torch.stack([-x * (1 + b * y), b * (1 - x * x) / 2], dim=-1))
-        else:
-            N.append((1 - y * y) * (1 + a * x) / 2)
-            dN.append(torch.stack([a * (1 - y * y) / 2, -y * (1 + a * x)], dim=-1))
-    return torch.stack(N, dim=-1), torch.stack(dN, dim=1)
+    degree, x = 1 if nodes in (3, 4) else 2, corners(nodes)
+    powers = simplex_powers(degree) if nodes in (3, 6) else serendipity_powers(degree, 2)
+    places = x if degree == 1 else torch.cat([x, (x + x.roll(-1, 0)) / 2.0])
+    return shape_functions(places, powers, points)

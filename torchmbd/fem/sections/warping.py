@@ -25,8 +25,7 @@ from torch import Tensor
 
 from torchmbd.errors import SimulationFailure
 from torchmbd.fem.sections.geometry import SectionGeometry
-from torchmbd.math.first_derivative import FirstDerivative
-from torchmbd.math.vmap import batch_first
+from torchmbd.math.vmap import FirstDerivative, batch_first
 
 
 class WarpingProblem:

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from torchmbd.fem.elements import BeamLine, Beams, Plates
-from torchmbd.fem.elements.beam_nodes import Straight, varying_nodes
+from torchmbd.fem.elements.beam_line import Straight, varying_nodes
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.mesh.refinement import Middles, refined
 from torchmbd.multibody.bodies.interfaces import Interface

@@ -33,7 +33,7 @@ from torchmbd.fem.elements import (
     Plates,
     merge_plates,
 )
-from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
+from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants

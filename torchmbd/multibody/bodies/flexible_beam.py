@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.elements import BeamLine
-from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.fem.exact_beam import ExactBeam
 from torchmbd.fem.exact_beam.half_elements import half_element_masses
 from torchmbd.fem.exact_beam.sections import ElementProperties

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature, true_or_false
 from torchmbd.fem.elements import MeanMotion, RigidLink
-from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices
 
 

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.math.variable import Numbers, ParameterVector
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint

@@ -22,7 +22,7 @@ import scipy.sparse.linalg
 import torch
 from torch import Tensor
 
-from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.vmap import FirstDerivative
 
 LARGE = 150  # least number of unknowns with which sparse factors were faster, with one lane and with eight
 REFINEMENTS = 2

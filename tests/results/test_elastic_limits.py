@@ -1,0 +1,154 @@
+"""The warning of large displacements: of a stiffened beam beyond its buckling load, not of one below it.
+
+The warning of spin: said of lanes that are known, silent on those that failed and on bodies that nothing holds.
+The part of loads in the stiffness: that of Euler's load, in tension and pressure, at rest and in motion.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from torchmbd.results import elastic_limits
+from torchmbd.results.elastic_limits import displacement_ratios
+
+
+def pushed(force: float) -> mbd.System:
+    """A cantilever of Euler's load 74 N under a force at its end, along it and a little across."""
+    stiffness = torch.diag(torch.tensor([2e5, 1e5, 1e5, 20.0, 30.0, 40.0], dtype=torch.float64))
+    section = mbd.GivenSection(stiffness, torch.diag(torch.tensor([2.0, 2, 2, 3e-3, 1e-3, 2e-3])))
+    body = mbd.FlexibleBody.beam(
+        "arm", mbd.BeamLine.straight(1.0, 4), section, modes=4, reference="start", stiffening=True
+    )
+    push = mbd.Force(body.at("end"), (-force, 0.0, 0.01))
+    return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
+
+
+@pytest.mark.thorough
+def test_a_buckled_beam_is_named():
+    with pytest.warns(UserWarning, match="body 'arm' is displaced by .* of its size"):
+        motion = mbd.simulate(pushed(200.0), 0.6, steps=60, backend="eager", gradients="none")
+    end = motion.body("arm").at("end").position[0, :, 2].abs().max()
+    assert displacement_ratios(motion)["arm"].tolist() == [pytest.approx(0.84 * end.item(), rel=0.1)]
+
+
+@pytest.mark.thorough
+def test_below_the_buckling_load_nothing_is_said():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mbd.simulate(pushed(50.0), 0.6, steps=60, backend="eager", gradients="none")
+        mbd.equilibrium(pushed(50.0))
+
+
+@pytest.mark.thorough
+def test_equilibria_under_transforms():
+    system = pushed(1.0)
+    K = dict(system.named_parameters())["arm.section.matrix"].detach()
+
+    def tip(x: torch.Tensor) -> torch.Tensor:
+        rest = mbd.equilibrium(system, designs={"arm.section.matrix": (K * x)[None]})
+        return rest.body("arm").at("end").position[0, 0, 2]
+
+    by = torch.func.jacfwd(tip)(torch.ones((), dtype=torch.float64))
+    assert by.item() == pytest.approx(-tip(torch.ones((), dtype=torch.float64)).item(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "said"),
+    [([0.05, torch.nan, torch.inf], None), ([0.05, torch.nan, 0.3], "0.3 of its first"), ([torch.nan], None)],
+)
+def test_only_known_ratios_count(monkeypatch: pytest.MonkeyPatch, ratios: list[float], said: str | None) -> None:
+    monkeypatch.setattr(elastic_limits, "spin_ratios", lambda motion: {"rod": torch.tensor(ratios)})
+    motion = SimpleNamespace(stats={}, dynamics=SimpleNamespace(data={}))
+    if said is None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            elastic_limits.warn_of_spin(motion)  # type: ignore[arg-type]
+    else:
+        with pytest.warns(UserWarning, match=said):
+            elastic_limits.warn_of_spin(motion)  # type: ignore[arg-type]
+    assert motion.stats["spin_ratio"]["rod"].shape == (len(ratios),)
+
+
+E, SIDE, LENGTH = 70e9, 0.01, 0.5
+EULER = math.pi**2 * E * SIDE**4 / 12.0 / (2.0 * LENGTH) ** 2  # of a cantilever [N]
+WARNED = "body 'rod': tension and pressure of its loads are {} of its stiffness"
+
+
+def rod(reference: str | None, density: float = 2700.0, **more: Any) -> mbd.FlexibleBody:
+    section = mbd.GivenSection.isotropic(
+        E=E, nu=0.3, density=density, area=SIDE**2, Iyy=SIDE**4 / 12, Izz=SIDE**4 / 12, J=0.14 * SIDE**4
+    )
+    place = (0.0 if reference == "start" else 0.5 * LENGTH, 0.0, 0.0)
+    line = mbd.BeamLine.straight(LENGTH, 16)
+    return mbd.FlexibleBody.beam("rod", line, section, modes=6, reference=reference, position=place, **more)
+
+
+def held(reference: str | None, load: float, **more: Any) -> mbd.System:
+    """A clamped rod under a load along it at its other end."""
+    body = rod(reference, **more)
+    push = mbd.Force(body.at("end"), (load, 0.0, 0.0))
+    return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("part", [-0.3, 0.1, 0.3])
+def test_a_cantilever_has_the_share_of_its_euler_load(part):
+    with pytest.warns(UserWarning, match=WARNED.format(f"{abs(part):g}")):
+        rest = mbd.equilibrium(held("start", part * EULER))
+    assert rest.stats["load_share"]["rod"] == pytest.approx(abs(part), rel=3e-3)  # 16 elements
+
+
+@pytest.mark.thorough
+def test_beside_its_middle_a_rod_turns_less():
+    """Each half is a cantilever under the whole load: a quarter of the share."""
+    rest = mbd.equilibrium(held(None, 0.16 * EULER))
+    assert rest.stats["load_share"]["rod"] == pytest.approx(0.04, rel=2e-2)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("more", [{"stiffening": True}, {}])
+def test_small_loads_and_stiffened_bodies_are_silent(more):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        mbd.equilibrium(held("start", (0.3 if more else 0.03) * EULER, **more))
+
+
+def carried(acceleration: float, tip: float, reference: str = "start") -> mbd.System:
+    """A rod with a mass at its end, which a drive accelerates along it: a load without spin."""
+    body = rod(reference)
+    foot = mbd.RigidBody("foot", 1.0, (1e-3, 1e-3, 1e-3))
+    head = mbd.RigidBody("head", tip, (1e-9, 1e-9, 1e-9), position=(LENGTH, 0, 0))
+    joints = [
+        mbd.Prismatic(mbd.Ground().at(), foot.at(), axis="x"),
+        mbd.Drive(mbd.Ground().at(), foot.at(), axis="x", position=lambda t: 0.5 * acceleration * t**2, name="push"),
+        mbd.Fixed(foot.at(), body.at("start")),
+        mbd.Spherical(body.at("end"), head.at()),
+    ]
+    return mbd.System([body, foot, head], joints, truncation=None)
+
+
+@pytest.mark.thorough
+def test_a_load_of_inertia_counts_along_the_motion():
+    """The same system again, more slowly and faster: the share follows the loads."""
+    with pytest.warns(UserWarning, match=WARNED.format("0.2")):
+        motion = mbd.simulate(carried(0.2 * EULER / 20.0, 20.0), 1e-3, steps=5)
+    assert motion.stats["load_share"]["rod"] == pytest.approx(0.2, rel=1e-2)
+
+
+@pytest.mark.thorough
+def test_loads_that_grow_are_looked_at_again():
+    body = rod("start")
+    load = mbd.variable(0.001 * EULER)
+    push = mbd.Force(body.at("end"), (load, 0.0, 0.0), name="push")
+    system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], [push], truncation=None)
+    (name,) = [name for name, _ in system.named_parameters() if name.startswith("push")]
+    for part in (0.001, 0.2, 0.1):
+        motion = mbd.equilibrium(system, designs={name: torch.tensor([part * EULER], dtype=torch.float64)})
+        assert motion.stats["load_share"]["rod"] == pytest.approx(part if part > 0.01 else 0.0, rel=1e-2)

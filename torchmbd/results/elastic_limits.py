@@ -1,0 +1,249 @@
+"""Where small linear elastic displacements of flexible bodies cease to hold: their size, their spin, their loads.
+
+Displacements against the size of the body,
+
+    ratio = max |w| / sqrt(tr P0)       root mean squares over the mass: of displacements, of distances from the body frame
+
+Modes are normalized to the mass matrix, so |w|^2 = sum m u^2, and tr P0 = sum m x^2. The tip of a cantilever that moves by a
+length has 0.84. A stiffened body that buckles goes on to any displacement: what holds a buckled beam is of higher order.
+
+Spin by the lowest frequency,
+
+    ratio = max |om| / om_1           om_1: lowest frequency of the body with its reference nodes fixed, from Kr
+
+Without stiffening elastic displacements are linear, and only one of two effects of spin is included: inertia softens a bending
+mode, om_1^2 - om^2, but the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
+order. The error is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
+Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
+but need enough modes each.
+
+The part of loads of any source in the stiffness of bodies without stiffening,
+
+    Kg(t) = sum_i u_i F1_i + sum_ij Z_ij F2_ij + sum_v p_v . f_v       share = max |x' Kg x| / (x' Kr x)
+
+u, Z   acceleration of the body frame less gravity in its axes, ~omega' + ~omega ~omega: loads of inertia
+p, f   forces of joints and force elements on attached vectors, and displacements of second order of these
+F1, F2, f of the built design, the body held at its reference (multibody/bodies/stiffening.py)
+
+Tension stiffens a body and pressure softens it, with spin or without. At a share of one the body, held at its reference,
+buckles; errors of deflections are of the size of the share, and depend on the reference as it does: beside the tangent at its
+end a rod turns far, beside the one at its middle hardly.
+
+The multipliers in p take longer than a motion. So the share is computed where the size of all loads,
+
+    size = (sum m |r'' - g| + sum |p| of force elements) / (m om_1^2 length),   om_1, length: of the body
+
+is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads.
+Bodies whose frames have more than `_MOST_NODES` nodes are not looked at, nor are those of rods, springs and solids.
+Source of the spin: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10
+(1987) 139-151.
+Checked in tests/results/test_elastic_limits.py, tests/validation/test_flexible_benchmarks.py.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import warn
+from torchmbd.fem.elements import GivenElements
+from torchmbd.math.pair import matvec_t, value
+from torchmbd.math.rotation import skew
+from torchmbd.multibody.forces.contact_law import ContactControl
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.modal_data import frame_nodes
+from torchmbd.results.motion_data import has_failed
+from torchmbd.results.reaction import in_lanes, placement_at_times
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+_LARGE = 0.5  # displacement by the size
+_FAST = 0.1  # spin by the frequency: errors of one percent
+_LOADED = 0.05  # share of loads: errors of five percent
+_SMALL = 0.005  # size of loads below which no share is large: a force at the end of a rod has a share of 3 to 6 sizes
+_GROWN = 1.1  # factor of the size beyond which a share is computed anew
+_MOST_NODES = 60  # of frames: there are six unit loads for each
+#: Body -> size and share of its largest loads.
+_LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = WeakKeyDictionary()
+
+
+def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
+    """Largest displacement by the size [lanes] of every flexible body."""
+    T, ratios = motion.dynamics.topology, {}
+    for k, name in enumerate(T.names[: T.flexible]):
+        second = value(motion.dynamics.data["P0"])[:, :, k, 0].diagonal().sum(-1)
+        ratios[name] = motion.body(name).w.norm(dim=-1).amax(-1) / second.sqrt()
+    return ratios
+
+
+def _largest(ratios: Tensor) -> float:
+    """Of the lanes that have a number: not of a motion that failed, nor of a body without size or support."""
+    known = ratios[ratios.isfinite()]
+    return float(known.max()) if len(known) else 0.0
+
+
+def warn_of_displacements(motion: Trajectory) -> None:
+    """Warn of bodies whose displacements are of their size."""
+    for name, ratios in displacement_ratios(motion).items():
+        ratio = _largest(ratios)
+        if ratio > _LARGE:
+            near = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
+            warn(
+                f"body {name!r} is displaced by {near} of its size, but elastic displacements are taken as small; allowed: "
+                "smaller loads, pieces of a beam (mbd.split), exact beams (mbd.FlexibleBeam)"
+            )
+
+
+def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
+    """Largest ratio of spin to first frequency [lanes] of every flexible body."""
+    T, ratios = motion.dynamics.topology, {}
+    for name in T.names[: T.flexible]:
+        view = motion.body(name)
+        first = torch.linalg.eigvalsh(view.stiffness[0].detach())[:, 0].clamp_min(0.0).sqrt()
+        ratios[name] = view.omega.norm(dim=-1).amax(-1) / first
+    return ratios
+
+
+def warn_of_spin(motion: Trajectory) -> None:
+    """Keep the ratios in stats["spin_ratio"], and warn of bodies without stiffening that turn too fast."""
+    motion.stats["spin_ratio"] = spin_ratios(motion)
+    V1 = motion.dynamics.data.get("V1")  # displacements of second order (multibody/bodies/stiffening.py)
+    for name, ratios in motion.stats["spin_ratio"].items():
+        ratio = _largest(ratios)
+        if ratio > _FAST and (V1 is None or not value(V1)[:, :, :, motion.dynamics.topology.names.index(name)].any()):
+            rounded = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
+            warn(
+                f"body {name!r} turns at {rounded} of its first frequency: centrifugal stiffening, which linear elastic "
+                f"displacements leave out, is of the size {min(float(rounded) ** 2, 1.0):.0%} of its deflections; allowed: "
+                "stiffening=True of a body of plates and beams",
+            )
+
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+
+def load_shares(motion: Trajectory) -> dict[str, float]:
+    """Largest share of every flexible body of plates and beams without stiffening; none where there are controllers."""
+    T, shares = motion.dynamics.topology, {}
+    if any(not isinstance(link.control, ContactControl) for link in T.links.each):
+        return shares  # modules of controllers are called for one state at a time, as they were in the motion
+    bodies = [(k, motion.system.body(name)) for k, name in enumerate(T.names[: T.flexible])]
+    bodies = [(k, body) for k, body in bodies if body.stiffening is None and body.given_structure is None]
+    bodies = [  # whose geometric stiffness is known
+        (k, body)
+        for k, body in bodies
+        if not any(isinstance(part, GivenElements) for part in body.assembly.parts.values())
+    ]
+    sizes = _sizes(motion) if bodies else []
+    loads = None
+    for k, body in bodies:
+        size, share = _LOOKED_AT.get(body, (0.0, 0.0))
+        if sizes[k] > max(_SMALL, _GROWN * size) and len(frame_nodes(T, k)) <= _MOST_NODES:
+            loads = _loads(motion) if loads is None else loads
+            size, share = _LOOKED_AT[body] = sizes[k], _share(T, k, body, *loads)
+        shares[body.name] = share * sizes[k] / size if size else 0.0
+    return shares
+
+
+def warn_of_loads(motion: Trajectory) -> None:
+    """Keep the shares in stats["load_share"], and warn of those that are large."""
+    motion.stats["load_share"] = load_shares(motion)
+    for name, share in motion.stats["load_share"].items():
+        if share > _LOADED:
+            warn(  # few different texts: Python shows each once in an optimization
+                f"body {name!r}: tension and pressure of its loads are {share:.1g} of its stiffness, which linear elastic "
+                "displacements leave out, and its deflections are off by a part of this size; allowed: stiffening=True, "
+                "or a reference in its middle, where the part is smaller"
+            )
+
+
+def _sizes(motion: Trajectory) -> list[float]:
+    """Size of all loads by that of each flexible body (module header), the largest of all lanes and times."""
+    T, data = motion.dynamics.topology, motion.dynamics.data
+    mass = value(data["mass"])[:, 0]
+    acceleration = in_lanes(motion.a)[: 3 * T.bodies].unflatten(0, (3, -1))
+    if "gravity" in data:
+        acceleration = acceleration - _at_all_times(motion, data["gravity"])
+    forces = _at_all_times(motion, mass) * _lengths(acceleration[:, :, 0])
+    total = forces.sum(0)
+    if T.actions:
+        wide, at = placement_at_times(motion)
+        total = total + _lengths(equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]).sum(0)
+    largest = (total.nan_to_num(0.0, 0.0, 0.0).reshape(motion.lanes, len(motion.t)) * _known(motion)).amax(1)
+    sizes = []
+    for k, name in enumerate(T.names[: T.flexible]):
+        lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
+        second = value(data["P0"])[:, :, k, 0].diagonal().sum(-1)  # mass times a square of its length
+        size = largest / (lowest * (mass[k] * second).sqrt())
+        sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
+    return sizes
+
+
+def _at_all_times(motion: Trajectory, x: Any) -> Tensor:
+    """A number of the designs [..., lanes or 1] with lanes x times, or one, as its lanes."""
+    plain = value(x)
+    return plain.repeat_interleave(len(motion.t), -1) if plain.shape[-1] > 1 else plain
+
+
+def _lengths(x: Tensor) -> Tensor:
+    """Lengths [...] of vectors [3, ...]: torch's norm over a first axis takes 25 times as long."""
+    return x.square().sum(0).sqrt()
+
+
+def _share(T: Any, k: int, body: Any, u: Tensor, Z: Tensor, pulls: Tensor) -> float:
+    """The largest share of flexible body k; loads as of `_loads`."""
+    nodes = frame_nodes(T, k)
+    with torch.no_grad():
+        second = body.structure(nodes, second_order=True)
+    L, singular = torch.linalg.cholesky_ex(second["Kr"])
+    if int(singular) or not len(L):
+        return 0.0
+    loads = [u[..., k, :], Z[..., k, :, :].flatten(-2)]
+    slopes = [second["F1"], second["F2"].flatten(0, 1)]
+    for i, of in enumerate(T.vector_flexible.tolist()):
+        if of == k:
+            loads.append(pulls[..., i, :])
+            slopes.append(T.attached[i].quadratic_rows(second["psi"], second["psi2"], nodes).detach())
+    inverse = torch.linalg.inv(L)
+    Kg = torch.tensordot(torch.cat(loads, -1), inverse @ torch.cat(slopes) @ inverse.T, 1)
+    return float(torch.linalg.eigvalsh(Kg.nan_to_num(0.0, 0.0, 0.0)).abs().max())
+
+
+def _loads(motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
+    """u [lanes, times, flexible, 3], Z [..., 3, 3], and forces on attached vectors [lanes, times, vectors, 3]."""
+    T = motion.dynamics.topology
+    f = T.flexible
+    data, at = placement_at_times(motion)
+    v, a = in_lanes(motion.v), in_lanes(motion.a)
+    rdd, omd, _ = equations.split_v(T, a)
+    _, om, _ = equations.split_v(T, v)
+    gravity = motion.dynamics.data.get("gravity")
+    if gravity is not None:
+        rdd = rdd - _at_all_times(motion, gravity)
+    A = at.A[:, :, :f]
+    u = matvec_t(A, rdd[:, :f])
+    spin = skew(om[:, :f])
+    Z = skew(omd[:, :f]) + torch.einsum("ij...,jk...->ik...", spin, spin)
+    pulls = equations.total_on_vectors(T, data, at, v, in_lanes(motion.lam))
+    if pulls is None:
+        local = u.new_zeros(3, T.attached_flexible, 1, u.shape[-1])
+    else:
+        local = matvec_t(at.A_of, pulls)[:, : T.attached_flexible]
+    shape = (motion.lanes, len(motion.t))
+
+    def last(x: Tensor) -> Tensor:
+        return x[..., 0, :].unflatten(-1, shape).movedim((-2, -1), (0, 1))
+
+    loads = last(u).movedim(2, -1), last(Z).movedim((2, 3), (-2, -1)), last(local).movedim(2, -1)
+    known = _known(motion).bool()[:, 0]
+    return loads[0][known], loads[1][known], loads[2][known]
+
+
+def _known(motion: Trajectory) -> Tensor:
+    """1 for lanes that have not failed, else 0 [lanes, 1]."""
+    return torch.tensor([[float(not has_failed(status))] for status in motion.status], dtype=torch.float64)
