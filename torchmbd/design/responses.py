@@ -38,8 +38,7 @@ from torchmbd.design.measures import (
     Min,
     SmoothMax,
 )
-from torchmbd.design.ply_failure import PlyFailure
-from torchmbd.design.ply_stress import PlyStress
+from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.response import History, Measure
 from torchmbd.design.system_vibrations import CampbellClearance, DampingRatio, StabilityMargin, SystemFrequency
 from torchmbd.registry import Registry
