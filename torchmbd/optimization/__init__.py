@@ -1,6 +1,7 @@
 """Optimizers by one contract: arrays only, no mechanics."""
 
 from torchmbd.optimization.api import optimize
+from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.discrete.branch_and_bound import Candidate, Certificate, DiscreteResult, optimize_discrete
 from torchmbd.optimization.methods import evolution as evolution
 from torchmbd.optimization.methods import ipopt as ipopt
@@ -9,7 +10,8 @@ from torchmbd.optimization.methods import mmfd as mmfd
 from torchmbd.optimization.methods import moving_asymptotes as moving_asymptotes
 from torchmbd.optimization.methods import slsqp as slsqp
 from torchmbd.optimization.methods import trust_constr as trust_constr
-from torchmbd.optimization.multistart.run import Minimum, MultistartResult, multistart
+from torchmbd.optimization.multistart.minima import Minimum
+from torchmbd.optimization.multistart.run import MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts, latin_hypercube, sobol, starts_at
 from torchmbd.optimization.multistart.workers import Processes
 from torchmbd.optimization.optimizer import (
@@ -20,7 +22,7 @@ from torchmbd.optimization.optimizer import (
     NonlinearProgram,
     OptimizationResult,
 )
-from torchmbd.optimization.pareto import Criteria, Front, ManyCriteria, ParetoPoint, pareto_front
+from torchmbd.optimization.pareto import Front, ParetoPoint, pareto_front
 from torchmbd.optimization.robust import RobustProblem
 
 __all__ = [

@@ -1,10 +1,5 @@
 """The Pareto front of several criteria by the normalized normal constraint method.
 
-    minimize f_1(x) .. f_k(x)   subject to   c_i(x) <= 0,   lower <= x <= upper
-
-Such a problem is any object with `names`, `start`, `lower`, `upper` [n] as in optimizer.py, with `criteria` (a name each)
-and `evaluate(X [lanes, n], gradients) -> list[Criteria]`.
-
 1. Anchors: each criterion f_i is minimized alone. g = (f - utopia) / (nadir - utopia) makes them comparable: utopia holds
    the anchors' best values, nadir their worst.
 2. The plane through the anchors g^1 .. g^k is covered evenly by points p.
@@ -26,17 +21,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations, pairwise
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
+from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.multistart.warm_start import ScalarizedSearches
 from torchmbd.optimization.optimizer import (
-    Box,
     Evaluation,
     OptimizationResult,
     find_method,
@@ -46,40 +41,6 @@ from torchmbd.optimization.optimizer import (
 )
 from torchmbd.optimization.search import Search
 from torchmbd.optimization.units import first_order_change, unit_of, variable_scale
-
-
-@dataclass(frozen=True)
-class Criteria:
-    """Criteria and constraints of one design. A status but "ok" is the reason of a failure, the numbers nan."""
-
-    values: np.ndarray  # [k]
-    constraints: np.ndarray  # [m], satisfied where <= 0
-    gradients: np.ndarray | None = None  # [k, n]
-    constraint_gradients: np.ndarray | None = None  # [m, n]
-    status: str = "ok"
-
-    @property
-    def ok(self) -> bool:
-        return self.status == "ok"
-
-    @property
-    def differentiated(self) -> bool:
-        """Whether it comes with gradients."""
-        return self.gradients is not None
-
-
-class ManyCriteria(Box, Protocol):
-    """A problem of several criteria (physical units everywhere)."""
-
-    @property
-    def criteria(self) -> Sequence[str]:
-        """One name per criterion."""
-        ...
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Criteria]:
-        """Evaluate one design per row."""
-        ...
-
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,9 +14,9 @@ from functools import partial
 import numpy as np
 
 from torchmbd.optimization.cache import MemoryCachedProblem
+from torchmbd.optimization.criteria import Criteria
 from torchmbd.optimization.multistart.batched import run_batched
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult, largest_violation, rank
-from torchmbd.optimization.pareto import Criteria
 from torchmbd.optimization.search import EvaluateBatch, Report, Search
 from torchmbd.optimization.units import variable_scale
 
