@@ -12,8 +12,12 @@ import pytest
 import torchmbd as mbd
 from torchmbd import registry
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.response_spec import measure_of
+from torchmbd.errors import InputError
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.math.products import PRODUCTS
+from torchmbd.study.kind import Kind
+from torchmbd.study.load import KINDS
 
 FOLDER = Path(mbd.__file__ or "").parent / "extensions"
 
@@ -29,7 +33,8 @@ def tables(monkeypatch):
 def test_a_name_of_a_missing_extension_tells_which(tables):
     tables(
         SimpleNamespace(
-            NAMES={"robots_of_others": "read_robot"}, ENTRIES={"of_design": {"wear": "robots_of_others:Wear"}}
+            NAMES={"robots_of_others": "read_robot"},
+            ENTRIES={"responses": {}, "combinators": {}, "of_design": {"wear": "robots_of_others:Wear"}},
         )
     )
     with pytest.raises(
@@ -38,6 +43,8 @@ def test_a_name_of_a_missing_extension_tells_which(tables):
         mbd.read_robot  # noqa: B018
     assert "read_robot" not in mbd.__all__
     assert "wear" not in registry.Registry("of_design", {"mass": mbd.Mass})
+    with pytest.raises(InputError, match=r"unknown name; allowed.*; the extension robots_of_others is not installed"):
+        measure_of({"wear": {"body": "pin"}})
 
 
 def test_without_the_folder_the_core_is_complete(tables):
@@ -46,6 +53,20 @@ def test_without_the_folder_the_core_is_complete(tables):
     assert list(registry.Registry("of_design", {"mass": mbd.Mass})) == ["mass"]
     with pytest.raises(AttributeError, match=r"no attribute 'read_robot'; torchmbd\.extensions is not installed"):
         mbd.read_robot  # noqa: B018
+    with pytest.raises(InputError, match=r"unknown name; allowed.*; torchmbd\.extensions is not installed"):
+        measure_of({"wear": {"body": "pin"}})
+
+
+def test_frequencies_of_an_equilibrium_tell_what_is_not_installed(tables, monkeypatch):
+    tables(None)
+    equilibrium = importlib.import_module(
+        "torchmbd.integrate.equilibrium"
+    )  # the module, whose function has the same name
+    monkeypatch.setattr(equilibrium, "OF_EQUILIBRIUM", registry.Registry("of_equilibrium", {}))
+    rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
+    assert rest.stable
+    with pytest.raises(InputError, match=r"eigenvalues of an equilibrium are not known; torchmbd\.extensions is not"):
+        rest.frequencies  # noqa: B018
 
 
 def test_a_registry_is_a_mapping():
@@ -67,6 +88,7 @@ def test_every_entry_leads_to_a_class():
     for found in (RESPONSES, COMBINATORS, OF_DESIGN, BACKENDS):
         assert all(isinstance(kind, type) for kind in found.values())
     assert all(callable(products) for products in PRODUCTS.values())
+    assert all(isinstance(kind, Kind) for kind in KINDS.values())
 
 
 @pytest.mark.extensions
@@ -74,9 +96,9 @@ def test_the_tables_name_every_extension_and_type_checkers_know_the_names():
     from torchmbd import extensions
 
     present = {path.stem for path in FOLDER.iterdir() if path.stem[:2] != "__"}
-    assert present == set(extensions.NAMES)
+    assert present == {name.partition(".")[0] for name in extensions.NAMES}
     modules = {name: importlib.import_module(f"{registry.EXTENSIONS}.{name}") for name in extensions.NAMES}
     listed = {name: [x.rpartition(".")[2] for x in names.split()] for name, names in extensions.NAMES.items()}
     assert {name: sorted(found.__all__) for name, found in modules.items()} == {k: sorted(x) for k, x in listed.items()}
     starred = re.findall(rf"from {registry.EXTENSIONS}\.(\w+) import \*", (FOLDER / "__init__.py").read_text())
-    assert starred == sorted(extensions.NAMES)
+    assert starred == sorted(name for name in extensions.NAMES if "." not in name)

@@ -18,18 +18,12 @@ from torchmbd.design import (
     AtPeaks,
     AtTime,
     AtTimes,
-    BucklingFactor,
-    BucklingIndex,
-    CampbellClearance,
     Constraint,
-    CriticalSpeed,
-    DampingRatio,
     DesignSpace,
     Displacement,
     Final,
     Frequencies,
     Frequency,
-    FrequencyResponse,
     History,
     Integral,
     Mass,
@@ -42,10 +36,7 @@ from torchmbd.design import (
     Reaction,
     RelativeDisplacement,
     SmoothMax,
-    StabilityLimit,
-    StabilityMargin,
     StrainEnergy,
-    SystemFrequency,
     Tradeoff,
     Velocity,
     WeightedSum,
@@ -64,17 +55,7 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.identification import (
-    Channel,
-    Experiment,
-    FrequencyResponseData,
-    Identification,
-    ModalData,
-    StaticCurve,
-    TimeSeries,
-    identify,
-)
-from torchmbd.integrate import Event, Phase, Trajectory, simulate
+from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -110,7 +91,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Buckling, Vibrations, buckling, frequencies
+from torchmbd.multibody.statics import Vibrations, frequencies
 from torchmbd.multibody.system import Chain, Dynamics, System, split
 from torchmbd.optimization import (
     OptimizationResult,
@@ -125,7 +106,6 @@ from torchmbd.optimization import (
 from torchmbd.optimization.multistart import multistart
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
-from torchmbd.vibrations import Campbell, Equilibrium, LinearSystem, campbell, equilibrium, frozen_poles, linearize
 
 if TYPE_CHECKING:
     from torchmbd.study.stored_run import LoadedStudy
@@ -192,21 +172,13 @@ __all__ = [
     "BeamElement",
     "BeamLine",
     "BeamState",
-    "Buckling",
-    "BucklingFactor",
-    "BucklingIndex",
     "Bushing",
-    "Campbell",
-    "CampbellClearance",
     "Chain",
-    "Channel",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
     "Controller",
-    "CriticalSpeed",
     "Cylindrical",
-    "DampingRatio",
     "DesignFailure",
     "DesignSpace",
     "Differences",
@@ -217,7 +189,6 @@ __all__ = [
     "Equilibrium",
     "Event",
     "ExactBeam",
-    "Experiment",
     "Final",
     "Fixed",
     "FlexibleBeam",
@@ -226,17 +197,13 @@ __all__ = [
     "Frame",
     "Frequencies",
     "Frequency",
-    "FrequencyResponse",
-    "FrequencyResponseData",
     "GivenSection",
     "Ground",
     "History",
-    "Identification",
     "InputError",
     "Integral",
     "Interface",
     "Laminate",
-    "LinearSystem",
     "Mass",
     "Max",
     "MbdError",
@@ -244,7 +211,6 @@ __all__ = [
     "Measure",
     "Mesh",
     "Min",
-    "ModalData",
     "OptimizationResult",
     "Phase",
     "Planar",
@@ -275,15 +241,10 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
-    "StabilityLimit",
-    "StabilityMargin",
-    "StaticCurve",
     "StrainEnergy",
     "Strength",
     "Study",
     "System",
-    "SystemFrequency",
-    "TimeSeries",
     "Torque",
     "Tradeoff",
     "Trajectory",
@@ -291,8 +252,6 @@ __all__ = [
     "Velocity",
     "Vibrations",
     "WeightedSum",
-    "buckling",
-    "campbell",
     "craig_bampton",
     "deg",
     "eigenpair_branches",
@@ -301,11 +260,8 @@ __all__ = [
     "examples",
     "forces",
     "frequencies",
-    "frozen_poles",
     "history",
-    "identify",
     "latin_hypercube",
-    "linearize",
     "load",
     "measure",
     "mesh",

@@ -59,26 +59,16 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     """
     with imports():
         use_one_thread()
-        from torchmbd.study.figures import run_figures
-        from torchmbd.study.identify_run import IdentificationPlan, run_identification
-        from torchmbd.study.load import FiguresPlan, load
+        from torchmbd.study.load import load
         from torchmbd.study.overrides import combinations
-        from torchmbd.study.run import run_study
 
     console = Console()
-    plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
+    experiments = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
     codes = []
-    for plan, chosen in zip(plans, combinations(assignments), strict=True):
-        if len(plans) > 1:
+    for (kind, experiment), chosen in zip(experiments, combinations(assignments), strict=True):
+        if len(experiments) > 1:
             console.rule(escape(" ".join(chosen)))
-        if isinstance(plan, FiguresPlan):
-            codes.append(run_figures(plan, console))
-        elif isinstance(plan, IdentificationPlan):
-            if workers != 1 or scheduler is not None:
-                raise InputError("workers and scheduler: a fit is one process; allowed: torchmbd run without them")
-            codes.append(run_identification(plan, console, fresh=fresh))
-        else:
-            codes.append(run_study(plan, console, workers=workers, scheduler=scheduler, fresh=fresh))
+        codes.append(kind.run(experiment, console, workers=workers, scheduler=scheduler, fresh=fresh))
         if codes[-1] == EXIT_INTERRUPTED:
             break
     return max(codes)
@@ -97,20 +87,11 @@ def check(file: Path, /, *assignments: str) -> int:
     """
     with imports():
         use_one_thread()
-        from torchmbd.study.estimate import print_estimate
-        from torchmbd.study.identify_run import IdentificationPlan, print_plan
         from torchmbd.study.load import load
         from torchmbd.study.overrides import combinations
 
     console = Console()
-    codes = [0]
-    for plan in [load(file, chosen) for chosen in combinations(assignments)]:
-        if isinstance(plan, IdentificationPlan):
-            print_plan(plan, console)
-            continue
-        cost = print_estimate(plan, console)
-        codes.append(0 if cost is None or cost.resolved else EXIT_UNVERIFIED)
-    return max(codes)
+    return max(kind.check(x, console) for kind, x in [load(file, chosen) for chosen in combinations(assignments)])
 
 
 @app.command

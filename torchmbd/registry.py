@@ -30,8 +30,8 @@ class Registry(MutableMapping[str, T]):
     def __getitem__(self, name: str) -> T:
         entry = self._entries[name]
         if isinstance(entry, str):
-            extension, kind = entry.split(":")
-            entry = self._entries[name] = getattr(import_module(f"{EXTENSIONS}.{extension}"), kind)
+            module, kind = entry.split(":")
+            entry = self._entries[name] = getattr(import_module(f"{EXTENSIONS}.{module}"), kind)
         return entry
 
     def missing(self, name: str) -> str | None:
@@ -42,7 +42,7 @@ class Registry(MutableMapping[str, T]):
         if tables is None:
             return f"{EXTENSIONS} is not installed"
         entry = tables.ENTRIES[self._name].get(name)
-        return None if entry is None else f"the extension {entry.split(':')[0]} is not installed"
+        return None if entry is None else f"the extension {_extension(entry)} is not installed"
 
     def __setitem__(self, name: str, kind: T) -> None:
         self._entries[name] = kind
@@ -65,11 +65,11 @@ def public(name: str) -> Any:
     tables = _tables()
     if tables is None:
         raise AttributeError(f"module 'torchmbd' has no attribute {name!r}; {EXTENSIONS} is not installed")
-    for extension, names in tables.NAMES.items():
+    for module, names in tables.NAMES.items():
         if name in names.split():
-            if not _is_installed(extension):
-                raise AttributeError(f"mbd.{name} is of the extension {extension}, which is not installed")
-            return getattr(import_module(f"{EXTENSIONS}.{extension}"), name.rpartition(".")[2])
+            if not _is_installed(module):
+                raise AttributeError(f"mbd.{name} is of the extension {_extension(module)}, which is not installed")
+            return getattr(import_module(f"{EXTENSIONS}.{module}"), name.rpartition(".")[2])
     raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
 
 
@@ -77,14 +77,14 @@ def public_names() -> list[str]:
     """Names at `mbd.` of the extensions that are installed."""
     tables = _tables()
     named = {} if tables is None else tables.NAMES
-    return [name for extension, names in named.items() if _is_installed(extension) for name in names.split()]
+    return [name for module, names in named.items() if _is_installed(module) for name in names.split()]
 
 
 def _entries(name: str) -> dict[str, str]:
-    """Names of a registry -> "extension:class", of the extensions that are installed."""
+    """Names of a registry -> "module:class", of the extensions that are installed."""
     tables = _tables()
     entries = {} if tables is None else tables.ENTRIES[name]
-    return {key: entry for key, entry in entries.items() if _is_installed(entry.split(":")[0])}
+    return {key: entry for key, entry in entries.items() if _is_installed(entry)}
 
 
 @functools.cache
@@ -99,6 +99,11 @@ def _tables() -> Any:
     return tables if tables.__file__ else None  # else a folder that has lost its files
 
 
-def _is_installed(extension: str) -> bool:
-    spec = find_spec(f"{EXTENSIONS}.{extension}")
+def _extension(place: str) -> str:
+    """The extension of a module "extension", "extension.file" or of an entry "extension.file:class"."""
+    return place.partition(":")[0].partition(".")[0]
+
+
+def _is_installed(place: str) -> bool:
+    spec = find_spec(f"{EXTENSIONS}.{_extension(place)}")
     return spec is not None and spec.origin is not None

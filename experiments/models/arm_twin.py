@@ -22,9 +22,9 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.design.curve import curve_of
-from torchmbd.identification.fit_problem import FitProblem, Residuals
-from torchmbd.identification.least_squares import FitSettings, fit_start
-from torchmbd.identification.losses import linear
+from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals
+from torchmbd.extensions.identification.least_squares import FitSettings, fit_start
+from torchmbd.extensions.identification.losses import linear
 from torchmbd.optimization.multistart.batched import BatchedSearches
 from torchmbd.optimization.units import variable_scale
 

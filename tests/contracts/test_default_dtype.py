@@ -77,7 +77,7 @@ def sections(folder: Path) -> list[Tensor]:
 def statics(folder: Path) -> list[Tensor]:
     system = pendulum()
     rest = mbd.equilibrium(system)
-    return [rest.q, rest.lam, rest.frequencies]
+    return [rest.q, rest.lam, rest.vibrations[0].frequencies]
 
 
 def stiffened(folder: Path) -> list[Tensor]:

@@ -15,8 +15,6 @@ from tests.mechanisms import GRAVITY, SOFT, pendulum
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.angle import Angle
-from torchmbd.design.buckling_factor import BucklingFactor
-from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.histories import (
     Acceleration,
@@ -101,7 +99,6 @@ HISTORIES: dict[str, list[History]] = {
         Angle("rod", (0.2, 1.0, -0.3), seen_from="arm"),
         Angle("arm", "z", seen_from="rod", center=3.0),
     ],
-    "buckling_index": [BucklingIndex("rod")],
     "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress"), PlyFailure("rod", "puck")],
     "ply_stress": [PlyStress("rod", "11", layer=1), PlyStress("rod", "12", layer=1, extreme="lowest")],
 }
@@ -117,11 +114,6 @@ MEASURES: dict[str, list[Measure]] = {
     "final": [Final(LAG), Final(ENERGY, window=(0.0, 0.0227))],
     "at_times": [AtTimes(ENERGY, count=7), AtTimes(LAG, times=(0.0101, 0.02, 0.04))],
     "at_peaks": [AtPeaks(ENERGY, count=3), AtPeaks(LAG, window=(0.0051, 0.0303), count=2)],
-    "buckling_factor": [
-        BucklingFactor("rod", {"right": (-1.0, 0.2, 0.0)}, number=2),
-        BucklingFactor("rod"),
-        BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
-    ],
     "frequency": [Frequency("rod"), Frequency("rod", 2), Frequency("rod", 1, {"left_edge": "all", "right_edge": "u3"})],
     "frequencies": [
         Frequencies("rod", (1, 2)),
@@ -138,6 +130,13 @@ OTHERS = [
     0.3 * Max(ENERGY) - Integral(ENERGY) * 2.0 + -Min(LAG),
     WeightedSum([(0.6, Integral(ENERGY)), (0.4, RMS(LAG))], normalize=(1e-6, 1e-4)),
 ]
+if "buckling" in mbd.__all__:  # the extension is there
+    HISTORIES["buckling_index"] = [mbd.BucklingIndex("rod")]
+    MEASURES["buckling_factor"] = [
+        mbd.BucklingFactor("rod", {"right": (-1.0, 0.2, 0.0)}, number=2),
+        mbd.BucklingFactor("rod"),
+        mbd.BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
+    ]
 if "SNCurve" in mbd.__all__:  # the extension fatigue is there
     CURVE = mbd.SNCurve([(1e2, 2e4), (1e4, 8e3), (1e7, 1e3)], tension=4e4, compression=2.5e5)
     MEASURES |= {
@@ -200,7 +199,7 @@ def difference(x: Tensor, step: float) -> Tensor:
 
 #: Of bodies that the pendulum does not have: tests/extensions/fibers/test_variables.py, test_measures.py,
 #: tests/extensions/lamination/test_region.py; of the whole system at rest or in rotation, which the pendulum is not:
-#: tests/design/test_system_vibrations.py, test_critical_values.py, test_frequency_response.py.
+#: tests/extensions/vibrations/measures/test_system_vibrations.py, test_critical_values.py, test_frequency_response.py.
 OF_SYSTEM = [
     "system_frequency",
     "damping_ratio",

@@ -37,20 +37,6 @@ def test_titles(response, said):
     assert heading(response) == said
 
 
-@pytest.mark.parametrize(
-    ("response", "said"),
-    [
-        (mbd.SystemFrequency(1), "system frequency [Hz]"),
-        (mbd.SystemFrequency(2, speed=30.0, axis="x"), "system frequency 2 at 30 rad/s [Hz]"),
-        (mbd.DampingRatio(1, speed=30.0), "damping ratio at 30 rad/s"),
-        (mbd.CriticalSpeed(2), "critical speed 2 [rad/s]"),
-        (mbd.CampbellClearance(), "campbell clearance"),
-    ],
-)
-def test_vibrations_of_the_system_have_number_and_speed(response, said):
-    assert heading(response) == said
-
-
 @pytest.mark.extensions
 def test_a_measure_without_a_name_in_files_has_that_of_its_class():
     damage = mbd.Damage(mbd.Reaction("hinge", "z"), curve=mbd.SNCurve([(1e3, 4e8), (1e6, 2e8)]))

@@ -10,8 +10,7 @@ import pytest
 from rich.console import Console
 
 from torchmbd.study.config_index import QUESTION_MISSING, configs
-from torchmbd.study.identify_plan import IdentificationPlan
-from torchmbd.study.load import FiguresPlan, load, load_study
+from torchmbd.study.load import STUDY, load, load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.study.yaml_file import read_yaml
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
@@ -22,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("compiled")
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 DATA = {file: read_yaml(file).data for file in CONFIGS}
 # Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on;
-# those that fit a model to measurements: tests/study/test_identification.py.
+# those that fit a model to measurements: tests/extensions/identification/test_files.py.
 STUDIES = [
     file
     for file, data in DATA.items()
@@ -60,19 +59,18 @@ def test_there_are_configs():
     }
 
 
-@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.stem)
+def files() -> list:
+    of_extensions = {file for file, data in DATA.items() if "identify" in data}
+    return [pytest.param(x, id=x.stem, marks=[pytest.mark.extensions] if x in of_extensions else []) for x in CONFIGS]
+
+
+@pytest.mark.parametrize("file", files())
 def test_every_config_opens_with_its_question_and_is_valid(file):
     question = CONFIGS[file]
     assert question != QUESTION_MISSING
     assert "?" in question
-    plan = load(file)
-    if isinstance(plan, FiguresPlan):
-        data = plan.study
-    elif isinstance(plan, IdentificationPlan):
-        data = plan.data
-    else:
-        assert plan.origin is not None
-        data = plan.origin.data
+    kind, plan = load(file)
+    data = plan.origin.data if kind is STUDY else plan.data
     assert type(data).model_validate(data.resolved()).resolved() == data.resolved()
 
 

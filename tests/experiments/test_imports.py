@@ -81,7 +81,9 @@ TEXTS = [
     for file in ROOT.rglob(pattern)
     if file.is_file()
     and not {"site", ".venv", "build"} & set(file.relative_to(ROOT).parts)
-    and file != ROOT / "tests/study/test_identification.py"  # keys of the section `identify` begin with `experiments.`
+    and file
+    != ROOT
+    / "tests/extensions/identification/test_files.py"  # keys of the section `identify` begin with `experiments.`
 ]
 # #/experiments/ are pages of MLflow; experiments of an identification are lists and mappings.
 NAME = re.compile(r"(?<![\w/#])experiments[./](?!__|(?:append|items|values)\b)(\w+)(?:[./](\w+))?")

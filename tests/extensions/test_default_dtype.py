@@ -1,4 +1,4 @@
-"""What readers of files make does not depend on torch's default dtype."""
+"""What extensions make, such as readers of files, does not depend on torch's default dtype."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import torchmbd as mbd
 from tests.contracts.test_default_dtype import check, default
 from tests.extensions.robots.test_robot import ARM
 from tests.extensions.robots.test_robot_mjcf import MECHANISM
-from tests.mechanisms import tensor
+from tests.mechanisms import pendulum, tensor
 
 BARS = """BEGIN BULK
 MAT1,1,2.+11,,.25,8000.
@@ -60,10 +60,15 @@ def scene(folder: Path) -> list[Tensor]:
     return [found.q, found.v, found.a]
 
 
+def swings(folder: Path) -> list[Tensor]:
+    rest = mbd.equilibrium(pendulum())
+    return [rest.frequencies, rest.poles.abs(), rest.damping_ratios]
+
+
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float32])
-@pytest.mark.parametrize("case", [bulk, robot, scene])
+@pytest.mark.parametrize("case", [bulk, robot, scene, swings])
 def test_results_are_those_of_float64(case, dtype, tmp_path):
     check(case, dtype, tmp_path)
 

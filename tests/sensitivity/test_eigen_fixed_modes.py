@@ -11,7 +11,7 @@ from torch.func import functional_call, jvp
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate
 from torchmbd.fem.reduction import CraigBampton, VibrationModes
-from torchmbd.study.load import load
+from torchmbd.study.load import load_study
 
 ANGLES = mbd.deg([20.0, -50.0, 75.0])
 DIRECTION = torch.tensor([0.7, -0.4, 1.0], dtype=torch.float64)
@@ -135,7 +135,7 @@ def test_bad_input_is_named(given, words):
 )
 def test_experiment_files_reach_the_reductions(overrides, reduction):
     file = Path(__file__).parents[2] / "configs" / "slider_crank" / "l1_energy_integral.yaml"
-    found = load(file, overrides).system.body("rod")
+    found = load_study(file, overrides).system.body("rod")
     if isinstance(reduction, VibrationModes):
         assert found.reduction == reduction
     else:

@@ -11,10 +11,9 @@ import pytest
 from rich.console import Console
 
 from torchmbd.errors import MbdError
-from torchmbd.study.figures import run_figures
+from torchmbd.study.figures import FiguresPlan, figures_key, run_figures
 from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import FiguresPlan, load, load_study
-from torchmbd.study.paths import figures_key
+from torchmbd.study.load import load, load_study
 from torchmbd.study.unfinished import claim_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
@@ -48,7 +47,7 @@ def write(tmp_path):
 
 
 def run(file: Path, tracker) -> tuple[int, str]:
-    plan, output = load(file), io.StringIO()
+    (_, plan), output = load(file), io.StringIO()
     assert isinstance(plan, FiguresPlan)
     return run_figures(plan, Console(file=output, width=100), tracker), output.getvalue()
 
@@ -84,10 +83,10 @@ def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, e
         monkeypatch.setenv(name, str(value))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     file = write("figures: figures.py:figures\ntracking: {experiment: drawn}\n")
-    plan = load(file)
+    _, plan = load(file)
     assert isinstance(plan, FiguresPlan)
     key = figures_key(plan, uri)
-    with claim_study(key, plan.name, plan.file, plan.overrides, uri) as dead:  # logged, and the power went off
+    with claim_study(key, plan.name, file, (), uri) as dead:  # logged, and the power went off
         tracker = MlflowTracker("drawn", uri, dead.id)
         tracker.begin("study", "pictures")
         tracker.close()

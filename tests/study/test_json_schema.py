@@ -23,7 +23,13 @@ def validator():
     return jsonschema.Draft202012Validator(json_schema())
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file",
+    [
+        pytest.param(file, id=file.stem, marks=[pytest.mark.extensions] if "identify" in read_yaml(file).data else [])
+        for file in FILES
+    ],
+)
 def test_valid_files_are_valid(validator, file):
     validator.validate(read_yaml(file).data)
 
@@ -66,5 +72,5 @@ def test_arguments_have_their_meaning():
         """
 
     length = 'how long [m]; "initial": as at the start'
-    assert meanings(documented) == {"first": length, "second": length, "fourth": "a word"}
-    assert meanings(mbd.Problem)["tolerance"].startswith("error by steps of every response, as a share")
+    assert meanings(documented.__doc__) == {"first": length, "second": length, "fourth": "a word"}
+    assert meanings(mbd.Problem.__doc__)["tolerance"].startswith("error by steps of every response, as a share")

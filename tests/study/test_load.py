@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import torchmbd as mbd
 from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import load
+from torchmbd.study.load import load_study as load
 from torchmbd.study.schema import StudyFile
 from torchmbd.study.yaml_file import parse_yaml
 

@@ -14,7 +14,27 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.validation.test_buckling import CARBON, EDGES, plate, supported
+
+CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
+EDGES = ("left_edge", "right_edge", "bottom_edge", "top_edge")
+
+
+def plate(laminate: mbd.Laminate, size: tuple[float, float], cells: tuple[int, int], kind: str) -> mbd.FlexibleBody:
+    return mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(*size, cells, kind), laminate, modes=2)
+
+
+def supported(mesh: mbd.Mesh, tangents: bool) -> dict:
+    """Simple supports, in the plane as statics asks; tangents: rotations about the normals of the edges are held, too."""
+    held: dict = {
+        edge: "u3 phi3"
+        + (("" if not tangents else " phi1") if edge in EDGES[:2] else ("" if not tangents else " phi2"))
+        for edge in EDGES
+    }
+    found: dict[tuple[int, ...] | str, str] = dict(held)
+    lowest = mesh.node_set("corner_left_bottom")[0], mesh.node_set("corner_right_bottom")[0]
+    found[(lowest[0],)], found[(lowest[1],)] = "u1 u2", "u2"
+    return found
+
 
 NU = 0.3
 ALUMINUM = mbd.Ply.isotropic(E=70e9, nu=NU, density=2700.0)

@@ -1,11 +1,7 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
 from torchmbd.design.angle import Angle
-from torchmbd.design.buckling_factor import BucklingFactor
-from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
-from torchmbd.design.critical_values import CriticalSpeed, StabilityLimit
-from torchmbd.design.frequency_response import FrequencyResponse
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
@@ -34,16 +30,12 @@ from torchmbd.design.problem import Problem
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.space import DesignSpace
-from torchmbd.design.system_vibrations import CampbellClearance, DampingRatio, StabilityMargin, SystemFrequency
 from torchmbd.design.tradeoff import Tradeoff
 from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
-    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "BucklingFactor",
-    "BucklingIndex", "CampbellClearance", "Constraint", "CriticalSpeed", "DampingRatio", "DesignSpace", "Displacement", "Final",
-    "Frequencies", "Frequency", "FrequencyResponse", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", 
-    "PlyFailure", "PlyStress",
-    "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StabilityLimit", "StabilityMargin", "StrainEnergy",
-    "SystemFrequency", "Tradeoff", "Velocity",
-    "WeightedSum", "history", "measure",
+    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "Constraint",
+    "DesignSpace", "Displacement", "Final", "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean",
+    "Measure", "Min", "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax",
+    "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
 ]  # fmt: skip

@@ -4,7 +4,7 @@
     {max: {strain_energy: rod}, window: [0.01, 0.03]}                      with options of the measure
     {rms: {velocity: {body: rod, node: right, axis: y}}}                   with arguments of the history
     {frequency: {body: rod, number: 2}}, {mass: rod}                       measures of the design
-    {buckling_factor: {body: rod, loads: {right: [-1e3, 0, 0]}, supports: {left: all}}}
+    {frequency: {body: rod, supports: {left: all}}}
     {frequencies: {body: rod, cluster: [2, 3], power: -4}}
     {aggregate: [{max: ...}, {at_times: ...}], kind: ks, sharpness: 50}     the largest of their rows, smooth
     {weighted_sum: [{weight: 0.6, integral: ...}, {weight: 0.4, rms: ...}], normalize: initial}
@@ -237,7 +237,8 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
     # Of several keys the name is the one that resembles a name: the others are its options, such as a window.
     key = max(spec, key=lambda key: max(SequenceMatcher(None, str(key), name).ratio() for name in names))
-    raise SpecError((*path, key), f"unknown name{nearest(key, names)}")
+    missing = next((f"; {why}" for x in (RESPONSES, COMBINATORS, OF_DESIGN) if (why := x.missing(key))), "")
+    raise SpecError((*path, key), f"unknown name{nearest(key, names)}{missing}")
 
 
 def _from_word(kind: type, spec: Any, path: Path) -> Any:

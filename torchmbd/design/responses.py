@@ -11,11 +11,7 @@ test runs over these.
 from __future__ import annotations
 
 from torchmbd.design.angle import Angle
-from torchmbd.design.buckling_factor import BucklingFactor
-from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
-from torchmbd.design.critical_values import CriticalSpeed, StabilityLimit
-from torchmbd.design.frequency_response import FrequencyResponse
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -40,7 +36,6 @@ from torchmbd.design.measures import (
 )
 from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.response import History, Measure
-from torchmbd.design.system_vibrations import CampbellClearance, DampingRatio, StabilityMargin, SystemFrequency
 from torchmbd.registry import Registry
 
 RESPONSES: Registry[type[History]] = Registry(
@@ -54,7 +49,6 @@ RESPONSES: Registry[type[History]] = Registry(
         "relative_displacement": RelativeDisplacement,
         "reaction": Reaction,
         "angle": Angle,
-        "buckling_index": BucklingIndex,
         "ply_failure": PlyFailure,
         "ply_stress": PlyStress,
     },
@@ -77,16 +71,8 @@ COMBINATORS: Registry[type[Measure]] = Registry(
 OF_DESIGN: Registry[type[Measure]] = Registry(
     "of_design",
     {
-        "buckling_factor": BucklingFactor,
         "frequency": Frequency,
         "frequencies": Frequencies,
         "mass": Mass,
-        "system_frequency": SystemFrequency,
-        "damping_ratio": DampingRatio,
-        "stability_margin": StabilityMargin,
-        "critical_speed": CriticalSpeed,
-        "campbell_clearance": CampbellClearance,
-        "stability_limit": StabilityLimit,
-        "frequency_response": FrequencyResponse,
     },
 )

@@ -20,7 +20,6 @@ from torchmbd.design.histories import Reaction
 from torchmbd.design.measures import Frequency, Integral
 from torchmbd.design.response import Combined, CombinedMeasure, History, Measure, Total
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
-from torchmbd.design.system_vibrations import OfVibrations
 from torchmbd.design.weighted import WeightedSum
 
 UNITS = {
@@ -37,15 +36,6 @@ UNITS = {
     "frequency": "Hz",
     "frequencies": "Hz",
     "mass": "kg",
-    "buckling_factor": "",
-    "system_frequency": "Hz",
-    "damping_ratio": "",
-    "stability_margin": "1/s",
-    "critical_speed": "rad/s",
-    "campbell_clearance": "",
-    "stability_limit": "",  # that of the parameter, which is not known here
-    "frequency_response": "",  # that of the output by the input, which are not known here
-    "buckling_index": "",
 }
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
 Response = History | Measure
@@ -76,11 +66,10 @@ def words(response: Response, bodies: bool = True) -> str:
     inner = getattr(response, "history", None)
     if isinstance(inner, History):
         return f"{name} of {words(inner, bodies)}"
-    if isinstance(response, (Frequency, OfVibrations)) and getattr(response, "number", 1) > 1:
-        name = f"{name} {response.number}"  # pyright: ignore[reportAttributeAccessIssue]
-    if isinstance(response, OfVibrations):
-        speed = getattr(response, "speed", 0.0)
-        return f"{name} at {speed:g} rad/s" if speed else name
+    if hasattr(response, "words"):  # of a class that says itself what its arguments mean
+        return response.words(name)  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(response, Frequency) and response.number > 1:
+        name = f"{name} {response.number}"
     axis = getattr(response, "axis", None)
     if isinstance(axis, str):
         name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"

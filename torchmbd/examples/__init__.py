@@ -70,7 +70,7 @@ def pendulum(length: float = 1.0, speed: float = 1.0) -> System:
     Body "bob" (rigid); joint "hinge".
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum())
-    >>> round(rest.frequencies.item(), 4)  # sqrt(g / length) / (2 pi) [Hz]
+    >>> round(rest.vibrations[0].frequencies.item(), 4)  # sqrt(g / length) / (2 pi) [Hz]
     0.4985
     """
     velocity, spin = (speed, 0.0, 0.0), (0.0, 0.0, speed / length)

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.beamdyn import *  # noqa: F403
+    from torchmbd.extensions.buckling import *  # noqa: F403
     from torchmbd.extensions.fatigue import *  # noqa: F403
     from torchmbd.extensions.fibers import *  # noqa: F403
+    from torchmbd.extensions.identification import *  # noqa: F403
     from torchmbd.extensions.lamination import *  # noqa: F403
     from torchmbd.extensions.matrices import *  # noqa: F403
     from torchmbd.extensions.meshes import *  # noqa: F403
@@ -22,13 +24,17 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.openmdao import *  # noqa: F403
     from torchmbd.extensions.paraview import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
+    from torchmbd.extensions.vibrations import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
 
-#: Extension -> its public names, `mbd.<name>`; `viz.` before those of pictures.
+#: Extension, or a module in it, -> its public names, `mbd.<name>`; `viz.` before those of pictures.
 NAMES = {
     "beamdyn": "read_beamdyn",
+    "buckling": "Buckling BucklingFactor BucklingIndex buckling",
     "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
     "fibers": "FiberCurvature FiberDivergence FiberField SteeredLaminate viz.fiber_paths",
+    "identification": "Channel Experiment FrequencyResponseData Identification ModalData StaticCurve TimeSeries identify "
+    "viz.data_and_model",
     "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
     "matrices": "read_matrix",
     "meshes": "read_mesh",
@@ -37,18 +43,35 @@ NAMES = {
     "openmdao": "openmdao_component",
     "paraview": "viz.save_mesh viz.save_modes viz.save_motion",
     "robots": "read_mjcf read_urdf",
+    "vibrations": "Campbell CampbellClearance CriticalSpeed DampingRatio FrequencyResponse LinearSystem StabilityLimit"
+    " StabilityMargin SystemFrequency campbell frozen_poles linearize",
+    "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
     "windio": "read_windio",
 }
-#: Registry (design/responses.py, integrate/backend.py, math/products.py) -> name -> "extension:class".
+#: Registry (Registry(name, ...) in the core: responses, backends, kinds of experiment files, ...) -> name -> "module:object".
 ENTRIES: dict[str, dict[str, str]] = {
     "backends": {"native": "native:NativeBackend"},
     "products": {"native": "native:compiled_products"},
-    "responses": {},
+    "responses": {"buckling_index": "buckling:BucklingIndex"},
     "combinators": {"equivalent_load": "fatigue:EquivalentLoad"},
     "of_design": {
+        "buckling_factor": "buckling:BucklingFactor",
         "fatigue_damage": "fatigue:FatigueDamage",
         "fiber_curvature": "fibers:FiberCurvature",
         "fiber_divergence": "fibers:FiberDivergence",
         "lamination_region": "lamination:LaminationRegion",
+        "system_frequency": "vibrations:SystemFrequency",
+        "damping_ratio": "vibrations:DampingRatio",
+        "stability_margin": "vibrations:StabilityMargin",
+        "critical_speed": "vibrations:CriticalSpeed",
+        "campbell_clearance": "vibrations:CampbellClearance",
+        "stability_limit": "vibrations:StabilityLimit",
+        "frequency_response": "vibrations:FrequencyResponse",
     },
+    "of_equilibrium": {
+        "eigenvalues": "vibrations.eigenvalues:eigenvalues",
+        "damping_ratios": "vibrations.spectrum:damping_ratios",
+    },
+    "drawings": {"vibrations": "vibrations.pictures.vibration_pictures:draw_vibrations"},
+    "experiments": {"identify": "identification:IDENTIFY"},
 }

@@ -1,5 +1,6 @@
-"""Integrators: torchdiffeq and generalized-alpha by one contract, with sensitivities."""
+"""Motions: `simulate` in time, by integrators of one contract, and `equilibrium` at rest, both with sensitivities."""
 
+from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.registry import METHODS
@@ -7,4 +8,4 @@ from torchmbd.integrate.simulate import simulate
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.trajectory import Trajectory
 
-__all__ = ["METHODS", "Event", "Moment", "Phase", "Switch", "Trajectory", "simulate"]
+__all__ = ["METHODS", "Equilibrium", "Event", "Moment", "Phase", "Switch", "Trajectory", "equilibrium", "simulate"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -25,13 +25,9 @@ from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.schema import UNITS, Bounded, Combine, Optimizer, Range, StudyFile
 from torchmbd.study.settings import Origin, StudySettings
 
-S = TypeVar("S", bound=StudySettings)
 
-
-def study_of(
-    data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = (), kind: type[S] = StudySettings
-) -> S:
-    """Return the study of a valid file, an object of the class `kind`; InputError for what a constructor refuses.
+def study_of(data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = ()) -> StudySettings:
+    """Return the study of a valid file; InputError for what a constructor refuses.
 
     system     built by the model of the file
     file       path of the file
@@ -53,7 +49,7 @@ def study_of(
     if tolerance.any() and isinstance(problem, Problem):  # a Tradeoff has none, see StudyFile
         extra = np.zeros(len(problem.names) - len(space.names))
         searched = RobustProblem(problem, np.append(tolerance, extra), data.robust or "expected")
-    return kind(
+    return StudySettings(
         searched,
         _starts(data, problem, space.names),
         optimizer.name,

@@ -28,12 +28,10 @@ from torchmbd.study.assemble import in_si, links_in_si, point_in_si, sweep_in_si
 from torchmbd.study.file_errors import Fault, Lines, Path, mentioned, shown
 from torchmbd.study.model import (
     build_model,
-    find_function,
     find_model,
     find_phases,
     find_response,
     option_faults,
-    require_returns,
 )
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import Scenario
@@ -87,20 +85,6 @@ def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, l
         except InputError as error:
             faults.append(Fault(("parameters", name), f": {error}"))
     return system, faults
-
-
-def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
-    """Return the faults of the function that draws figures, and of its options."""
-    if "figures" not in sections:
-        return []
-    try:
-        draw = find_function(sections["figures"], folder)
-        require_returns(sections["figures"], draw, ("dict", "Mapping"))
-    except InputError as error:
-        return [Fault(("figures",), str(error))]
-    taken = {"folder": None, **sections.get("options", {})}
-    faults = [Fault(("options", "folder"), "is given by torchmbd")] if "folder" in sections.get("options", {}) else []
-    return faults + option_faults(draw, taken)
 
 
 def section_faults(sections: Sections, system: System | None, folder: FilePath, lines: Lines) -> list[Fault]:

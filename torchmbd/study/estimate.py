@@ -45,7 +45,6 @@ from torchmbd.optimization.pareto import group_sizes
 from torchmbd.progress import begin_stage, stages_told
 from torchmbd.results.answer import LIMIT
 from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.study.progress import Beginning
 from torchmbd.study.settings import StudySettings
@@ -223,11 +222,8 @@ def _motion_bytes(motion: Trajectory) -> float:
     return 8.0 * numbers * copies
 
 
-def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Estimate | None:
+def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
     """Print a summary of a valid study and its cost; return the cost, None if nothing is simulated."""
-    if isinstance(study, FiguresPlan):
-        console.print(f"{study.file} is valid: figures by {study.study.figures}", markup=False, soft_wrap=True)
-        return None
     problem = study.simulated
     valid = f"{study.name if study.origin is None else study.origin.file} is valid"
     if not isinstance(problem, Problem):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import json
 import tempfile
 from html import escape
 from pathlib import Path
@@ -31,7 +32,7 @@ from torchmbd.study.metric_names import (
     number_text,
 )
 from torchmbd.summary import few
-from torchmbd.tracking.catalog import Entry, children, fetch, files, find
+from torchmbd.tracking.catalog import TABLES, Entry, children, fetch, files, find
 from torchmbd.tracking.mlflow_tracker import FILES
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI, hidden
@@ -56,7 +57,6 @@ _OUTCOME = {
     EVALUATIONS: "evaluations",
     FAILED: "of them failed",
 }
-_TABLES = {"Unknowns": "unknowns.csv", "Model and data": "channels.csv"}  # of an identification
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
 
 
@@ -157,15 +157,15 @@ def _children(store: StoreURI, entry: Entry) -> str:
 
 
 def _tables(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:
-    """Return the unknowns and the channels of an identification as tables."""
+    """Return the tables that the study says it has."""
     parts = []
-    for title, name in _TABLES.items():
+    for title, name in json.loads(entry.tags.get(TABLES, "{}")).items():
         if file := fetch(store, entry, name, scratch):
             with file.open(newline="", encoding="utf-8") as lines:
                 head, *rows = csv.reader(lines)
             cells = "".join(f"<tr>{''.join(f'<td>{escape(_short(x))}</td>' for x in row)}</tr>" for row in rows)
             heads = "".join(f"<th>{escape(x.replace('_', ' '))}</th>" for x in head)
-            parts += [f"<h2>{title}</h2>", f"<table><tr>{heads}</tr>{cells}</table>"]
+            parts += [f"<h2>{escape(title)}</h2>", f"<table><tr>{heads}</tr>{cells}</table>"]
     return parts
 
 

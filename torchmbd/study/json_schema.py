@@ -18,87 +18,38 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
-from torchmbd.identification import (
-    Channel,
-    Experiment,
-    FrequencyResponseData,
-    ModalData,
-    StaticCurve,
-    TimeSeries,
-    identify,
-)
-from torchmbd.identification.losses import LOSSES
 from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
-from torchmbd.optimization import OPTIMIZERS, optimize, sobol
+from torchmbd.optimization import optimize, sobol
 from torchmbd.study import schema
-from torchmbd.study.identify_schema import (
-    ChannelData,
-    ExperimentData,
-    FrequencyResponseKeys,
-    IdentificationFile,
-    Identify,
-    ModalDataKeys,
-    PortKeys,
-    Prior,
-    StaticCurveData,
-    TimeSeriesData,
-    Unknown,
-)
-from torchmbd.study.scenario_keys import Combine, Scenario, Setting
-from torchmbd.study.schema import (
-    LIMIT_KINDS,
-    OBJECTIVE_KEYS,
-    SAMPLERS,
-    UNITS,
-    Figures,
-    Optimizer,
-    Range,
-    Simulation,
-    StudyFile,
-    Tracking,
-    Variable,
-)
+from torchmbd.study.load import KINDS, STUDY
+from torchmbd.study.scenario_keys import Combine
+from torchmbd.study.schema import LIMIT_KINDS, OBJECTIVE_KEYS, StudyFile
+from torchmbd.study.section import BESIDE
 from torchmbd.study.study import Study
-from torchmbd.vibrations.ports_by_name import NamedPort
 
-#: Section of a file -> what is constructed of it. Its keys are described by its docstring, or by the first of these.
+_OF_MOTION = (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), simulate)
+#: Section of a study -> what is constructed of it, whose docstrings explain the keys that its own does not.
 CONSTRUCTORS: dict[type, Sequence[Any]] = {
     StudyFile: (Problem,),
-    Figures: (),
-    Variable: (),
-    Simulation: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), Problem, simulate),
     schema.Constraint: (Constraint,),
-    Scenario: (),
-    Setting: (),
+    schema.Motion: _OF_MOTION,
+    schema.Simulation: (*_OF_MOTION[:-1], Problem, simulate),
     Combine: (Scenarios,),
-    Optimizer: (optimize,),
+    schema.Optimizer: (optimize,),
     schema.Starts: (sobol,),
-    Range: (),
-    Tracking: (Study,),
-    IdentificationFile: (),
-    Identify: (identify,),
-    Unknown: (),
-    Prior: (),
-    ChannelData: (Channel,),
-    TimeSeriesData: (TimeSeries,),
-    StaticCurveData: (StaticCurve,),
-    ModalDataKeys: (ModalData,),
-    FrequencyResponseKeys: (FrequencyResponseData,),
-    PortKeys: (NamedPort,),
-    ExperimentData: (Experiment,),
-    schema.Motion: (*(base for x in INTEGRATORS.values() for base in type(x).__mro__[:2]), simulate),
+    schema.Tracking: (Study,),
 }
 
 
 _ENTRY = re.compile(r"(\w+(?:, \w+)*) {2,}(\S.*)")  # of a docstring: names, two spaces or more, meaning
 
 
-def meanings(documented: object) -> dict[str, str]:
-    """Argument -> its meaning in the docstring of a function or class; names that share a line share their meaning."""
+def meanings(docstring: str | None) -> dict[str, str]:
+    """Argument -> its meaning in a docstring; names that share a line share their meaning."""
     result: dict[str, str] = {}
     names: list[str] = []
-    for line in inspect.cleandoc(getattr(documented, "__doc__", None) or "").splitlines():
+    for line in inspect.cleandoc(docstring or "").splitlines():
         if entry := _ENTRY.fullmatch(line):
             names = [] if entry[2].startswith("as in ") else entry[1].split(", ")  # explained there
             result |= dict.fromkeys(names, entry[2])
@@ -110,74 +61,62 @@ def meanings(documented: object) -> dict[str, str]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the schema (draft 2020-12) of a file: a study, figures or an identification."""
-    kinds = {x.__name__: x.model_json_schema() for x in (StudyFile, Figures, IdentificationFile)}
-    study = kinds["StudyFile"]
+    """Return the schema (draft 2020-12) of a file of any kind."""
+    kinds = (STUDY, *KINDS.values())
+    files = {kind.sections.__name__: kind.sections.model_json_schema() for kind in kinds}
     parts: dict[str, Any] = {}
-    for file in kinds.values():
+    for file in files.values():
         parts |= file.pop("$defs")
-    for part, field, names in (
-        ("Variable", "unit", UNITS),
-        ("Unknown", "unit", UNITS),
-        ("Motion", "method", INTEGRATORS),
-        ("Identify", "loss", LOSSES),
-        ("Starts", "sampler", SAMPLERS),
-        ("Optimizer", "name", OPTIMIZERS),
-        ("Simulation", "method", INTEGRATORS),
-    ):
-        parts[part]["properties"][field]["enum"] = list(names)
     for integrator in INTEGRATORS.values():
-        for name, kind in integrator.option_types().items():
-            for motion in ("Simulation", "Motion"):
-                parts[motion]["properties"].setdefault(name, TypeAdapter(kind).json_schema())
-    parts["History"] = _history()
-    parts["Measure"] = _measure()
-    limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
-    types: dict[str, Any] = {kind: {"anyOf": limit} for kind in LIMIT_KINDS} | {
-        "scale": {"type": "number", "exclusiveMinimum": 0},
-        "unit": {"type": "string", "enum": list(UNITS)},
-    }
-    parts["Constraint"] = {
-        "type": "object",
-        "properties": _measure()["properties"] | types,
-        "oneOf": [{"required": [kind]} for kind in LIMIT_KINDS],
-    }
-    of_channel = {key: x for key, x in parts["ChannelData"]["properties"].items() if key != "response"}
-    parts["ChannelData"] = {"type": "object", "properties": of_channel | _history()["properties"]}
-    measure = {"$ref": "#/$defs/Measure"}
+        for name, option in integrator.option_types().items():
+            for motion in parts.keys() & {"Simulation", "Motion"}:
+                parts[motion]["properties"].setdefault(name, TypeAdapter(option).json_schema())
+    responses = {"History": _history(), "Measure": _measure()}
+    for part in parts.values():  # keys of a response stand beside those of the section
+        if name := part.pop(BESIDE, None):
+            part["properties"] |= responses[name]["properties"]
+    limits = parts["Constraint"]["properties"]
+    limits |= {
+        key: limits[key] | {"anyOf": limits[key]["anyOf"][:-1]} for key in (*LIMIT_KINDS, "scale", "unit")
+    }  # no null
+    parts["Constraint"]["oneOf"] = [{"required": [key]} for key in LIMIT_KINDS]
+    study, measure = files[StudyFile.__name__], {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": measure, "maximize": measure}
     study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": measure}
     study["oneOf"] = [{"required": [key]} for key in OBJECTIVE_KEYS]
-    for section, constructors in CONSTRUCTORS.items():
-        part: Any = (kinds | parts)[section.__name__]
-        part["description"] = _first(section)
-        sources = [meanings(source) for source in (section, *constructors)]
+    constructors = CONSTRUCTORS | {section: x for kind in kinds for section, x in kind.constructors.items()}
+    of_sections = {section.__name__: [source.__doc__ for source in x] for section, x in constructors.items()}
+    for name, part in (files | parts).items():
+        sources = [meanings(text) for text in (part.get("description"), *of_sections.get(name, ()))]
+        part["description"] = _first_line(part.get("description"))
         for key, entry in part["properties"].items():
             text = next((known[key] for known in sources if key in known), None)
             if text is not None:
                 part["properties"][key] = entry | {"description": text[0].upper() + text[1:].removesuffix(".") + "."}
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "torchmbd experiment",
-        "if": {"required": ["figures"]},
-        "then": {"$ref": "#/$defs/Figures"},
-        "else": {
-            "if": {"required": ["identify"]},
-            "then": {"$ref": "#/$defs/IdentificationFile"},
-            "else": {"$ref": "#/$defs/StudyFile"},
-        },
-        "$defs": kinds | parts,
-    }
+    file: dict[str, Any] = {"$ref": f"#/$defs/{StudyFile.__name__}"}
+    for section, kind in KINDS.items():
+        file = {"if": {"required": [section]}, "then": {"$ref": f"#/$defs/{kind.sections.__name__}"}, "else": file}
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "torchmbd experiment"}
+    return head | file | {"$defs": files | parts | responses}
 
 
 def _history() -> dict[str, Any]:
-    words = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in RESPONSES.items()}
+    words = {
+        name: {"type": ["string", "object"], "description": _first_line(kind.__doc__)}
+        for name, kind in RESPONSES.items()
+    }
     return {"type": "object", "properties": words | _operations("History")}
 
 
 def _measure() -> dict[str, Any]:
-    of_history = {name: {"$ref": "#/$defs/History", "description": _first(kind)} for name, kind in COMBINATORS.items()}
-    of_design = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in OF_DESIGN.items()}
+    of_history = {
+        name: {"$ref": "#/$defs/History", "description": _first_line(kind.__doc__)}
+        for name, kind in COMBINATORS.items()
+    }
+    of_design = {
+        name: {"type": ["string", "object"], "description": _first_line(kind.__doc__)}
+        for name, kind in OF_DESIGN.items()
+    }
     terms = {"type": "array", "items": {"$ref": "#/$defs/Measure"}}
     return {
         "type": "object",
@@ -213,5 +152,5 @@ def _operations(kind: str) -> dict[str, Any]:
     )
 
 
-def _first(kind: type) -> str:
-    return re.sub(r"\s+", " ", (kind.__doc__ or "").strip().partition("\n")[0])
+def _first_line(docstring: str | None) -> str:
+    return re.sub(r"\s+", " ", (docstring or "").strip().partition("\n")[0])

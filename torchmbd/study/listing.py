@@ -82,8 +82,8 @@ def print_links(store: StoreURI, base: str, console: Console) -> None:
 
 
 def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
-    """Return the links of a study, front, sweep or figures by their labels; only a finished study has a motion."""
-    links = {} if kind in ("figures", "identification") else {"table": view_link(base, experiment_id, run_id)}
+    """Return the links of a study by their labels; only a finished study has a motion."""
+    links = {"table": view_link(base, experiment_id, run_id)} if kind in ("study", "front", "sweep") else {}
     if kind == "study":
         links["charts"] = view_link(base, experiment_id, run_id, charts=True)
     if kind == "study" and status == "FINISHED":

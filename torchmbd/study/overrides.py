@@ -12,7 +12,7 @@ An override may set a key that the file leaves to its default. Checked in tests/
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import product
 from typing import Any
 
@@ -22,7 +22,7 @@ from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, StudyError, dotted
 from torchmbd.study.yaml_file import Document, parse_yaml
 
-_NAMED_BY_PATH = ("design", "sweep", "unknowns", "parameters")  # sections whose keys are dotted names of parameters
+_NAMED_BY_PARAMETERS = ("design", "sweep", "parameters")  # sections whose keys are dotted names
 
 
 def combinations(assignments: Sequence[str]) -> list[tuple[str, ...]]:
@@ -45,14 +45,18 @@ def _split(text: str) -> list[str]:
     return [whole[entry.start_mark.index : entry.end_mark.index] for entry in entries]
 
 
-def override(document: Document, assignments: Sequence[str]) -> None:
-    """Apply all assignments to the document; StudyError with each one that cannot be applied."""
-    faults = [fault for text in assignments if (fault := _assign(document, text))]
+def override(document: Document, assignments: Sequence[str], named_by_parameters: Sequence[str] = ()) -> None:
+    """Apply all assignments to the document; StudyError with each one that cannot be applied.
+
+    named_by_parameters  further sections whose keys are dotted names (kind.py)
+    """
+    sections = (*_NAMED_BY_PARAMETERS, *named_by_parameters)
+    faults = [fault for text in assignments if (fault := _assign(document, text, sections))]
     if faults:
         raise StudyError(document.source, faults)
 
 
-def _assign(document: Document, text: str) -> Fault | None:
+def _assign(document: Document, text: str, sections: Collection[str]) -> Fault | None:
     key, equals, written = text.partition("=")
     key = key.strip()
     if not equals or not key or not all(key.split(".")):
@@ -64,7 +68,7 @@ def _assign(document: Document, text: str) -> Fault | None:
     if document.data is None:
         document.data = {}
     try:
-        path = _resolve(document.data, key.split("."))
+        path = _resolve(document.data, key.split("."), sections)
     except LookupError as error:
         return Fault((), str(error.args[0]), f"override {text!r}")
     _set(document.data, path, value)
@@ -74,14 +78,14 @@ def _assign(document: Document, text: str) -> Fault | None:
     return None
 
 
-def _resolve(data: Any, words: list[str]) -> Path:
-    """Return the path of a dotted key; LookupError if there is none."""
+def _resolve(data: Any, words: list[str], sections: Collection[str]) -> Path:
+    """Return the path of a dotted key; LookupError if there is none. `sections`: those whose keys are dotted names."""
     path: Path = ()
     while words:
         if isinstance(data, dict):
             count = next((n for n in range(len(words), 0, -1) if ".".join(words[:n]) in data), 0)
             if not count:  # a new key
-                count = len(words) - 1 if path and path[-1] in _NAMED_BY_PATH and len(words) > 1 else 1
+                count = len(words) - 1 if path and path[-1] in sections and len(words) > 1 else 1
             key, words = ".".join(words[:count]), words[count:]
             data = data.get(key)
         elif isinstance(data, list):

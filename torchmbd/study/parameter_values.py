@@ -1,22 +1,19 @@
-"""Values of parameters of a model in a file: what an identification writes, and any study can load.
+"""Values of parameters of a model in a file that any study can load.
 
-    hinge.damping: {value: 0.021, unit: none}        fitted.yaml, an artifact of the run of an identification
+    hinge.damping: {value: 0.021, unit: none}
     bob.mass: 0.98                                   without a unit in SI
 
     parameters: fitted.yaml                          in an experiment file, or parameters=fitted.yaml on the command line
 
 The entries of the file stand in the place of its name before anything is checked, so that the record of the study has the
-numbers. Checked in tests/study/test_identification.py.
+numbers. Checked in tests/study/test_parameter_values.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
-import yaml
 
 from torchmbd.design.scenario_settings import settings_of
 from torchmbd.errors import InputError
@@ -55,9 +52,3 @@ def set_parameters(system: System, values: Settings) -> System:
         for name, value in settings.items():
             system.get_parameter(name).copy_(value)
     return system
-
-
-def write_values(file: Path, values: Mapping[str, Any], comments: list[str]) -> None:
-    """Write parameters, name -> {value, unit}, behind lines of comments."""
-    text = "".join(f"# {line}\n" for line in comments)
-    file.write_text(text + yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None), encoding="utf-8")

@@ -21,10 +21,7 @@ import torch
 
 from torchmbd.design import Problem
 from torchmbd.math.digest import digest, source_digest
-from torchmbd.study.identify_plan import IdentificationPlan
-from torchmbd.study.load import FiguresPlan
 from torchmbd.study.settings import StudySettings
-from torchmbd.study.stored_fit import fit_key
 from torchmbd.tracking.uri import StoreURI
 
 _PACKAGE = Path(__file__).parents[1]
@@ -90,15 +87,9 @@ def relative_store(uri: StoreURI | str) -> str:
     return str(StoreURI(uri)) if file is None else f"sqlite:///{os.path.relpath(file, studies_folder())}"
 
 
-def figures_key(plan: FiguresPlan, uri: StoreURI | str) -> str:
-    """Return the hash of an experiment file of figures, with its store."""
-    return _hash([plan.study.resolved(), plan.name, relative_store(uri)])
-
-
-def identification_key(plan: IdentificationPlan, uri: StoreURI | str) -> str:
-    """Return the hash of an identification: of its file with the numbers of its measurements and models, and its store."""
-    problems = [plan.problem, *([plan.problem.held_out(plan.validation)] if plan.validation else [])]
-    return _hash([plan.data.resolved(), [numbers_key(fit_key(x)) for x in problems], plan.name, relative_store(uri)])
+def file_key(data: Any, name: str, uri: StoreURI | str) -> str:
+    """Return the hash of an experiment file: of its data, which JSON can have, its name and its store."""
+    return _hash([data, name, relative_store(uri)])
 
 
 @cache

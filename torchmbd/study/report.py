@@ -12,14 +12,15 @@ from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.response import Measure
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
+from torchmbd.registry import Registry
 from torchmbd.study.journal import Journal
 from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
-from torchmbd.study.vibration_pictures import draw_vibrations
 from torchmbd.viz import (
     animate,
     convergence,
@@ -32,6 +33,9 @@ from torchmbd.viz import (
     weighted_parts,
 )
 from torchmbd.viz.panels import histories_of
+
+#: (measures, motion of the start and the best design, labels of both, title, function that saves a figure, folder) -> pages.
+DRAWINGS: Registry[Callable[..., list[Any]]] = Registry("drawings", {})
 
 
 def print_results(study: StudySettings, outcome: MultistartResult, failures: Sequence[str], console: Console) -> None:
@@ -214,5 +218,21 @@ def _motion_pictures(
     def draw(figure: Callable[..., Any], files: Sequence[str], **options: Any) -> None:
         save_figure(figure, files, journal, console, **options)
 
-    for page in draw_vibrations(motion, problem, labels, study.question or study.name, draw, journal.folder):
+    for page in draw_measures(problem, motion, labels, study.question or study.name, draw, journal.folder):
         journal.file(page)
+
+
+def draw_measures(problem: Problem, *arguments: Any) -> list[Any]:
+    """Draw the pictures of the measures of a problem (`Measure.drawing`), with arguments as of DRAWINGS; return the pages."""
+    by_drawing: dict[str, list[Measure]] = {}
+    outer = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
+    for measure in _with_operands(*outer):
+        if measure.drawing:
+            by_drawing.setdefault(measure.drawing, []).append(measure)
+    return [page for drawing, measures in by_drawing.items() for page in DRAWINGS[drawing](measures, *arguments)]
+
+
+def _with_operands(*measures: Measure) -> Iterator[Measure]:
+    for measure in measures:
+        yield measure
+        yield from _with_operands(*measure.operands)

@@ -12,7 +12,7 @@ import math
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from rich.console import Console
@@ -43,6 +43,13 @@ from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI
 
 
+class _Offline:
+    """Ends a study at the first design that is not on disk."""
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> NoReturn:
+        raise KeyboardInterrupt
+
+
 def run_study(
     study: StudySettings,
     console: Console,
@@ -51,7 +58,7 @@ def run_study(
     scheduler: str | None = None,
     fresh: bool = False,
     uri: str | StoreURI | None = None,
-    evaluator: Any = None,
+    offline: bool = False,
     rerun_finished: bool = False,
 ) -> int:
     """Run a study and return the exit code; its results are in `study.outcome`.
@@ -61,7 +68,7 @@ def run_study(
     scheduler       address of a Dask scheduler to use instead, or a cluster file (cluster.py)
     fresh           remove the evaluations of this problem, and begin the study anew
     uri             the MLflow store; None: that of the study
-    evaluator       evaluates designs that are not on disk; None: this process, or the workers
+    offline         end, as after Ctrl-C, at the first design that is not on disk
     rerun_finished  run a finished study again, with its evaluations on disk and in its runs; False: print where it is
     """
     problem, key = study.simulated, problem_key(study.simulated)
@@ -84,11 +91,11 @@ def run_study(
             )
             if not rerun_finished and (entry := record.finished_run(store_of_runs)):
                 again = state.command(workers=workers, scheduler=scheduler, fresh=True)
-                return record.tell_finished(store_of_runs, entry, again)
+                return record.tell_finished(store_of_runs, entry, again, f"torchmbd best {entry.run_id[:8]}")
         if fresh:  # `claim_study` has refused a study that is running in another process
             store.forget()
         _print_stored_count(study.name, store.count(), record.state, console)
-        evaluator, lanes = evaluator or problem, LANES
+        evaluator, lanes = _Offline() if offline else problem, LANES
         if pool is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
                 _enter(pool, stack, record.state)

@@ -66,8 +66,12 @@ class RunRecord:
             self.state.renew()
             return None
 
-    def tell_finished(self, uri: StoreURI, entry: Entry, again: str) -> int:
-        """Print where the run of a finished study is, and return the exit code; `again`: the command that runs it anew."""
+    def tell_finished(self, uri: StoreURI, entry: Entry, again: str, designs: str) -> int:
+        """Print where the run of a finished study is, and return the exit code.
+
+        again    the command that runs it anew
+        designs  where its designs are: a command, or a file
+        """
         ended = "" if self.state is None else self.state.ended
         best = entry.metrics.get("best_objective")
         outcome = "" if best is None else f", best objective {best:.6g}"
@@ -76,9 +80,7 @@ class RunRecord:
         verified = entry.tags.get(VERIFICATION, "")
         if verified:
             self.console.print(verified, soft_wrap=True, highlight=False, markup=False)
-        designs = f"torchmbd best {entry.run_id[:8]}" if entry.kind != "identification" else "fitted.yaml in its files"
-        designs = f"its designs: {designs}; to run it anew: {again}"
-        self.console.print(designs, soft_wrap=True, highlight=False)
+        self.console.print(f"its designs: {designs}; to run it anew: {again}", soft_wrap=True, highlight=False)
         return UNVERIFIED if verified.startswith(NOT_VERIFIED) else EXIT["FINISHED"]
 
     def close(self, trouble: str | None = None) -> None:

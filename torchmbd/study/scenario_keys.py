@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from torchmbd.design.scenarios import CONSTRAINTS, OBJECTIVES
 from torchmbd.math import units
-from torchmbd.study.section import UNITS, Numbers, Section, Unit, fault, one_of
+from torchmbd.study.section import UNITS, NameOf, Numbers, Section, Unit, fault
 
 
 class Setting(Section):
@@ -82,5 +82,5 @@ class Scenario(Section):
 class Combine(Section):
     """How objective and constraints are combined over the scenarios."""
 
-    objective: Annotated[str, one_of(OBJECTIVES)] = OBJECTIVES[0]
-    constraints: Annotated[str, one_of(CONSTRAINTS)] = CONSTRAINTS[0]
+    objective: Annotated[str, NameOf(OBJECTIVES)] = OBJECTIVES[0]
+    constraints: Annotated[str, NameOf(CONSTRAINTS)] = CONSTRAINTS[0]

@@ -40,7 +40,7 @@ from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
 from torchmbd.study.file_errors import shown
 from torchmbd.study.scenario_keys import Combine, Scenario, Settings
-from torchmbd.study.section import UNITS, Numbers, Section, Unit, fault, one_of
+from torchmbd.study.section import UNITS, NameOf, Numbers, Section, Unit, beside, fault
 from torchmbd.tracking.store import uri_fault
 from torchmbd.tracking.uri import StoreURI
 
@@ -127,11 +127,11 @@ class Motion(Section):
     """
 
     model_config = ConfigDict(extra="allow")
-    method: Annotated[str, one_of(METHODS)] = DEFAULT
+    method: Annotated[str, NameOf(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
     phases: str | None = None
-    backend: Annotated[str, one_of(BACKENDS)] = "auto"
-    start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]
+    backend: Annotated[str, NameOf(BACKENDS)] = "auto"
+    start: Annotated[str, NameOf(STARTS)] | dict[str, list[float]] = STARTS[0]
 
     @property
     def options(self) -> dict[str, Any]:
@@ -147,7 +147,7 @@ class Simulation(Motion):
 
     duration: float = Field(gt=0)
     tolerance: float = Field(default=TOLERANCE, gt=0, lt=1)
-    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"
+    gradients: Annotated[str, NameOf(GRADIENTS[:-1])] = "auto"
 
 
 class Constraint(Section):
@@ -159,6 +159,7 @@ class Constraint(Section):
     unit      unit of limit and scale; default: SI; an angle needs one
     """
 
+    model_config = beside("measure", "Measure")
     measure: Measure
     at_most: Limit | None = None
     at_least: Limit | None = None
@@ -215,7 +216,7 @@ class Optimizer(Section):
     """
 
     model_config = ConfigDict(extra="allow")
-    name: Annotated[str, one_of(OPTIMIZERS)] = "mmfd"
+    name: Annotated[str, NameOf(OPTIMIZERS)] = "mmfd"
     max_iterations: PositiveInt = 60
 
     @property
@@ -230,7 +231,7 @@ class Starts(Section):
     points   the points of `given`: a list of numbers for each, in the units of `design`
     """
 
-    sampler: Annotated[str, one_of(SAMPLERS)] = "none"
+    sampler: Annotated[str, NameOf(SAMPLERS)] = "none"
     count: Annotated[PositiveInt, Field(le=2**20)] | None = None
     seed: NonNegativeInt = 0
     include_initial: bool = True
@@ -329,7 +330,7 @@ class StudyFile(Section):
     minimize: Measure | None = None
     maximize: Measure | None = None
     tradeoff: Annotated[dict[str, Measure], Len(min_length=2)] | None = None
-    robust: Annotated[str, one_of(KINDS_OF_ROBUST)] | None = None  # default: expected, where there are tolerances
+    robust: Annotated[str, NameOf(KINDS_OF_ROBUST)] | None = None  # default: expected, where there are tolerances
     subject_to: list[Constraint] = Field(default=[])
     scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = None
     combine: Combine | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Annotated, Any
 
 from annotated_types import Len
@@ -22,19 +22,34 @@ def fault(text: str, *path: str) -> PydanticCustomError:
     return PydanticCustomError("fault", "{text}", {"text": text, "path": path})
 
 
-def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValidator:
-    """Accept a name of a registry only."""
+class NameOf(AfterValidator):
+    """Accept a name of a registry only; the JSON schema lists them."""
 
-    def check(name: str) -> str:
-        allowed = names() if callable(names) else names
-        if name not in allowed:
-            raise fault(f"= {shown(name)}: {nearest(name, allowed)[2:]}")
-        return name
+    def __init__(self, names: Collection[str]) -> None:
+        def check(name: str) -> str:
+            if name not in names:
+                raise fault(f"= {shown(name)}: {nearest(name, names)[2:]}")
+            return name
 
-    return AfterValidator(check)
+        super().__init__(check)
+        object.__setattr__(self, "names", names)
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        return handler(core_schema) | {"enum": list(vars(self)["names"])}
 
 
-Unit = Annotated[str, one_of(UNITS)]
+Unit = Annotated[str, NameOf(UNITS)]
+BESIDE = "responses"
+
+
+def beside(key: str, responses: str) -> ConfigDict:
+    """Tell the JSON schema that the keys of a response, "History" or "Measure", stand in a section in place of `key`."""
+
+    def change(schema: dict[str, Any]) -> None:
+        del schema["properties"][key], schema["required"], schema["additionalProperties"]
+        schema[BESIDE] = responses
+
+    return ConfigDict(json_schema_extra=change)
 
 
 class Section(BaseModel):

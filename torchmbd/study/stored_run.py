@@ -26,7 +26,8 @@ from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, StudyError, located
-from torchmbd.study.load import study_of_document
+from torchmbd.study.kind import Source
+from torchmbd.study.load import read_experiment
 from torchmbd.study.paths import problem_key
 from torchmbd.study.schema import OBJECTIVE_KEYS
 from torchmbd.study.settings import StudySettings
@@ -93,9 +94,9 @@ def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) ->
         )
     config.source = f"config.yaml of run {entry.run_id[:8]}"
     folder = _model_folder(config, [model] if isinstance(model, (str, Path)) else list(model))
-    study = study_of_document(config, folder / f"{entry.name}.yaml", ())
+    _, study = read_experiment(Source(config, folder / f"{entry.name}.yaml"))
     if not isinstance(study, StudySettings):
-        raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
+        raise InputError(f"run {entry.run_id[:8]} is one of {entry.kind}; allowed: a study")
     key = entry.tags.get("problem_key")
     if key and key != problem_key(study.simulated):
         warn(

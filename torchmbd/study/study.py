@@ -62,7 +62,9 @@ class Study(StudySettings):
 
         assignments  overrides of single values, as at the command line: "options.layers=2"
         """
-        return load_study(file, assignments, cls)
+        study = object.__new__(cls)
+        vars(study).update(vars(load_study(file, assignments)))
+        return study
 
     def run(
         self,

@@ -7,28 +7,14 @@ Checked in tests/study/test_unfinished.py.
 
 from __future__ import annotations
 
-from typing import NoReturn
-
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.errors import MbdError
-from torchmbd.study.figures import run_figures
-from torchmbd.study.identify_run import IdentificationPlan, run_identification
-from torchmbd.study.load import FiguresPlan, load
-from torchmbd.study.paths import figures_key, identification_key, study_key
-from torchmbd.study.run import run_study
+from torchmbd.study.load import load
 from torchmbd.study.unfinished import StudyState, unsent
 from torchmbd.tracking.store import open_store, store_uri
 from torchmbd.tracking.uri import StoreURI
-
-
-class _InterruptingEvaluator:
-    """Ends a study at the first design that is not on disk."""
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> NoReturn:
-        raise KeyboardInterrupt
 
 
 def send_unsent(console: Console) -> int:
@@ -54,29 +40,15 @@ def _send(study: StudyState) -> str:
     """Send one study and return its name; MbdError if it cannot be sent."""
     if study.path is None:
         raise MbdError("it was made in Python; allowed: run its script again, which sends it")
-    plan = load(study.path, study.overrides)
-    if isinstance(plan, FiguresPlan):
-        uri = _store(study, plan.study.tracking.uri)
-        key = figures_key(plan, uri)
-    elif isinstance(plan, IdentificationPlan):
-        uri = _store(study, plan.data.tracking.uri)
-        key = identification_key(plan, uri)
-    else:
-        uri = _store(study, plan.uri)
-        key = study_key(plan, uri)
-    if key != study.folder.name:
+    kind, experiment = load(study.path, study.overrides)
+    uri = _store(study, experiment.uri)
+    if kind.key(experiment, uri) != study.folder.name:
         raise MbdError(
             f"the file, its model or torchmbd has changed since; allowed: torchmbd run, which begins it anew, "
             f"or remove {study.folder}"
         )
     open_store(uri)
-    silent = Console(quiet=True)
-    if isinstance(plan, FiguresPlan):
-        run_figures(plan, silent, uri=uri)
-    elif isinstance(plan, IdentificationPlan):
-        run_identification(plan, silent, uri=uri, offline=True)
-    else:
-        run_study(plan, silent, uri=uri, evaluator=_InterruptingEvaluator())
+    kind.run(experiment, Console(quiet=True), uri=uri, offline=True)
     if any(other.folder == study.folder for other in unsent()):
         raise MbdError("the store has not taken all of it; allowed: torchmbd sync, when it is back")
     return study.name

@@ -16,8 +16,7 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
-from torchmbd.study.identify_schema import IdentificationFile
-from torchmbd.study.schema import LIMIT_KINDS, UNITS, Figures, Section, StudyFile
+from torchmbd.study.schema import LIMIT_KINDS, UNITS, Section, StudyFile
 from torchmbd.tracking.uri import StoreURI
 
 _FUNCTION = "package.module:function or path/to/file.py:function"
@@ -37,20 +36,12 @@ _OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
 MISSING_BOUND = f"is missing; allowed: {_ALLOWED['lower']}"
 
 
-def kind_of(data: Any) -> type[StudyFile] | type[Figures] | type[IdentificationFile]:
-    """Return which kind of experiment a file describes."""
-    if isinstance(data, dict) and "identify" in data:
-        return IdentificationFile
-    return Figures if isinstance(data, dict) and "figures" in data else StudyFile
-
-
-def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, Any], list[Fault]]:
+def validate(data: Any, kind: type[Section]) -> tuple[dict[str, Any], list[Fault]]:
     """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be.
 
     Of a section with faulty entries, such as scenarios, these are None, and the others valid. A missing bound alone makes
     no section invalid: the other numbers of the variable can be checked.
     """
-    kind = kind or kind_of(data)
     if not isinstance(data, dict):
         keys = ", ".join(f"{key}:" for key in _keys((), kind))
         return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]

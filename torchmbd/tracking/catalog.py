@@ -13,7 +13,8 @@ from torchmbd.tracking.run_process import end_killed
 from torchmbd.tracking.store import all_runs, open_store, own_files, store_uri
 from torchmbd.tracking.uri import StoreURI
 
-KINDS = ("study", "front", "sweep", "figures", "identification")
+PARTS = ("start", "point")  # kinds of runs within a study
+TABLES = "tables"  # tag of a study: headings of its report -> CSV files of the run, as JSON
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is maximized
 VERIFICATION = "verification"  # tag of a study: "verified: ..." or "not verified: ..." with what to do
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
@@ -27,7 +28,7 @@ class Entry:
     experiment_id: str
     run_id: str
     name: str
-    kind: str  # one of KINDS
+    kind: str  # "study", "front", "sweep", "figures", or that of an extension
     status: str
     began: datetime
     seconds: float | None  # None while it runs
@@ -46,12 +47,11 @@ def studies(uri: StoreURI | str) -> list[Entry]:
         return []
     client = open_store(uri)
     names = {e.experiment_id: e.name for e in client.search_experiments()}
-    entries = []
-    if names:
-        end_killed(client, list(names))
-    for kind in KINDS:
-        runs = all_runs(client, list(names), f"tags.kind = '{kind}'") if names else []
-        entries += [_entry(run, kind, names[run.info.experiment_id]) for run in runs]
+    if not names:
+        return []
+    end_killed(client, list(names))
+    runs = all_runs(client, list(names), " AND ".join(f"tags.kind != '{kind}'" for kind in PARTS))
+    entries = [_entry(run, run.data.tags["kind"], names[run.info.experiment_id]) for run in runs]
     return sorted(entries, key=lambda entry: entry.began, reverse=True)
 
 

@@ -12,28 +12,21 @@ from torchmbd.viz.animation import animate
 from torchmbd.viz.criteria import criteria_over_iterations, criteria_over_time, weighted_parts
 from torchmbd.viz.design_map import design_map
 from torchmbd.viz.failure_map import failure_map
-from torchmbd.viz.figures import convergence, criterion, data_and_model, energy_over_time, save
+from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
 from torchmbd.viz.film import film
-from torchmbd.viz.mode_motion import animate_mode, mode_motion
 from torchmbd.viz.parallel_coordinates import parallel_coordinates
-from torchmbd.viz.spectra import campbell, root_locus
 
 __all__ = [
     "animate",
-    "animate_mode",
-    "campbell",
     "convergence",
     "criteria_over_iterations",
     "criteria_over_time",
     "criterion",
-    "data_and_model",
     "design_map",
     "energy_over_time",
     "failure_map",
     "film",
-    "mode_motion",
     "parallel_coordinates",
-    "root_locus",
     "save",
     "weighted_parts",
 ]

@@ -30,12 +30,14 @@ def clamped(body: mbd.FlexibleBody) -> mbd.System:
     return mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("left"), name="clamp")])
 
 
+@pytest.mark.extensions
 def test_equal_losses_of_all_plies():
     """Half of it is the damping ratio of every mode."""
     rest = mbd.equilibrium(clamped(plate((0.04, 0.04, 0.04))))
     np.testing.assert_allclose(rest.damping_ratios[0].numpy(force=True), 0.02, rtol=1e-9)
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.parametrize("thickness", [2e-4, 2e-3, 1e-2])
 def test_shares_of_the_strain_energy(thickness):
@@ -56,6 +58,7 @@ def test_shares_of_the_strain_energy(thickness):
     assert np.ptp(expected) > 3e-5
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["plate.laminate.ply1.loss", "plate.laminate.angles", "plate.laminate.thickness"])
 def test_derivatives_are_those_of_differences(name):
@@ -90,6 +93,7 @@ def test_forward_mode_of_a_motion_is_reverse_mode():
     torch.testing.assert_close(*slopes, rtol=1e-8, atol=0.0)
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 def test_fibers_that_steer():
     """Each cell has a law of its own; equal losses are those of every mode."""
@@ -100,7 +104,9 @@ def test_fibers_that_steer():
     np.testing.assert_allclose(mbd.equilibrium(clamped(body)).damping_ratios[0].numpy(force=True), 0.02, rtol=1e-9)
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
+@pytest.mark.extensions
 def test_a_loss_factor_is_identified():
     """Of the soft layer, by the damping ratios of a twin."""
     truth = mbd.equilibrium(clamped(plate()))
@@ -110,6 +116,7 @@ def test_a_loss_factor_is_identified():
     assert fit["plate.laminate.ply1.loss"] == pytest.approx(0.3, rel=1e-6)
 
 
+@pytest.mark.extensions
 def test_what_has_no_loss_is_refused():
     ply = mbd.Ply(**MODULI, loss=0.01)
     with pytest.raises(mbd.InputError, match=r"Ply: loss = -0\.1; allowed: zero or positive"):

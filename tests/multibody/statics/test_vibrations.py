@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -10,10 +11,31 @@ from torch import Tensor, nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.multibody.statics.test_buckling import CARBON, panel, richardson, tube
 from torchmbd.fem.elements import Assembly, Beams, GivenElements
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.statics import VibrationCase
+
+CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
+
+
+def panel(cells: tuple[int, int] = (4, 3), kind: str = "quad") -> mbd.FlexibleBody:
+    laminate = mbd.Laminate(CARBON, [0.3, -0.5, 1.0], [1e-3, 2e-3, 1.5e-3])
+    mesh = mbd.mesh.rectangle(1.0, 0.7, cells, kind)
+    return mbd.FlexibleBody.plate("panel", mesh, laminate, modes=2, reference="left_edge")
+
+
+def tube(elements: int = 4) -> mbd.FlexibleBody:
+    section = mbd.sections.tube(0.03, CARBON, [0.3, -0.3, -0.3, 0.3], 5e-4)
+    return mbd.FlexibleBody.beam("tube", mbd.BeamLine.straight(1.0, elements), section, modes=2, reference="start")
+
+
+def richardson(f: Callable[[Tensor], Tensor], x: Tensor, h: float) -> Tensor:
+    def central(h: float) -> Tensor:
+        steps = h * torch.eye(x.numel(), dtype=x.dtype).unflatten(1, x.shape)
+        return torch.stack([(f(x + e) - f(x - e)) / (2.0 * h) for e in steps], -1).unflatten(-1, x.shape)
+
+    return (4.0 * central(h / 2.0) - central(h)) / 3.0
+
 
 EDGES = {"left_edge": "u1 u2 u3 phi1", "right_edge": "u3", "top_edge": "u3"}
 

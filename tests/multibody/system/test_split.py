@@ -23,7 +23,7 @@ def arm(line: mbd.BeamLine | None = None, section: Any = TUBE, **options: Any) -
 
 def frequencies(bodies: Any, joints: Any, start: mbd.Frame) -> torch.Tensor:
     system = mbd.System(bodies, [mbd.Fixed(mbd.Ground().at(), start), *joints], truncation=None)
-    return mbd.equilibrium(system).frequencies[0].detach()
+    return mbd.equilibrium(system).vibrations[0].frequencies.detach()
 
 
 @pytest.mark.thorough

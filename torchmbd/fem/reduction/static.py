@@ -4,7 +4,7 @@
     for a cotangent G of U:   Y = K^-1 G,   <G, dU> = <Y, dF> - <Y U', dK>      reverse
 
 One factorization serves all columns, values and derivatives.
-Checked in tests/multibody/statics/test_buckling.py.
+Checked in tests/extensions/buckling/test_buckling.py.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Bushing(ForceElement):
     >>> engine = mbd.RigidBody("engine", 50.0, (1.0, 1.0, 1.0))
     >>> mount = mbd.Bushing(mbd.Ground().at(), engine.at(), stiffness=(1e5, 1e5, 2e5), turning_stiffness=1e4, name="mount")
     >>> rest = mbd.equilibrium(mbd.System([engine], [], [mount], free=["engine"]))
-    >>> rest.frequencies[0].round(decimals=2).tolist()  # [Hz]
+    >>> rest.vibrations[0].frequencies.round(decimals=2).tolist()  # [Hz]
     [7.12, 7.12, 10.07, 15.92, 15.92, 15.92]
     """
 

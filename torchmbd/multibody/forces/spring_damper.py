@@ -74,7 +74,7 @@ class AxialSpringDamper(_Between):
     >>> slide = mbd.Prismatic(ground.at(), block.at(), axis="x")
     >>> spring = mbd.AxialSpringDamper(ground.at(), block.at(), axis="x", stiffness=200.0)
     >>> rest = mbd.equilibrium(mbd.System([block], [slide], [spring]))
-    >>> round(rest.frequencies.item(), 4)  # sqrt(200 / 2) / (2 pi) [Hz]
+    >>> round(rest.vibrations[0].frequencies.item(), 4)  # sqrt(200 / 2) / (2 pi) [Hz]
     1.5915
     """
 
@@ -102,7 +102,7 @@ class RotationalSpringDamper(_Between):
     >>> hinge = mbd.Revolute(ground.at(), arm.at(), axis="z")
     >>> spring = mbd.RotationalSpringDamper(ground.at(), arm.at(), axis="z", stiffness=2.0)
     >>> rest = mbd.equilibrium(mbd.System([arm], [hinge], [spring]))
-    >>> round(rest.frequencies.item(), 4)  # sqrt(2 / 0.02) / (2 pi) [Hz]
+    >>> round(rest.vibrations[0].frequencies.item(), 4)  # sqrt(2 / 0.02) / (2 pi) [Hz]
     1.5915
     """
 

@@ -1,6 +1,6 @@
 """A flexible body on supports: its unsupported freedoms, and its stiffness, geometric stiffness and mass on these.
 
-Checked in tests/multibody/statics/test_buckling.py, tests/multibody/statics/test_vibrations.py.
+Checked in tests/extensions/buckling/test_buckling.py, tests/multibody/statics/test_vibrations.py.
 """
 
 from __future__ import annotations

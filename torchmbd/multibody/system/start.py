@@ -8,7 +8,7 @@
 Joints are then closed by the smallest rigid displacement, and rates made compatible; modal coordinates do not change.
 Differentiable by the design and by the tensors of a mapping or a state; modal coordinates are those of the modes of each
 design (modal_start.py).
-Checked in tests/vibrations/test_statics.py, tests/sensitivity/test_rest.py.
+Checked in tests/integrate/test_equilibrium.py, tests/sensitivity/test_rest.py.
 """
 
 from __future__ import annotations

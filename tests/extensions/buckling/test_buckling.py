@@ -1,0 +1,178 @@
+"""Buckling of a body: loads, supports, status, derivatives, also where factors coincide."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.multibody.statics.test_vibrations import CARBON, panel, richardson, tube
+from torchmbd.extensions.buckling import eigenproblem
+from torchmbd.extensions.buckling.buckling import BucklingCase
+from torchmbd.extensions.buckling.nodal_loads import spread
+from torchmbd.fem.elements import Beams, GivenElements
+
+
+class Factors(nn.Module):
+    def __init__(self, body: mbd.FlexibleBody, loads: Any, number: int, supports: Any = None) -> None:
+        super().__init__()
+        self.body, self.case, self.number = body, BucklingCase(body, loads, supports), number
+
+    def forward(self) -> Tensor:
+        return self.case(self.number).factors
+
+
+def check_gradients(model: Factors, name: str, step: float) -> None:
+    x = dict(model.named_parameters())[name].detach().clone()
+
+    def f(x: Tensor) -> Tensor:
+        return torch.func.functional_call(model, {name: x}, ())
+
+    reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
+    with torch.no_grad():
+        wanted = richardson(f, x, step)
+    scale = float(wanted.abs().max())
+    assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
+    assert_close(reverse, wanted, rtol=0.0, atol=1e-6 * scale)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["quad", "triangle"])
+@pytest.mark.parametrize(("name", "step"), [("angles", 1e-2), ("thickness", 2e-5)])
+def test_gradients_through_the_stress_state(kind, name, step):
+    check_gradients(Factors(panel(kind=kind), {"right_edge": (-1e3, 300.0, 0.0)}, 2), f"body.laminate.{name}", step)
+
+
+@pytest.mark.thorough
+def test_gradients_of_a_beam_with_imposed_displacement():
+    section = mbd.sections.tube(0.03, CARBON, [0.3, 0.3, -0.2], 5e-4)
+    body = mbd.FlexibleBody.beam("beam", mbd.BeamLine.straight(1.0, 3), section, modes=2, reference="start")
+    supports = {"start": "all", "end": (-1e-3, 0.0, None, 0.0, None, None)}
+    name = next(name for name, _ in Factors(body, {}, 1, supports).named_parameters() if name.endswith("angles"))
+    check_gradients(Factors(body, {}, 1, supports), name, 1e-2)
+
+
+@pytest.mark.thorough
+def test_gradients_by_the_nodes_of_a_beam_whose_loads_are_spread():
+    section = mbd.sections.tube(0.03, CARBON, [0.3, 0.3, -0.2], 5e-4)
+    nodes = torch.tensor([[0.0, 0.0, 0.0], [0.3, 0.01, 0.0], [0.7, 0.0, -0.02], [1.0, 0.0, 0.0]], dtype=torch.float64)
+    line = mbd.BeamLine(nn.Parameter(nodes[:, :]))
+    body = mbd.FlexibleBody.beam("beam", line, section, modes=2, reference=0)
+    model = Factors(body, {(0, 1, 2, 3): (-1e3, 0.0, 50.0)}, 1)
+    check_gradients(model, "body.line.nodes", 1e-3)
+
+
+@pytest.mark.thorough
+@pytest.mark.extensions
+def test_gradients_by_steered_fibers():
+    mesh = mbd.mesh.rectangle(1.0, 0.7, (4, 3), "quad")
+    field = mbd.FiberField(mesh, controls=(3, 1))
+    angles = torch.tensor([[0.3, -0.5], [0.5, -0.2], [0.0, 0.4]], dtype=torch.float64)
+    laminate = mbd.SteeredLaminate(CARBON, angles, [1e-3, 2e-3], field)
+    body = mbd.FlexibleBody.plate("panel", mesh, laminate, modes=2, reference="left_edge")
+    check_gradients(Factors(body, {"right_edge": (-1e3, 300.0, 0.0)}, 1), "body.laminate.angles", 1e-2)
+
+
+@pytest.mark.thorough
+def test_coinciding_factors_of_a_tube_have_the_mean_of_their_derivatives():
+    model = Factors(tube(), {"end": (-1.0, 0.0, 0.0)}, 2)
+    factors = model()
+    assert_close(factors[0], factors[1], rtol=1e-6, atol=0.0)
+    name = next(name for name, _ in model.named_parameters() if name.endswith("angles"))
+    x = dict(model.named_parameters())[name].detach().clone()
+
+    def mean(x: Tensor) -> Tensor:
+        return torch.func.functional_call(model, {name: x}, ()).mean(0, keepdim=True)
+
+    reverse = torch.func.jacrev(lambda x: torch.func.functional_call(model, {name: x}, ()))(x)
+    assert_close(reverse[0], reverse[1], rtol=1e-6, atol=1e-9 * float(reverse.abs().max()))
+    with torch.no_grad():
+        wanted = richardson(mean, x, 1e-2)
+    assert_close(reverse[:1], wanted, rtol=0.0, atol=1e-6 * float(wanted.abs().max()))
+
+
+@pytest.mark.thorough
+def test_lanes_are_designs():
+    model = Factors(panel(), {"right_edge": (-1e3, 0.0, 0.0)}, 2)
+    angles = torch.tensor([[0.3, -0.5, 1.0], [0.0, 0.9, 0.2]], dtype=torch.float64)
+
+    def f(x: Tensor) -> Tensor:
+        return torch.func.functional_call(model, {"body.laminate.angles": x}, ())
+
+    assert_close(f(angles), torch.stack([f(x) for x in angles]), rtol=1e-10, atol=0.0)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("cells", [(4, 3), (12, 8)])
+def test_loads_that_only_stiffen_have_no_factor(cells):
+    ply = mbd.Ply(E1=70e9, E2=70e9, G12=35e9, G13=35e9, G23=35e9, nu12=0.0, density=2700.0)
+    mesh = mbd.mesh.rectangle(1.0, 0.7, cells, "quad")
+    body = mbd.FlexibleBody.plate("panel", mesh, mbd.Laminate(ply, [0.0], [1e-3]), modes=2, reference="left_edge")
+    found = mbd.buckling(body, {"right_edge": (1e3, 0.0, 0.0)}, number=2)
+    assert torch.isinf(found.factors).all()
+    assert found.status.startswith("no buckling")
+    assert not bool(found.shapes.any())
+
+
+@pytest.mark.thorough
+def test_the_sparse_and_the_dense_way_agree(monkeypatch):
+    loads = {"right_edge": (-1e3, 300.0, 0.0)}
+    dense = mbd.buckling(panel((8, 6)), loads, number=3)
+    monkeypatch.setattr(eigenproblem, "SMALL", 10)
+    sparse = mbd.buckling(panel((8, 6)), loads, number=3)
+    assert dense.status == sparse.status == "ok"
+    assert_close(sparse.factors, dense.factors, rtol=1e-9, atol=0.0)
+    assert_close(sparse.shapes.abs(), dense.shapes.abs(), rtol=0.0, atol=1e-6)
+    assert float(dense.shapes[:, :3].abs().max()) == pytest.approx(1.0)
+
+
+def test_loads_are_spread_over_edges_areas_and_elements():
+    mesh = mbd.mesh.rectangle(1.0, 0.6, (2, 3), "quad")
+    edge = list(mesh.node_sets["right_edge"])
+    total = torch.tensor([6.0, 0.0, 12.0], dtype=torch.float64)
+    found = spread(mesh, edge, total, mesh.nodes)
+    assert_close(found.sum(0)[:3], total)
+    assert_close(found[edge, 0].sort().values, torch.tensor([1.0, 1.0, 2.0, 2.0], dtype=torch.float64))
+    ends = found[sorted(edge, key=lambda i: float(mesh.nodes[i, 1]))][[0, -1], 3:]
+    assert_close(ends, torch.tensor([[1.0, 0.0, -0.5], [-1.0, 0.0, 0.5]], dtype=torch.float64) * 4.0 * 0.2 / 12.0)
+    whole = spread(mesh, range(len(mesh.nodes)), total, mesh.nodes)[:, 0]
+    assert float(whole.max()) == pytest.approx(4 * float(whole.min()))
+    assert_close(spread(mesh, [0], total, mesh.nodes)[0, :3], total)
+    rod = mbd.BeamLine.straight(2.0, 4)
+    line = spread(rod, range(5), total, rod.nodes)  # fixed ends take q L^2 / 12
+    assert_close(line[[0, 2, -1], 4], torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64) * 6.0 * 0.25 / 12.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"body": "rod"}, "body of buckling is 'rod'; allowed: a FlexibleBody"),
+        ({"loads": 3.0}, "loads of 'panel' is 3.0; allowed: nodes -> force"),
+        ({"loads": {"right_edge": (1.0, 2.0)}}, "allowed: 3 or 6 finite numbers"),
+        ({"loads": {"right_edge": (0.0, 0.0, 0.0)}}, "loads of 'panel' are zero"),
+        ({"loads": {"rihgt": (0.0, 0.0, 1.0)}}, "does not exist"),
+        ({"supports": {}}, "allowed: nodes -> freedoms, at least one, or None"),
+        ({"supports": {"left_edge": "u4"}}, "support 'left_edge' of 'panel' is 'u4'"),
+        ({"supports": {"left_edge": "u3"}}, "supports of 'panel' leave it movable"),
+        ({"supports": {"left_edge": "all", 0: (1.0, None, None, None, None, None)}}, "put u1 of node 0 at two places"),
+        ({"number": 0}, "number is 0; allowed: 1 to"),
+    ],
+)
+def test_wrong_arguments_are_named(change, message):
+    arguments: dict[str, Any] = {"body": panel((2, 2)), "loads": {"right_edge": (-1.0, 0.0, 0.0)}} | change
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.buckling(**arguments)
+
+
+def test_bodies_without_known_stress_are_refused():
+    K = torch.eye(12, dtype=torch.float64)[None]
+    mesh = mbd.BeamLine.straight(1.0, 1)
+    spring = GivenElements(mesh, [torch.arange(12)[None]], [K], torch.arange(2), torch.ones(2, dtype=torch.float64))
+    section = mbd.sections.tube(0.03, CARBON, [0.3], 5e-4)
+    body = mbd.FlexibleBody("link", mesh, {"beam": Beams(mesh, section), "spring": spring}, 1, reference=0)
+    with pytest.raises(mbd.InputError, match="part 'spring' of 'link' is rods, springs or solids"):
+        mbd.buckling(body, {1: (-1.0, 0.0, 0.0)})

@@ -1,0 +1,117 @@
+"""The least-squares problem: priors, links, failures, and arguments that are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from tests.extensions.identification import pendulum
+from torchmbd.extensions.identification.fit_problem import FitProblem
+
+
+def swing(**options) -> mbd.Experiment:
+    return pendulum.experiment(pendulum.data(), **options)
+
+
+@pytest.mark.thorough
+def test_priors_are_rows_of_their_own():
+    priors = {"bob.mass": (1.0, 0.1), "spring.damping": (0.2, 0.05)}
+    problem = FitProblem({"swing": swing()}, pendulum.UNKNOWNS, priors=priors)
+    [residuals] = problem.evaluate(np.array([[1.2, 2.0, 0.15]]), True)
+    np.testing.assert_allclose(residuals.values[-2:], [2.0, -1.0])
+    np.testing.assert_allclose(residuals.jacobian[-2:], [[10.0, 0.0, 0.0], [0.0, 0.0, 20.0]])
+
+
+@pytest.mark.thorough
+def test_links_multiply_the_jacobian():
+    """The damping is a tenth of the stiffness."""
+    whole = FitProblem({"swing": swing()}, pendulum.UNKNOWNS)
+    linked = FitProblem(
+        {"swing": swing()}, pendulum.UNKNOWNS, links={"spring.damping[0]": {"spring.stiffness[0]": 0.1}}
+    )
+    [a], [b] = (
+        p.evaluate(x, True) for p, x in ((whole, np.array([[1.2, 2.0, 0.2]])), (linked, np.array([[1.2, 2.0]])))
+    )
+    np.testing.assert_allclose(b.values, a.values)
+    np.testing.assert_allclose(b.jacobian[:, 1], a.jacobian[:, 1] + 0.1 * a.jacobian[:, 2])
+
+
+@pytest.mark.thorough
+def test_a_design_that_cannot_be_has_a_status_and_the_others_their_numbers():
+    problem = FitProblem({"swing": swing()}, pendulum.UNKNOWNS)
+    good, bad = problem.evaluate(np.array([[1.2, 2.0, 0.15], [-1.2, 2.0, 0.15]]), True)
+    assert good.ok
+    assert bad.status.startswith("failed: ")
+    assert np.isnan(bad.values).all()
+    assert bad.jacobian is None
+
+
+def test_more_unknowns_than_numbers_are_refused():
+    """Gaps are no numbers, and constants no unknowns."""
+    few = {"t": np.array([0.1, 0.2, 0.3]), "angle": np.array([0.1, np.nan, 0.2])}
+    experiment = pendulum.experiment(few, angle=mbd.Channel(pendulum.ANGLE, deviation=0.1))
+    words = r"3 unknowns \(bob.mass\[0\], .*\) and 2 measured numbers and priors; allowed: at most as many"
+    with pytest.raises(mbd.InputError, match=words):
+        FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
+    assert FitProblem({"swing": experiment}, pendulum.UNKNOWNS, priors={"bob.mass": (1.0, 0.1)}).data == 2
+    constant = {"spring.damping": (0.1, 0.1)}
+    assert (
+        FitProblem({"swing": experiment}, pendulum.UNKNOWNS, bounds=constant, start={"spring.damping": 0.1}).data == 2
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"unknowns": ["bob.mas"]}, "unknown 'bob.mas' is no parameter; .*did you mean 'bob.mass'"),
+        ({"unknowns": "bob.mass"}, "unknowns is 'bob.mass'; allowed: a list"),
+        ({"unknowns": ["bob.mass", "bob.mass"]}, "allowed: each parameter once"),
+        ({"unknowns": []}, "unknowns is empty"),
+        ({"unknowns": ["bob.mass"], "priors": {"bob.mass": 1.0}}, r"prior of bob.mass is 1.0; allowed: \(mean"),
+        ({"unknowns": ["bob.mass"], "priors": {"bob.mass": (1.0, 0.0)}}, "deviation of the prior of bob.mass.*above 0"),
+        ({"unknowns": ["bob.mass"], "priors": {"bob": (1.0, 1.0)}}, "did you mean 'bob.mass'"),
+        ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 1.0)}}, "lower bound of bob.mass"),
+        ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 3.0)}}, "start of bob.mass|start"),
+    ],
+)
+@pytest.mark.thorough
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(mbd.InputError, match=message):
+        FitProblem({"swing": swing()}, **arguments)
+
+
+def test_an_unknown_that_an_experiment_sets():
+    series = mbd.TimeSeries(pendulum.data(), {"angle": pendulum.ANGLE})
+    experiment = mbd.Experiment(pendulum.system(), series, {"bob.mass": 1.0})
+    with pytest.raises(mbd.InputError, match=r"experiment 'swing' sets 'bob.mass', an unknown"):
+        FitProblem({"swing": experiment}, ["bob.mass"])
+
+
+def test_more_unknowns_than_numbers():
+    t = np.array([0.1, 0.2])
+    series = mbd.TimeSeries({"t": t, "angle": t}, {"angle": pendulum.ANGLE})
+    experiment = mbd.Experiment(pendulum.system(), series)
+    with pytest.raises(mbd.InputError, match=r"3 unknowns \(bob.mass\[0\], .*\) and 2 measured numbers"):
+        FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
+
+
+@pytest.mark.thorough
+def test_a_held_out_channel_has_no_unknown_of_its_own():
+    problem = FitProblem({"swing": swing()}, pendulum.UNKNOWNS)
+    other = swing(angle=mbd.Channel(pendulum.ANGLE, gain=mbd.variable(1.0)))
+    with pytest.raises(
+        mbd.InputError, match=r"'angle.gain' of the validation 'other' is an unknown that no experiment has"
+    ):
+        problem.held_out({"other": other})
+
+
+def test_sensors_of_a_system_without_parameters():
+    """Two designs of a delay, one motion."""
+    channel = mbd.Channel(mbd.Position("bob", "x"), deviation=1.0, delay=mbd.variable(0.0))
+    series = mbd.TimeSeries({"t": np.linspace(0.05, 0.2, 9), "x": np.zeros(9)}, {"x": channel})
+    experiment = mbd.Experiment(mbd.examples.pendulum(), series, steps=10, duration=0.3)
+    problem = FitProblem({"swing": experiment}, [], {"x.delay": (-0.05, 0.05)})
+    first, second = problem.evaluate(np.array([[0.0], [1e-4]]), True)
+    assert (second.values < first.values).all()
+    np.testing.assert_allclose(first.jacobian[:, 0], 1e4 * (second.values - first.values), rtol=0.01)

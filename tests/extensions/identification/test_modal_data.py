@@ -1,0 +1,164 @@
+"""Modal data: frequencies and damping ratios against matrices, pairs by MAC, modes without partner."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from tests.extensions.identification import pendulum
+
+TRUTH = (9e3, 4e3, 5.0, 4.0)
+
+
+def fitted(data: mbd.ModalData, unknowns=pendulum.ROW_UNKNOWNS) -> mbd.Identification:
+    return mbd.identify(mbd.Experiment(pendulum.row(), data), unknowns)
+
+
+@pytest.mark.thorough
+def test_stiffness_and_damping_of_two_masses():
+    f, zeta, shapes = pendulum.row_modes(*TRUTH)
+    fit = fitted(mbd.ModalData(f, zeta, 3.0 * shapes, pendulum.ROW_SENSORS))
+    np.testing.assert_allclose(fit.x, TRUTH, rtol=1e-6)
+    assert fit.status == "converged"
+    assert [x.name for x in fit.channels] == ["frequency", "damping ratio"]
+    assert fit.notes[0].startswith(f"measured mode 1 ({f[0]:.4g} Hz) is mode 1 of the model")
+    assert fit.notes[0].endswith("MAC 1.00")
+
+
+@pytest.mark.thorough
+def test_without_shapes_modes_are_paired_by_their_order():
+    f, zeta, _ = pendulum.row_modes(*TRUTH)
+    np.testing.assert_allclose(fitted(mbd.ModalData(f, zeta)).x, TRUTH, rtol=1e-6)
+    second = fitted(mbd.ModalData(f[1:], modes=[2]), ["second.stiffness"])
+    shown = mbd.equilibrium(pendulum.row(k2=second["second.stiffness"])).frequencies[0, 1]
+    assert float(shown) == pytest.approx(f[1])
+
+
+@pytest.mark.thorough
+def test_shapes_pair_modes_of_another_order():
+    """What was measured first is the second mode of the model: its frequency alone is lower there."""
+    f, _, shapes = pendulum.row_modes()
+    data = mbd.ModalData([f[0], f[1]], shapes=shapes[:, ::-1], sensors=pendulum.ROW_SENSORS)
+    fit = mbd.identify(mbd.Experiment(pendulum.row(), data), ["first.stiffness"], max_evaluations=1)
+    assert fit.notes[0].startswith(f"measured mode 1 ({f[0]:.4g} Hz) is mode 2 of the model ({f[1]:.4g} Hz)")
+
+
+@pytest.mark.thorough
+def test_a_measured_mode_without_partner_is_named():
+    f, _, shapes = pendulum.row_modes()
+    sensors = [*pendulum.ROW_SENSORS, mbd.Position("a", "y")]  # which no mode of the model moves
+    shown = np.zeros((3, 3))
+    shown[:2, :2], shown[2, 2] = shapes, 1.0
+    data = mbd.ModalData([*f, 2.0 * f[1]], shapes=shown, sensors=sensors)
+    with pytest.raises(mbd.InputError, match="3 modes are measured, and the model has 2 vibrations"):
+        fitted(data, ["first.stiffness"])
+    data = mbd.ModalData([f[0], 2.0 * f[1]], shapes=shown[:, [0, 2]], sensors=sensors)
+    fit = fitted(data, ["first.stiffness"])
+    assert fit.notes[0].startswith("frequency: measured modes without a partner in the model are left out: 2 (")
+    assert fit["first.stiffness"] == pytest.approx(8e3, rel=1e-6)
+
+
+@pytest.mark.thorough
+def test_frequencies_of_a_flexible_body_in_rotation():
+    """Stiffness by rotation is part of the model: the modulus is found by frequencies at 30 rad/s."""
+
+    def blade(modulus: float) -> mbd.System:
+        metal = {"E2": 70e9, "G12": 27e9, "G13": 27e9, "G23": 27e9, "nu12": 0.3, "density": 2700.0}
+        laminate = mbd.Laminate(mbd.Ply(E1=mbd.variable(modulus), **metal), mbd.deg([0.0]), 2e-3)
+        plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
+        body = mbd.FlexibleBody.plate("blade", plate, laminate, modes=3, position=(0.25, 0, 0))
+        return mbd.System([body], [mbd.Revolute(mbd.Ground().at(), body.at("left"), axis="z", name="root")])
+
+    f = mbd.equilibrium(blade(70e9), spin=(0.0, 0.0, 30.0)).frequencies[0]
+    f = f[f > 1.0][:2].tolist()  # without that of the hinge
+    data = mbd.ModalData(f, modes=[1, 2], spin=(0.0, 0.0, 30.0))
+    fit = mbd.identify(mbd.Experiment(blade(60e9), data), ["blade.laminate.ply.E1"])
+    assert fit["blade.laminate.ply.E1"] == pytest.approx(70e9, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: mbd.ModalData([2.0, 1.0]), "frequencies is .*; allowed: in ascending order"),
+        (lambda: mbd.ModalData([-1.0]), r"frequencies is \[-1.0\]; allowed: positive numbers \[Hz\]"),
+        (lambda: mbd.ModalData([]), "frequencies is .*; allowed: positive numbers"),
+        (lambda: mbd.ModalData([1.0], damping=[0.1, 0.2]), "damping is .*; allowed: 1 positive numbers"),
+        (lambda: mbd.ModalData([1.0], shapes=[[1.0]]), r"shapes have shape \(1, 1\); allowed: \[0 sensors, 1 modes\]"),
+        (
+            lambda: mbd.ModalData([1.0], shapes=[[0.0]], sensors=[mbd.Position("a", "x")]),
+            "shapes have a mode that is zero",
+        ),
+        (lambda: mbd.ModalData([1.0], sensors=[mbd.StrainEnergy("a")]), "sensors has .*; allowed: positions"),
+        (lambda: mbd.ModalData([1.0], modes=[0]), r"modes is \[0\]; allowed: 1 different numbers"),
+        (lambda: mbd.ModalData([1.0], modes=[1.5]), r"modes is \[1.5\]; allowed: 1 different numbers"),
+        (lambda: mbd.ModalData([1.0], modes=["a"]), r"modes is \['a'\]; allowed: 1 different numbers"),
+        (lambda: mbd.ModalData([1.0], damping=["a"]), "damping is .*; allowed: 1 positive numbers"),
+        (lambda: mbd.ModalData([1.0], damping=[np.inf]), "damping is .*; allowed: 1 positive numbers"),
+        (lambda: mbd.ModalData([1.0], shapes=[["a"]], sensors=[mbd.Position("a", "x")]), "shapes have shape"),
+        (lambda: mbd.ModalData([1.0], sensors=[mbd.Position("a", "x")]), "sensors are given without shapes"),
+        (
+            lambda: mbd.ModalData([1.0], shapes=[[1.0]], sensors=[mbd.Position("a", "x")], modes=[1]),
+            "modes is .* with shapes",
+        ),
+        (lambda: mbd.ModalData([1.0], least_mac=2.0), "least_mac"),
+        (
+            lambda: mbd.ModalData([1.0], spinn=(0, 0, 1)),
+            "option 'spinn' of ModalData does not exist.*did you mean 'spin'",
+        ),
+        (
+            lambda: fitted(mbd.ModalData([1.0, 2.0, 3.0]), ["first.stiffness"]),
+            "mode 3 is measured, and the model has 2 vibrations",
+        ),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(mbd.InputError, match=message):
+        make()
+
+
+def test_partners_are_decided_where_the_search_begins():
+    """The shape of b alone is a mode where the first spring is stiff: that of the start, not that of the system."""
+    data = mbd.ModalData([20.0], shapes=[[0.01], [1.0]], sensors=pendulum.ROW_SENSORS, least_mac=0.99)
+    experiment = mbd.Experiment(pendulum.row(), data)
+    with pytest.raises(mbd.InputError, match=r"no measured mode has a partner in the model: the largest MAC is 0\."):
+        mbd.identify(experiment, ["first.stiffness"])
+    stiff = mbd.identify(experiment, ["first.stiffness"], start={"first.stiffness": 1e6}, max_evaluations=1)
+    assert stiff.notes[0].startswith("measured mode 1 (20 Hz) is mode 1 of the model")
+    assert "MAC 1.00" in stiff.notes[0]
+
+
+@pytest.mark.thorough
+def test_a_start_without_a_state_is_a_start_that_failed():
+    """Nothing balances the load without a spring; other starts are searched all the same."""
+    ground, mass = mbd.Ground(), mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
+    ends = ground.at(), mass.at()
+    spring = mbd.AxialSpringDamper(*ends, axis="x", stiffness=mbd.variable(100.0), name="spring")
+    model = mbd.System([mass], [mbd.Prismatic(*ends, axis="x")], [spring, mbd.Force(mass.at(), (5.0, 0.0, 0.0))])
+    experiment = mbd.Experiment(model, mbd.ModalData([np.sqrt(150.0 / 2.0) / (2.0 * np.pi)]))
+    arguments = {"bounds": {"spring.stiffness": (0.0, 1e3)}, "start": {"spring.stiffness": 0.0}}
+    fit = mbd.identify(experiment, ["spring.stiffness"], **arguments)
+    assert fit.status == "failed"
+    assert "no static equilibrium" in fit.fit.message
+    fit = mbd.identify(experiment, ["spring.stiffness"], **arguments, starts=[[90.0], [0.0]])
+    assert [x.status for x in fit.starts] == ["converged", "failed"]
+    assert fit["spring.stiffness"] == pytest.approx(150.0)
+    unstable = mbd.Experiment(pendulum.row(k1=-9e3), mbd.ModalData([5.0], unstable=True))
+    fit = mbd.identify(unstable, ["second.stiffness"])
+    assert fit.status == "failed"
+    assert "vibrations about the equilibrium grow" in fit.fit.message
+
+
+def test_a_mode_that_is_damped_more_than_critically_shifts_no_other():
+    """The poles of the first mode are real: the damping measured of the second is that of the only pair that oscillates."""
+    heavy = {"c1": 800.0, "c2": 0.0}
+    f, zeta, _ = pendulum.row_modes(**heavy)
+    assert len(zeta) == 1
+    data = mbd.ModalData([f[1]], zeta, modes=[2])
+    model = pendulum.row(**heavy)
+    fit = mbd.identify(mbd.Experiment(model, data), ["first.damping"], max_evaluations=1)
+    assert abs(fit.residuals).max() < 1e-6
+    with pytest.raises(mbd.InputError, match=r"mode 1 of the model, .* Hz, does not oscillate"):
+        mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).within({}, {}).measurements[0].predict(
+            mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).run({}, 1, False, None), {}
+        )

@@ -1,0 +1,107 @@
+"""Tables: units of headings, gaps, faults with their lines, and a long file that is read once."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import torchmbd as mbd
+from torchmbd.extensions.identification.table import Table
+
+
+def written(folder, text: str):
+    file = folder / "run.csv"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_columns_units_and_gaps(tmp_path, separator):
+    file = written(tmp_path, "t [ms],tip [mm],other\n0,1.5,a\n1,,b\n2,nan,c\n3,-2e1,d\n".replace(",", separator))
+    table = Table.of(file, ["t", "tip"])
+    np.testing.assert_array_equal(table.columns["tip"], [1.5, np.nan, np.nan, -20.0])
+    assert table.factor("t", None) == (1e-3, "s")
+    assert table.factor("tip", "mm") == (1e-3, "m")
+    assert table.row(2) == f"{file}, line 4"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,x\n0,1\n\n1,1.2.3\n", r"line 4: column 'x' is '1.2.3'; allowed: a number, or an empty field"),
+        ("t,x\n0,1\n1,2,3\n", r"line 3: has 3 fields; allowed: 2"),
+        ("t,x\n0,1\n1\n2,3\n", r"line 3: has 1 fields; allowed: 2 \(an empty field is a gap\)"),
+        ("t,x,y\n0,1\n1,2,3,4\n", r"line 2: has 2 fields; allowed: 3"),  # as many separators as in a good file
+        ("t,x\n0,1\n1", r"line 3: has 1 fields; allowed: 2"),
+        ("t,x\n0,1\n1,1_0\n", r"line 3: column 'x' is '1_0'"),
+        ("t,y\n0,1\n", r"column 'x' does not exist; allowed: t, y"),
+        ("t,x,x\n0,1,2\n", r"line 1: headings are .*allowed: each name once"),
+        ("", r"column 't' does not exist; allowed: \(none\)"),
+    ],
+)
+def test_faults_are_named_with_their_lines(tmp_path, text, message):
+    with pytest.raises(mbd.InputError, match=message):
+        Table.of(written(tmp_path, text), ["t", "x"])
+
+
+def test_other_data_are_refused():
+    for data in (3, None, [1.0, 2.0], "no such file.csv"):
+        with pytest.raises(mbd.InputError, match="data is "):
+            Table.of(data, ["t"])
+    with pytest.raises(mbd.InputError, match="column 'tip' does not exist; allowed: t, top; did you mean 'top'"):
+        Table.of({"t": [0.0], "top": [0.0]}, ["t", "tip"])
+    with pytest.raises(mbd.InputError, match=r"columns have .* rows; allowed: the same number"):
+        Table.of({"t": [0.0, 1.0], "x": [0.0]}, ["t", "x"])
+    with pytest.raises(mbd.InputError, match="column 'x' has"):
+        Table.of({"t": [0.0, 1.0], "x": ["a", "b"]}, ["t", "x"])
+    with pytest.raises(mbd.InputError, match=r"unit of column 'x' is 'millimetre'; allowed: "):
+        Table.of({"x [millimetre]": [0.0]}, ["x"]).factor("x", None)
+    with pytest.raises(mbd.InputError, match="unit of column 'x' is 'm', and its heading says"):
+        Table.of({"x [mm]": [0.0]}, ["x"]).factor("x", "m")
+
+
+def test_arrays_and_frames_are_not_copied():
+    x = np.linspace(0.0, 1.0, 1000)
+    frame = pd.DataFrame({"x [mm]": x}, copy=False)
+    assert np.shares_memory(Table.of({"x": x}, ["x"]).columns["x"], x)
+    assert np.shares_memory(Table.of(frame, ["x"]).columns["x"], frame["x [mm]"].to_numpy())
+
+
+@pytest.mark.thorough
+def test_a_million_rows_are_read_once(tmp_path):
+    """Three columns of 8 MB: peak memory is that of few copies of them, with the rest of the file."""
+    t = np.linspace(0.0, 10.0, 1_000_000)
+    file = tmp_path / "long.csv"
+    pd.DataFrame({"t": t, "x": np.sin(t), "y": np.cos(t)}).to_csv(file, index=False, float_format="%.9g")
+    tracemalloc.start()
+    series = mbd.TimeSeries(file, {"x": mbd.Position("bob", "x"), "y": mbd.Position("bob", "y")})
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert [len(block.measured) for block in series.blocks] == [1_000_000] * 2
+    assert peak < 4 * 3 * 8e6
+
+
+def test_lines_longer_than_what_is_read_at_once(tmp_path, monkeypatch):
+    """Separators are counted by lines, whatever chunks the file is read in; quotes and empty lines are no faults."""
+    monkeypatch.setattr("torchmbd.extensions.identification.table._CHUNK", 3)
+    for ending in ("\n", ""):
+        file = written(tmp_path, 'time,height\n0.125,1000\n\n0.25,\n0.5,"3000"' + ending)
+        np.testing.assert_array_equal(Table.of(file, ["time", "height"]).columns["height"], [1000.0, np.nan, 3000.0])
+    with pytest.raises(mbd.InputError, match="line 3: has 1 fields"):
+        Table.of(written(tmp_path, "time,height\n0.125,1000\n0.25\n0.5,3000\n"), ["time"])
+
+
+def test_spaces_after_separators_are_no_part_of_names(tmp_path):
+    file = tmp_path / "rig.csv"
+    file.write_text("t [ms], tip [mm], other\n0, 1, 7\n1, 2, 8\n")
+    table = Table.of(file, ["tip", "t"])
+    assert table.columns["tip"].tolist() == [1.0, 2.0]
+    assert table.columns["t"].tolist() == [0.0, 1.0]
+
+
+def test_columns_of_one_name_are_refused():
+    with pytest.raises(mbd.InputError, match=r"columns \['x \[mm\]', 'x \[m\]'\]; allowed: each name once"):
+        Table.of({"x [mm]": [1.0], "x [m]": [1.0]}, ["x"])

@@ -1,0 +1,86 @@
+"""Campbell diagrams and root loci: what the figures hold is what they were given."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from torchmbd.extensions.vibrations.pictures.spectra import crossings
+
+SPEEDS = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
+FREQUENCIES = torch.stack([20.0 - 0.02 * SPEEDS, 20.0 + 0.03 * SPEEDS], 1)
+
+
+def test_crossings_of_straight_lines_are_exact():
+    """20 + a w = n w / (2 pi)."""
+    for order in (1, 2, 3):
+        wanted = sorted(w for a in (-0.02, 0.03) if (w := 20.0 / (order / (2 * math.pi) - a)) <= 300.0)
+        found = crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), order)
+        assert sorted(found[:, 0]) == pytest.approx(wanted, rel=1e-12)
+        assert found[:, 1] == pytest.approx(order * found[:, 0] / (2 * math.pi))
+
+
+def test_a_touch_counts_once_and_gaps_do_not():
+    speeds = np.array([1.0, 2.0, 3.0])
+    line = np.array([1.0, 2.0, 3.0]) / (2 * math.pi)
+    on = line + np.array([0.1, 0.0, -0.1])
+    assert crossings(speeds, on[:, None], 1.0)[:, 0].tolist() == [2.0]
+    gap = line + np.array([0.1, np.nan, -0.1])
+    assert not len(crossings(speeds, gap[:, None], 1.0))
+
+
+def test_campbell_has_frequencies_orders_crossings_and_growth():
+    damping = torch.stack([0.01 - 1e-4 * SPEEDS, 0.02 + 0.0 * SPEEDS], 1)
+    figure = mbd.viz.campbell(SPEEDS, FREQUENCIES, damping, orders=(1, 2), title="a rotor")
+    top, bottom = figure.axes[:2]
+    assert [text.get_text() for text in top.texts][:2] == ["1/rev.", "2/rev."]
+    np.testing.assert_allclose(np.asarray(top.lines[0].get_ydata()), FREQUENCIES[:, 0].numpy())
+    [marks] = [line for line in top.lines if line.get_marker() == "o"]
+    assert np.asarray(marks.get_xdata()).size == sum(
+        len(crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), n)) for n in (1, 2)
+    )
+    [grows] = [line for line in top.lines if line.get_label() == "grows"]
+    assert float(np.asarray(grows.get_xdata()).min()) == 110.0
+    np.testing.assert_allclose(np.asarray(bottom.lines[0].get_ydata()), 100.0 * damping[:, 0].numpy())
+    assert figure.get_suptitle() == "a rotor"
+
+
+def test_root_locus_draws_upper_poles_and_leaves_room_for_those_that_swing(tmp_path):
+    c = torch.linspace(0.0, 6.0, 7, dtype=torch.float64)
+    swinging = torch.complex(0.3 - 0.3 * c, 4.0 + 0.0 * c)
+    fast = torch.complex(-1e6 + 0.0 * c, 0.0 * c)
+    figure = mbd.viz.root_locus(c, torch.stack([swinging, swinging.conj(), fast], 1), "damper [N s/m]")
+    axes = figure.axes[0]
+    dots = np.asarray(axes.collections[0].get_offsets())
+    assert len(dots) == 14  # not the conjugate ones
+    low, high = axes.get_xlim()
+    assert -2.0 < low < -1.5
+    assert 0.3 < high < 1.0
+    assert "1 more on the left" in [text.get_text() for text in axes.texts]
+    assert mbd.viz.save(figure, tmp_path / "locus.svg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speeds": SPEEDS.flip(0)}, "allowed: two or more in ascending order"),
+        ({"speeds": SPEEDS[:1]}, "speeds is"),
+        ({"speeds": "fast"}, "speeds is 'fast'; allowed: numbers"),
+        ({"frequencies": FREQUENCIES[:3]}, r"frequencies has shape \(3, 2\); allowed: \(31, vibrations\)"),
+        ({"frequencies": torch.nan * FREQUENCIES}, "frequencies has no finite number"),
+        ({"damping": FREQUENCIES[:, :1]}, r"damping has shape \(31, 1\); allowed: \(31, 2\)"),
+        ({"orders": (1, 0)}, "orders is .*; allowed: positive numbers"),
+    ],
+)
+def test_wrong_arguments_are_named(change, message):
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.viz.campbell(**{"speeds": SPEEDS, "frequencies": FREQUENCIES} | change)
+
+
+def test_poles_of_another_number_are_refused():
+    with pytest.raises(mbd.InputError, match=r"poles has shape \(2, 1\); allowed: \(3, vibrations\)"):
+        mbd.viz.root_locus([1.0, 2.0, 3.0], [[1j], [2j]], "k [N/m]")

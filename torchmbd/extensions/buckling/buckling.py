@@ -1,0 +1,132 @@
+"""Linear buckling of a flexible body: factors of its loads at which it has a second equilibrium, and the shapes.
+
+    K u = f,      (K + factor Kg(u)) shape = 0
+
+K, Kg     stiffness and geometric stiffness (fem/elements/geometric.py) on the freedoms without supports
+u         displacements under the loads and the displacements of supports; supports do not move in buckling
+1/factor  are eigenvalues of -Kg shape = (1/factor) K shape, so the factors of loads that only stiffen are infinite
+
+Factors are differentiable, forward and reverse, in every parameter of the body, through K, u and Kg. Where factors coincide
+each has the mean of their derivatives (fem/reduction/spectral.py). Shapes are numbers without a derivative.
+Assumed: u is small; the loads grow together, forces keep their directions, moments on beams turn by half of the rotation of
+their node (semitangential: J. H. Argyris and others, Comput. Methods Appl. Mech. Eng. 14 (1978) 401-451).
+Source: O. C. Zienkiewicz and R. L. Taylor, The Finite Element Method, vol. 2.
+Checked in tests/extensions/buckling/test_buckling.py, tests/extensions/buckling/test_closed_forms.py.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.buckling.eigenproblem import eigenproblem
+from torchmbd.extensions.buckling.nodal_loads import Loads, NodalLoads
+from torchmbd.fem.reduction import StaticLoads
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.gradients import all_true
+from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.bodies import FlexibleBody
+from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
+
+
+class Buckling(NamedTuple):
+    """The result of `buckling`.
+
+    factors        of the loads [*lanes, number] [-], ascending; inf: there is no further buckling shape
+    shapes         buckling shapes [*lanes, nodes, 6, number], largest displacement 1; zero where there is none
+    displacements  static displacements under the loads [*lanes, nodes, 6] [m, rad]
+    status         "ok", or why factors are infinite
+
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
+    >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 4), tube, reference="start")
+    >>> found = mbd.buckling(column, {"end": (1.0, 0.0, 0.0)})  # a pull
+    >>> found.factors.item(), found.status
+    (inf, 'no buckling: the loads stiffen the body in all further shapes')
+    """
+
+    factors: Float[Tensor, "*lanes number"]
+    shapes: Float[Tensor, "*lanes nodes 6 number"]
+    displacements: Float[Tensor, "*lanes nodes 6"]
+    status: str
+
+
+@checked_signature
+def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
+    """Find the lowest positive factors of loads at which a body buckles; differentiable by its parameters.
+
+    body      a FlexibleBody
+    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total: 3 or 6 numbers, spread over the areas
+              or lengths of the cells and sides of a node set. Nodes: a node, a set, or a tuple of these
+    supports  nodes -> supported freedoms, as "u1 u3 phi2", or "all"; or six numbers, imposed displacements and rotations
+              [m, rad], None for a free one. None: the reference nodes of the body are clamped
+    number    of factors
+    Raises InputError where arguments are wrong or the supports leave the body movable.
+
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
+    >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 8), tube, reference="start")
+    >>> found = mbd.buckling(column, {"end": (-1000.0, 0.0, 0.0)})
+    >>> euler = torch.pi**2 * tube.stiffness()[4, 4] / (2 * 2.0)**2
+    >>> round((1000.0 * found.factors[0] / euler).item(), 2)  # shear
+    1.0
+    """
+    return outside_transforms(lambda: BucklingCase(body, loads, supports))(number)
+
+
+class BucklingCase:
+    """A body with loads and supports, ready to find its buckling factors in any design: `case(number)`.
+
+    body, loads, supports as of `buckling`. Raises InputError where these are wrong.
+    """
+
+    def __init__(self, body: FlexibleBody, loads: Loads, supports: Supports | None = None) -> None:
+        self.body = body
+        self.supported = supported = SupportedBody(body, supports)
+        self.loads = NodalLoads(body.mesh, body.name, loads)
+        self._imposed = supported.imposed
+        self._has_imposed = bool(self._imposed.any())
+        if not self.loads.any and not self._has_imposed:
+            raise InputError(
+                f"loads of {body.name!r} are zero; allowed: at least one force, or an imposed displacement"
+            )
+        self._static = StaticLoads(supported.pattern)
+
+    def __call__(self, number: int = 1) -> Buckling:
+        """The lowest positive factors, and shapes, of the present design.
+
+        Raises InputError where the supports leave the body movable, or number is not possible.
+        """
+        supported, assembly = self.supported, self.supported.assembly
+        if not is_whole(number) or not 1 <= number <= supported.pattern.size:
+            allowed = f"1 to {supported.pattern.size}, the free freedoms of {self.body.name!r}"
+            raise InputError(f"number is {number!r}; allowed: {allowed}")
+        K = assembly.stiffness()
+        inner = supported.restricted(K)
+        forces = assembly.freedoms.gathered(self.loads()[..., None])
+        forces = forces - K @ self._imposed if self._has_imposed else forces
+        try:
+            u = self._static(inner, forces[..., supported.kept, :])
+        except InputError as error:
+            raise supported.movable(error) from None
+        displacements = supported.motion(u, self._imposed)
+        Kg = supported.geometric(displacements)[..., 0, :]
+        lanes = np.broadcast_shapes(inner.values.shape[:-1], Kg.shape[:-1])
+        inverse, vectors = eigenproblem(
+            supported.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number
+        )
+        factors, shapes = reciprocal(inverse), supported.shapes(vectors.detach())
+        buckles = torch.isfinite(factors)
+        status = "ok" if all_true(buckles) else "no buckling: the loads stiffen the body in all further shapes"
+        return Buckling(factors, shapes * buckles[..., None, None, :], displacements[..., 0], status)
+
+
+def reciprocal(inverse: Float[Tensor, "*lanes"]) -> Float[Tensor, "*lanes"]:
+    """Factors out of their inverses; infinite where an inverse is not positive."""
+    none = inverse.detach() <= 0.0
+    return torch.where(none, torch.inf, 1.0 / torch.where(none, 1.0, inverse))

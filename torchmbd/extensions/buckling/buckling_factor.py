@@ -1,0 +1,99 @@
+"""The buckling factor of a body as a measure: under static loads of the design, or under the loads of the motion.
+
+    BucklingFactor("panel", {"right": (-1e3, 0, 0)}, {"left": "all"}) >= 1.5
+
+The factor is infinite, without a gradient, for a design that the loads do not buckle.
+Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+from weakref import WeakKeyDictionary
+
+from torch import Tensor, nn
+
+from torchmbd.design.histories import flexible_body
+from torchmbd.design.measures import Max
+from torchmbd.design.response import Measure
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.buckling.buckling import BucklingCase, reciprocal
+from torchmbd.extensions.buckling.buckling_index import BucklingIndex
+from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.digest import digest
+from torchmbd.math.module_call import call_module, outside_transforms
+from torchmbd.multibody.system import System
+
+_CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = (
+    WeakKeyDictionary()
+)  # body -> digest of loads and supports
+
+
+@checked_signature
+@dataclass(frozen=True)
+class BucklingFactor(Measure):
+    """Factor [lanes] [-] of loads at which a body buckles: of static ones (mbd.buckling), or the least along the motion.
+
+    body      its name
+    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None: the stress of the motion, 1 over
+              the peak of BucklingIndex
+    supports  nodes -> freedoms that are held, as "u1 u3", or imposed; None: the reference nodes
+    number    1 is the lowest
+    Where factors coincide the gradient is the mean of theirs, as of Frequency.
+
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
+    >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 4), tube, reference="start")
+    >>> system = mbd.System([column], [mbd.Fixed(mbd.Ground().at(0, 0, 0), column.at("start"))])
+    >>> safe = mbd.BucklingFactor("column", {"end": (-1000.0, 0.0, 0.0)}) >= 1.5
+    >>> motion = mbd.simulate(system, duration=1e-3, steps=2)
+    >>> round(safe.measure.value(motion).item(), 1)
+    3.0
+    """
+
+    unit: ClassVar[str] = ""
+    body: str
+    loads: Mapping[Any, Sequence[float]] | None = None
+    supports: Mapping[Any, str | Sequence[float | None]] | None = None
+    number: int = 1
+
+    def check(self, system: System) -> None:
+        if not is_whole(self.number) or self.number < 1:
+            raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
+        if self.loads is None:
+            self._peak.check(system)
+        else:
+            self._case(system, self.loads)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        if self.loads is None:
+            return reciprocal(self._peak.value(motion))
+        case = self._case(motion.system, self.loads)
+        designs = {f"system.{name}": x for name, x in motion.designs.items()}
+        factors = call_module(_Factors(motion.system, case, self.number), designs)
+        return factors[..., -1].expand(len(motion.q))
+
+    @property
+    def _peak(self) -> Max:
+        return Max(BucklingIndex(self.body, self.supports, self.number))
+
+    def _case(self, system: System, loads: Mapping[Any, Sequence[float]]) -> BucklingCase:
+        body = flexible_body(system, self.body)
+        cases, key = _CASES.setdefault(body, {}), digest(loads, self.supports)
+        if key not in cases:
+            cases[key] = outside_transforms(lambda: BucklingCase(body, loads, self.supports))
+        return cases[key]
+
+
+class _Factors(nn.Module):
+    """Buckling factors of a case, as a module that holds the system: designs replace its parameters."""
+
+    def __init__(self, system: nn.Module, case: BucklingCase, number: int):
+        super().__init__()
+        self.system, self.case, self.number = system, case, number
+
+    def forward(self) -> Tensor:
+        return self.case(self.number).factors

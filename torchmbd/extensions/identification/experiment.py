@@ -1,0 +1,123 @@
+"""An experiment: a system with settings, and what was measured of it.
+
+Measurements of a motion share one motion of the experiment, which all designs of a batch are lanes of.
+Checked in tests/extensions/identification/test_experiment.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from torch import Tensor
+
+from torchmbd.design.scenario_settings import settings_of
+from torchmbd.errors import DesignFailure, InputError, argument_names, checked_signature
+from torchmbd.extensions.identification.measurement import Limits, Measurement
+from torchmbd.extensions.identification.run import Run
+from torchmbd.integrate import Phase
+from torchmbd.integrate.arguments import check_backend, checked_integrator, start_of
+from torchmbd.integrate.registry import DEFAULT
+from torchmbd.integrate.segment import segments_of, switching
+from torchmbd.math.checked_numbers import list_of, positive
+from torchmbd.multibody.system import System
+from torchmbd.summary import Summary
+
+
+@checked_signature
+class Experiment(Summary):
+    """A system, and what was measured of it.
+
+    system        the model
+    measurements  a measurement, such as mbd.TimeSeries(...), or a list of them
+    settings      parameter -> value in this experiment [SI], of parameters that are no unknowns
+    duration      of the motion [s]; None: until the last measured time
+    steps         equal steps of the motion; None: as many as the first motion needs (`simulate`), the same in all later ones
+    method, phases, backend, start, options   as in `simulate`
+
+    >>> t = np.linspace(0.0, 1.0, 50)
+    >>> swing = mbd.TimeSeries({"t": t, "x": np.sin(t)}, {"x": mbd.Position("bob", "x")})
+    >>> mbd.Experiment(mbd.examples.pendulum(), swing).channels
+    ['x']
+    """
+
+    def __init__(
+        self,
+        system: System,
+        measurements: Measurement | Sequence[Measurement],
+        settings: Mapping[str, Any] | None = None,
+        duration: float | None = None,
+        steps: int | None = None,
+        method: str = DEFAULT,
+        phases: Sequence[Phase] | None = None,
+        backend: str = "auto",
+        start: Any = "assembled",
+        **options: Any,
+    ):
+        if not isinstance(system, System):
+            raise InputError(f"system is {system!r}; allowed: a System")
+        single = [measurements] if isinstance(measurements, Measurement) else measurements
+        self.measurements: list[Measurement] = list_of(
+            "measurements", single, Measurement, "a measurement, such as mbd.TimeSeries(...)"
+        )
+        if not self.measurements:
+            raise InputError("measurements is empty; allowed: one measurement at least")
+        for measurement in self.measurements:
+            measurement.check(system)
+        self.channels = [block.channel for x in self.measurements for block in x.blocks]
+        for name in self.channels:
+            if self.channels.count(name) > 1:
+                raise InputError(f"channel {name!r} is measured twice in one experiment; allowed: each name once")
+        self.duration = None if duration is None else positive("duration", duration, "s")
+        length = self.duration or 1.0
+        phases = switching(phases)
+        checked_integrator(length, method, steps, options, argument_names(Experiment))
+        check_backend(backend)
+        start_of(system, start)
+        if self.duration is not None:
+            segments_of(system, (Phase(),) if phases is None else phases, length)
+        self.system = system
+        self.settings = settings_of(system, (), "the experiment", settings or {})
+        for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
+            raise InputError(
+                f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are none"
+            )
+        self.steps = steps
+        self.simulation = {"method": method, "phases": phases, "backend": backend, "start": start, **options}
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        settings = ", ".join(f"{name} = {x.tolist()}" for name, x in self.settings.items())
+        return [
+            ("measurements", ", ".join(type(x).__name__ for x in self.measurements)),
+            ("channels", ", ".join(self.channels)),
+            ("settings", settings or "none"),
+        ]
+
+    def within(self, limits: Limits, start: Mapping[str, Tensor]) -> Experiment:
+        """The experiment with its duration, and without what no motion of this duration has, and no model at the start.
+
+        limits   bounds of the unknowns of its measurements, by name
+        start    values of parameters where the search begins, by name [1, ...]; those of other systems are left out
+
+        A model that has no state there leaves out nothing: the search says what fails, and others may begin elsewhere.
+        """
+        last = max(measurement.until(limits) for measurement in self.measurements)
+        result = object.__new__(Experiment)
+        vars(result).update(vars(self))
+        result.duration = self.duration or last
+        parameters = dict(self.system.named_parameters())
+        run = result.run({name: x for name, x in start.items() if name in parameters}, 1, False, None)
+
+        def within(measurement: Measurement) -> Measurement:
+            try:
+                return measurement.within(limits, run)
+            except DesignFailure:
+                return measurement
+
+        result.measurements = [within(measurement) for measurement in self.measurements]
+        return result
+
+    def run(self, designs: dict[str, Tensor], lanes: int, gradients: bool, steps: int | None) -> Run:
+        """The experiment with a batch of designs, by name [lanes, ...]."""
+        simulation = self.simulation | {"steps": steps}
+        return Run(self.system, self.duration or 0.0, designs, self.settings, simulation, lanes, gradients)

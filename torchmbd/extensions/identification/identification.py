@@ -1,0 +1,355 @@
+"""The result of an identification: values with intervals, what the data cannot see, and how well model and data agree.
+
+Over 300 lines: a short property for each number of the result.
+Checked in tests/extensions/identification/test_identify.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from torchmbd.errors import InputError, checked_signature, nearest
+from torchmbd.extensions.identification.channel_fit import ChannelFit, agreement, channel_fits
+from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals
+from torchmbd.extensions.identification.least_squares import Fit, FitSettings
+from torchmbd.extensions.identification.profile import profile_interval
+from torchmbd.extensions.identification.statistics import (
+    LEVEL,
+    correlations,
+    covariance,
+    quantile,
+    variance_factor,
+)
+from torchmbd.extensions.identification.unseen import Unseen, singular_values, unseen_combinations, unseen_count
+from torchmbd.optimization.optimizer import require_range
+from torchmbd.summary import Summary, few
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+_AT_BOUND = 1e-6  # of its scale: an unknown that is as near to a bound
+
+
+@checked_signature
+@dataclass(eq=False, repr=False)
+class Identification(Summary):
+    """A model fitted to measurements.
+
+    problem       the residuals as a function of the unknowns;  settings: how it was searched
+    fit           how the best start ended;  starts: it, then the others by their costs in the deviations of the fit
+    evaluations   simulations of a design, each with its Jacobian, of all starts;  failures: those of them that failed
+    validation_problem, validation_residuals   the same of experiments that were held out; None: there are none
+
+    `fit["bob.mass"]` is the value of an unknown; of a parameter with one entry its index may be left out.
+
+    >>> x = mbd.Position("bob", "x")
+    >>> truth = mbd.simulate(mbd.examples.pendulum(), 1.0, steps=50)
+    >>> swing = mbd.TimeSeries({"t": truth.t, "x": 0.5 * x(truth)[0]}, {"x": mbd.Channel(x, gain=mbd.variable(1.0))})
+    >>> fit = mbd.identify(mbd.Experiment(mbd.examples.pendulum(), swing, steps=50))
+    >>> fit.names, round(fit["x.gain"], 6), fit.status
+    (['x.gain[0]'], 0.5, 'converged')
+    """
+
+    problem: FitProblem
+    settings: FitSettings
+    fit: Fit
+    starts: list[Fit]
+    evaluations: int
+    failures: int
+    validation_problem: FitProblem | None = None
+    validation_residuals: Residuals | None = None
+    _profiles: dict[tuple[str, float], tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def status(self) -> str:
+        """ "converged", "stalled" beside designs that fail, "max_evaluations", "failed" or "interrupted"."""
+        return self.fit.status
+
+    @property
+    def message(self) -> str:
+        """A sentence why."""
+        return self.fit.message
+
+    @property
+    def converged(self) -> bool:
+        """Whether the best start ended at a minimum."""
+        return self.status == "converged"
+
+    @property
+    def names(self) -> list[str]:
+        """The unknowns [n]."""
+        return self.problem.names
+
+    @property
+    def x(self) -> np.ndarray:
+        """Values of the unknowns [n]."""
+        return self.fit.x
+
+    @property
+    def start(self) -> np.ndarray:
+        """Values before the fit [n]."""
+        return self.problem.start
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of the losses of the residuals, in deviations."""
+        return self.fit.cost
+
+    @property
+    def designs(self) -> dict[str, Any]:
+        """Fitted parameters by name [1, ...], as `designs` of `simulate`; those of channels among them."""
+        return self.problem.space.designs(self.x[None])
+
+    def __getitem__(self, name: str) -> float:
+        """The value of an unknown by its name; of a parameter of one entry also without its index."""
+        return float(self.x[self._index(name)])
+
+    def _index(self, name: str) -> int:
+        for label in (name, f"{name}[0]"):
+            if label in self.names:
+                return self.names.index(label)
+        raise InputError(f"unknown {name!r} does not exist{nearest(name, self.names)}")
+
+    @cached_property
+    def _jacobian(self) -> np.ndarray:
+        """Derivatives of the residuals at the solution [rows, n]; InputError where there is none."""
+        jacobian = self.fit.residuals.jacobian
+        if jacobian is None:
+            raise InputError(f"there is no Jacobian: {self.status}, {self.message}")
+        return jacobian
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Model minus data in deviations, then those of priors [rows]."""
+        return self.fit.residuals.values
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """Derivatives of the residuals by the unknowns [rows, n]."""
+        return self._jacobian
+
+    @property
+    def searched(self) -> np.ndarray:
+        """Places of the unknowns whose bounds are not equal; the others are constants, without a deviation."""
+        return np.flatnonzero(self.settings.lower < self.settings.upper)
+
+    @property
+    def freedoms(self) -> int:
+        """Numbers less unknowns that were searched."""
+        return len(self.residuals) - len(self.searched)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance [n, n], linearized; infinite where the data see nothing, zero of constants."""
+        searched, result = self.searched, np.zeros((len(self.names), len(self.names)))
+        jacobian, size = self._jacobian[:, searched], self.size[searched]
+        values, vectors = singular_values(jacobian, size)
+        unseen = vectors[:, len(values) - unseen_count(values) :]
+        result[np.ix_(searched, searched)] = covariance(jacobian, unseen, size, self.variance_factor)
+        return result
+
+    @property
+    def size(self) -> np.ndarray:
+        """Sizes of the unknowns [n], by which changes count: their scales, or their values where these are larger."""
+        return np.maximum(self.settings.scale, np.abs(self.x))
+
+    @property
+    def variance_factor(self) -> float:
+        """Factor of the covariance (statistics.py)."""
+        s = self.settings
+        return variance_factor(self.residuals, s.data, len(self.searched), s.loss, s.f_scale)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard deviations of the unknowns [n], linearized; inf where the data cannot tell."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def interval(self) -> np.ndarray:
+        """Intervals of 95 % [n, 2], linearized."""
+        half = quantile(self.freedoms) * self.deviation
+        return np.stack([self.x - half, self.x + half], 1)
+
+    @property
+    def correlations(self) -> np.ndarray:
+        """Correlations of the unknowns [n, n]; nan where the data see nothing."""
+        return correlations(self.covariance)
+
+    @property
+    def singular_values(self) -> np.ndarray:
+        """Singular values of the Jacobian by searched unknowns in units of their sizes, in deviations; below 1 is unseen."""
+        return singular_values(self._jacobian[:, self.searched], self.size[self.searched])[0]
+
+    @cached_property
+    def unseen(self) -> list[Unseen]:
+        """Combinations of unknowns that the data cannot see, in words (unseen.py); a few further simulations."""
+
+        k = self.searched
+
+        def values(x: np.ndarray) -> np.ndarray:
+            design = self.x.copy()
+            design[k] = x
+            return self.problem.evaluate(design[None], False)[0].values
+
+        return unseen_combinations(self._jacobian[:, k], self.size[k], [self.names[i] for i in k], self.x[k], values)
+
+    @property
+    def at_bounds(self) -> list[str]:
+        """Unknowns that end at a bound, where intervals do not hold."""
+        s = self.settings
+        near = _AT_BOUND * s.scale
+        at = ((self.x - s.lower < near) | (s.upper - self.x < near)) & (s.upper > s.lower)
+        return [name for name, is_there in zip(self.names, at, strict=True) if is_there]
+
+    @property
+    def channels(self) -> list[ChannelFit]:
+        """How model and data agree in every channel."""
+        return channel_fits(self.problem, self.residuals)
+
+    @property
+    def validation(self) -> list[ChannelFit]:
+        """The same of the experiments that were held out; none if there are none, or if the model fails there."""
+        if self.validation_problem is None or self.validation_residuals is None or not self.validation_residuals.ok:
+            return []
+        return channel_fits(self.validation_problem, self.validation_residuals.values)
+
+    @property
+    def notes(self) -> list[str]:
+        """What measurements say of their fit, such as how modes were paired, and what was left out."""
+        of_channels = [f"{row.name}: {row.block.note}" for row in self.problem.rows if row.block.note]
+        return [*of_channels, *self.fit.residuals.notes]
+
+    def leave_one_out(self) -> DataFrame:
+        """How far each unknown moves, in its standard deviations, if a channel, or an experiment, is left out; linearized.
+
+        A row for each channel, then for each experiment where there are several. Far moves: this one contradicts the others.
+        """
+        import pandas as pd
+
+        groups = {row.name: [row.rows] for row in self.problem.rows}
+        experiments = dict.fromkeys(row.experiment for row in self.problem.rows)
+        if len(experiments) > 1:
+            groups |= {
+                f"experiment {name}": [row.rows for row in self.problem.rows if row.experiment == name]
+                for name in experiments
+            }
+        if len(groups) == 1:
+            raise InputError("there is one channel alone; allowed: two at least, of which one may be left out")
+        searched, r, result = self.searched, self.residuals, {}
+        size = self.size[searched]
+        J = self._jacobian[:, searched] * size
+        for name, parts in groups.items():
+            kept = np.ones(len(r), dtype=bool)
+            for rows in parts:
+                kept[rows] = False
+            values, vectors = singular_values(J[kept], np.ones_like(size))
+            # Directions that only the group sees keep their values.
+            seen = vectors[:, : len(values) - unseen_count(values)]
+            step = -seen @ np.linalg.lstsq(J[kept] @ seen, r[kept], rcond=None)[0]
+            result[name] = step * size / self.deviation[searched]
+        return pd.DataFrame(result, index=[self.names[k] for k in searched]).T
+
+    def profile(self, name: str, level: float = LEVEL) -> tuple[float, float]:
+        """Interval of an unknown by its profile likelihood: all others are fitted again for each of its values.
+
+        It needs no linearization: of strongly nonlinear unknowns it is not symmetric, and infinite where the data do not
+        end it. Every call simulates some tens of designs.
+        """
+        key = (name, level)
+        require_range("level", level, 0.0, 1.0)
+        if key not in self._profiles:
+            index, limit = self._index(name), quantile(self.freedoms, level)
+            width, evaluate = float(self.deviation[index]), self.problem.evaluate
+            self._profiles[key] = profile_interval(
+                evaluate, self.settings, self.fit, index, limit, width, self.variance_factor
+            )
+        return self._profiles[key]
+
+    def to_frame(self) -> DataFrame:
+        """A row for each unknown: value, standard deviation, interval of 95 %, start, bounds, whether it is at one."""
+        import pandas as pd
+
+        ends = self.interval
+        columns = {
+            "value": self.x,
+            "deviation": self.deviation,
+            "low": ends[:, 0],
+            "high": ends[:, 1],
+            "start": self.start,
+            "lower": self.settings.lower,
+            "upper": self.settings.upper,
+            "at_bound": [name in self.at_bounds for name in self.names],
+        }
+        return pd.DataFrame(columns, index=pd.Index(self.names, name="unknown"))
+
+    def channels_frame(self) -> DataFrame:
+        """A row for each channel of the fit, then of the validation: see ChannelFit."""
+        import pandas as pd
+
+        rows = [vars(x) | {"held_out": False} for x in self.channels] + [
+            vars(x) | {"held_out": True} for x in self.validation
+        ]
+        return pd.DataFrame(rows).set_index("name")
+
+    def plot(self) -> Figure:
+        """Figure of data and model in every channel, and of the residuals below."""
+        from torchmbd.extensions.identification.figure import data_and_model
+
+        problem, values = self.problem, self.problem.predictions(self.residuals)
+        return data_and_model(
+            [
+                (row.name, row.block.title, row.block.abscissa, row.block.x, row.block.measured, values[row.rows])
+                for row in problem.rows
+            ]
+        )
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        rows: list[tuple[str, Any]] = [
+            ("status", f"{self.status}: {self.message}"),
+            (
+                "work",
+                f"{self.evaluations} simulations with Jacobians, {self.failures} failed, {len(self.starts)} starts",
+            ),
+        ]
+        if self.fit.residuals.jacobian is None:
+            return rows
+        if not self.converged:  # deviations and what data see are those at a minimum
+            return [
+                *rows,
+                *((name, f"{value:.6g}") for name, value in zip(self.names, self.x, strict=True)),
+                *self._agreements,
+            ]
+        for name, value, deviation in zip(self.names, self.x, self.deviation, strict=True):
+            half = quantile(self.freedoms) * deviation
+            if not deviation:
+                rows.append((name, f"{value:.6g}, its bounds"))
+                continue
+            text = (
+                f"{value:.6g} +- {half:.2g} (95 %)"
+                if np.isfinite(deviation)
+                else f"{value:.6g}, which the data cannot see"
+            )
+            rows.append((name, text + " at a bound" * (name in self.at_bounds)))
+        rows += [("the data see", x.words) for x in self.unseen]
+        return rows + self._agreements
+
+    @property
+    def _agreements(self) -> list[tuple[str, Any]]:
+        rows: list[tuple[str, Any]] = [(x.name, agreement(x)) for x in self.channels]
+        rows += [(f"held out: {x.name}", agreement(x)) for x in self.validation]
+        if self.validation_residuals is not None and not self.validation_residuals.ok:
+            rows.append(("held out", self.validation_residuals.status))
+        return rows + ([("notes", few(self.notes))] if self.notes else [])
+
+
+def best_first(fits: Sequence[Fit]) -> list[Fit]:
+    """Fits by their cost, those without numbers last."""
+    return sorted(
+        fits, key=lambda fit: (not np.isfinite(fit.cost), fit.cost if np.isfinite(fit.cost) else 0.0, fit.start)
+    )

@@ -1,0 +1,202 @@
+"""`identify`: unknowns of a model from measurements, by scipy.optimize.least_squares with exact Jacobians.
+
+    experiments --simulate, forward mode--> residuals, Jacobian --SciPy--> values --linearization--> intervals
+
+Every start is one search (least_squares.py); simulations of several starts are one batch, as those of `multistart`.
+Deviations that are not given are estimated by channel from the residuals, and the fit is repeated with them.
+Checked in tests/extensions/identification/test_identify.py.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError, checked_signature, one_of
+from torchmbd.extensions.identification.experiment import Experiment
+from torchmbd.extensions.identification.fit_problem import FitProblem
+from torchmbd.extensions.identification.identification import Identification, best_first
+from torchmbd.extensions.identification.least_squares import Fit, FitSettings, FitStep, cost_of, fit_start
+from torchmbd.extensions.identification.losses import LOSSES
+from torchmbd.math.checked_numbers import positive
+from torchmbd.optimization.api import checked_box
+from torchmbd.optimization.multistart.batched import BatchedSearches
+from torchmbd.optimization.multistart.sampling import Starts, recipe
+from torchmbd.optimization.optimizer import require_count, require_range
+from torchmbd.optimization.units import variable_scale
+from torchmbd.progress import both, shown, without_bars
+
+_ROUGH = 1e-3  # tolerance of a fit that is repeated with estimated deviations
+REFITS = 3  # with estimated deviations, at most
+_SAME = 1e-9  # spread of the changes of deviations that moves no minimum
+_SETTLED = 0.05  # change of all estimated deviations at which the fit is not repeated
+_TO_NORMAL = 1.4826  # deviation of a normal distribution over the median of absolute values
+_LEAST_DEVIATION = 1e-12  # of the data of a channel: of a model that fits to rounding
+
+
+@checked_signature
+def identify(
+    experiments: Experiment | Sequence[Experiment] | Mapping[str, Experiment],
+    unknowns: Sequence[str] = (),
+    bounds: Any = (-np.inf, np.inf),
+    start: Any = None,
+    links: Mapping[str, Mapping[str, float]] | None = None,
+    priors: Mapping[str, tuple[Any, Any]] | None = None,
+    scales: Mapping[str, Any] | None = None,
+    validation: Experiment | Sequence[Experiment] | Mapping[str, Experiment] = (),
+    loss: str = "linear",
+    f_scale: float = 1.0,
+    starts: Starts | Sequence[Any] | np.ndarray | None = None,
+    *,
+    tolerance: float = 1e-5,
+    max_evaluations: int = 50,
+    max_lanes: int = 64,
+    callback: Callable[[FitStep], None] | None = None,
+    progress: bool | None = None,
+    evaluator: Callable[[FitProblem], FitProblem] | None = None,
+) -> Identification:
+    """Fit unknown parameters of a model to measurements.
+
+    experiments      one, a list ("experiment 1", "experiment 2", ...), or name -> Experiment
+    unknowns         names of parameters of their systems; all entries of each. Delays, gains and offsets of channels that are
+                     mbd.variable(...) are unknowns too: "<channel>.delay"; of several experiments
+                     "<experiment>.<channel>.delay"
+    bounds, start, links   as of DesignSpace, by names of parameters; a delay needs finite bounds. What must be positive, such
+                     as a mass or a modulus, is at least 0
+    priors           parameter name -> (mean, standard deviation): what is known of an unknown before
+    scales           parameter name -> size of its changes; default: |start|, or the range where the start is tiny
+    validation       experiments that are held out: the fitted model is compared with them
+    loss, f_scale    "linear", "soft_l1", "huber", "cauchy" or "arctan", and the residual, in deviations, beyond which one
+                     counts as an outlier; as of scipy.optimize.least_squares. Priors are never outliers
+    starts           mbd.sobol(...), mbd.latin_hypercube(...), or a list of designs; None: the start alone
+    tolerance        relative, of cost, unknowns and gradient
+    max_evaluations  simulated designs of each start at most
+    max_lanes        designs that are simulated at the same time
+    callback         called with every design that lowers the cost of its start
+    progress         a bar on standard error; None: in a terminal or a notebook
+    evaluator        what is searched in the place of a problem, such as one that keeps its evaluations (torchmbd.study)
+
+    A start that cannot be simulated has the status "failed" and its reason; later designs that cannot are rejected by the
+    search and counted. Raises InputError for unknown names, with the nearest; for more unknowns than numbers.
+
+    >>> x = mbd.Position("bob", "x")
+    >>> truth = mbd.simulate(mbd.examples.pendulum(speed=1.0), 2.0, steps=100)
+    >>> shown = {"t": truth.t + 0.03, "x": 2.0 * x(truth)[0]}  # a sensor that is late, and shows twice the distance
+    >>> sensor = mbd.Channel(x, deviation=1e-3, delay=mbd.variable(0.0), gain=mbd.variable(1.0))
+    >>> swing = mbd.Experiment(mbd.examples.pendulum(), mbd.TimeSeries(shown, {"x": sensor}), steps=100)
+    >>> fit = mbd.identify(swing, bounds={"x.delay": (0.0, 0.1)})
+    >>> fit.status, round(fit["x.delay"], 4), round(fit["x.gain"], 4)
+    ('converged', 0.03, 2.0)
+    """
+    problem = FitProblem(_by_name("experiments", experiments), unknowns, bounds, start, links, priors)
+    held_out = _by_name("validation", validation, optional=True)
+    other = problem.held_out(held_out) if held_out else None
+    if evaluator is not None:
+        problem, other = evaluator(problem), None if other is None else evaluator(other)
+    function = LOSSES[one_of("loss", loss, LOSSES)]
+    require_range("tolerance", tolerance, 1e-15, 0.1)
+    require_count("max_evaluations", max_evaluations, 1, 1_000_000)
+    require_count("max_lanes", max_lanes, 1, 1_000_000)
+    f_scale = positive("f_scale", f_scale, "deviations")
+    scale = problem.space.vector("scale", scales, variable_scale(problem.start, problem.lower, problem.upper))
+    if not (scale > 0.0).all():
+        wrong = int(np.flatnonzero(~(scale > 0.0))[0])
+        raise InputError(f"scale of {problem.names[wrong]} is {scale[wrong]:g}; allowed: a positive number")
+    drawn = recipe(starts, problem.start).points(problem)
+    points = np.array([checked_box(problem, point)[0] for point in drawn])  # pyright: ignore[reportArgumentType]
+    settings = FitSettings(
+        problem.lower, problem.upper, scale, problem.data, function, f_scale, tolerance, max_evaluations
+    )
+    with without_bars(), shown(progress, "identify", max_evaluations * len(points)) as show:
+        report = both(lambda step: show(step.evaluations, step.cost), callback)
+        # Where a second fit with other deviations follows, the first is not the last word.
+        rough = problem.estimated and len(problem.rows) > 1
+        first = replace(settings, tolerance=max(tolerance, _ROUGH)) if rough else settings
+        fits = best_first(_fits(problem, points, first, report, max_lanes))
+        best, at_first = fits[0], problem.deviations
+        for _ in range(REFITS):
+            if not problem.estimated or best.status != "converged":
+                break
+            old, problem = problem.deviations, problem.with_deviations(_estimated(problem, best, loss))
+            ratio = old / problem.deviations
+            same_minimum = not len(problem.prior_rows) and loss == "linear" and np.ptp(ratio) <= _SAME * ratio.max()
+            if not rough and (same_minimum or np.abs(ratio - 1.0).max() < _SETTLED):
+                best = _in_deviations(best, problem, ratio, settings)
+                break
+            before, rough = best, False
+            best = fit_start(problem.evaluate, best.x, settings, best.start, report)
+            best.evaluations += before.evaluations
+            best.failures += before.failures
+        others = [_in_deviations(x, problem, at_first / problem.deviations, settings) for x in fits[1:]]
+        fits = [best, *best_first(others)]  # it is the fit, even where the last deviations favor another start
+    residuals = None
+    if other is not None and np.isfinite(best.cost):
+        [residuals] = other.evaluate(best.x[None], False)
+    evaluations, failures = sum(x.evaluations for x in fits), sum(x.failures for x in fits)
+    return Identification(problem, settings, best, fits, evaluations, failures, other, residuals)
+
+
+def _by_name(what: str, experiments: Any, optional: bool = False) -> dict[str, Experiment]:
+    """Experiments by name; InputError for anything else, and for none unless they are optional."""
+    if isinstance(experiments, Experiment):
+        return {"experiment": experiments}
+    if isinstance(experiments, Sequence) and not isinstance(experiments, str):
+        experiments = {f"experiment {k + 1}": x for k, x in enumerate(experiments)}
+    if not isinstance(experiments, Mapping) or not (experiments or optional):
+        raise InputError(f"{what} is {experiments!r}; allowed: mbd.Experiment(...), a list, or name -> Experiment")
+    for name, x in experiments.items():
+        if not isinstance(name, str) or not isinstance(x, Experiment):
+            raise InputError(f"{what} has {name!r}: {x!r}; allowed: name -> mbd.Experiment(...)")
+    return dict(experiments)
+
+
+def _fits(
+    problem: FitProblem,
+    points: np.ndarray,
+    settings: FitSettings,
+    report: Callable[[FitStep], None],
+    max_lanes: int,
+) -> list[Fit]:
+    """Search from every start [k, n], all simulations in common batches."""
+    if len(points) == 1:
+        return [fit_start(problem.evaluate, points[0], settings, 0, report)]
+
+    def runner(index: int, evaluate: Any, step: Any) -> Any:
+        return fit_start(evaluate, points[index], settings, index, step)
+
+    runners: Any = [partial(runner, k) for k in range(len(points))]
+    batched = BatchedSearches(problem, runners, max_lanes, report)  # pyright: ignore[reportArgumentType]
+    fits: Any = batched.run()
+    return fits
+
+
+def _estimated(problem: FitProblem, fit: Fit, loss: str) -> np.ndarray:
+    """Deviations of all measured numbers [data]: those given, and of the other channels those of their residuals."""
+    result = problem.deviations.copy()
+    rows, searched = len(fit.residuals.values), int((problem.lower < problem.upper).sum())
+    share = max(1.0 - searched / rows, 1.0 / rows)
+    for row in (row for row in problem.rows if row.estimated):
+        difference = fit.residuals.values[row.rows] * problem.deviations[row.rows]
+        size = float(np.sqrt(np.mean(difference**2) / share))
+        if loss != "linear":
+            size = _TO_NORMAL * float(np.median(np.abs(difference))) / np.sqrt(share)
+        result[row.rows] = max(size, _LEAST_DEVIATION * float(np.abs(row.block.measured).max()), np.finfo(float).tiny)
+    return result
+
+
+def _in_deviations(fit: Fit, problem: FitProblem, ratio: np.ndarray, settings: FitSettings) -> Fit:
+    """The same fit with its residuals in other deviations; ratio: deviations before over those now [data]."""
+    if not np.isfinite(fit.cost):
+        return fit
+    ratio = np.concatenate([ratio, np.ones(len(problem.prior_rows))])
+    values, jacobian = fit.residuals.values * ratio, fit.residuals.jacobian
+    jacobian = None if jacobian is None else jacobian * ratio[:, None]
+    residuals = replace(fit.residuals, values=values, jacobian=jacobian)
+    result = copy.copy(fit)
+    result.residuals, result.cost = residuals, cost_of(values, settings)
+    return result

@@ -1,0 +1,149 @@
+"""Vibrations of a machine over speeds of rotation, each followed by its shape: the numbers of a Campbell diagram.
+
+Vibrations are poles that oscillate at the first speed, the slowest first. From speed to speed those pairs go together whose
+likeness (likeness.py) has the largest sum, among poles of either sign of the imaginary part: seen by a turning observer a whirl
+may pass through zero, and turns the other way behind it. So a vibration keeps its number where it crosses another. Where two
+veer the shapes exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A
+vibration whose likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or
+it has become a part of several.
+Checked in tests/extensions/vibrations/test_campbell_diagram.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import scipy.optimize
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.vibrations.eigenvalues import POLES
+from torchmbd.extensions.vibrations.likeness import Shapes
+from torchmbd.extensions.vibrations.spectrum import SWINGS, Spectrum
+from torchmbd.extensions.vibrations.steady_states import Shaft, SteadyStates, steady_states
+from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.system import System
+from torchmbd.multibody.system.equilibrium import SPIN
+from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.system.steady_rotation import TURNING
+
+TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
+LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5
+
+
+class Campbell(NamedTuple):
+    """The result of `campbell`, for each design and speed; nan where a vibration is lost.
+
+    speeds          [k] [rad/s]
+    frequencies     |Im s| / (2 pi) [designs, k, n] [Hz]
+    damping_ratios  -Re s / |s| [designs, k, n] [-], negative where the vibration grows
+    poles           s [designs, k, n] [1/s]
+    status          of each design "ok", or which vibrations are lost
+
+    >>> drawn = mbd.campbell(mbd.examples.pendulum(), [0.0], modes=1)
+    >>> drawn.status, round(drawn.frequencies.item(), 3)
+    (['ok'], 0.498)
+    """
+
+    speeds: Float[Tensor, " k"]
+    frequencies: Float[Tensor, "designs k n"]
+    damping_ratios: Float[Tensor, "designs k n"]
+    poles: Complex[Tensor, "designs k n"]
+    status: list[str]
+
+
+@checked_signature
+def campbell(
+    system: System,
+    speeds: Sequence[float] | Tensor,
+    axis: str | Sequence[float] = "z",
+    center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    observer: str = TURNING,
+    designs: Mapping[str, Tensor] | None = None,
+    modes: int = 6,
+) -> Campbell:
+    """Vibrations of a machine that turns as a whole, over speeds; differentiable as equilibria are.
+
+    system           the model; drives that turn the whole turn at each of the speeds, whatever their laws
+    speeds           rising [k] [rad/s]
+    axis, center     of the rotation: "x", "y", "z" or a vector, and a point [m]
+    observer         "turning" with the machine, or in the "ground", as of `equilibrium`
+    designs          as of `simulate`
+    modes            number of vibrations, from the slowest at the first speed; fewer if there are no more
+
+    Raises InputError where a speed has no steady state.
+
+    >>> mass = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
+    >>> hold = mbd.Bushing(mbd.Ground().at(), mass.at(), (200.0,) * 3, (2.0,) * 3)
+    >>> drawn = mbd.campbell(mbd.System([mass], forces=[hold]), [0.0, 3.0, 6.0], observer="ground", modes=3)
+    >>> [round(f, 2) for f in drawn.frequencies[0, :, 0].tolist()]  # sqrt(k / m) / (2 pi), seen from the ground
+    [1.59, 1.59, 1.59]
+    """
+    if not isinstance(system, System):
+        raise InputError(f"campbell of {system!r}; allowed: a System")
+    if not is_whole(modes) or modes < 1:
+        raise InputError(f"modes is {modes!r}; allowed: 1, 2, ...")
+    shaft = Shaft(axis, center, observer)
+    states = steady_states(system, speeds, shaft, designs)
+    follower = _Follower(outside_transforms(Tensor.tolist, _speeds(states, shaft)), modes)
+    s = states.eigenvalues(POLES, follower)
+    numbers = follower.numbers
+    place = torch.searchsorted(follower.chosen, numbers.clamp_min(0))
+    s = s.gather(-1, place) if len(follower.chosen) else place.to(s.dtype)
+    none = torch.complex(*(torch.full(s.shape, torch.nan, dtype=torch.float64) for _ in range(2)))
+    s = torch.where(numbers >= 0, s, none)
+    return Campbell(_speeds(states, shaft), s.imag.abs() / (2.0 * math.pi), -s.real / s.abs(), s, follower.status)
+
+
+def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
+    """Speeds [k] [rad/s]."""
+    return (states.dynamics.data[SPIN][:, 0, : states.speeds] * shaft.direction[:, None]).sum(0)
+
+
+class _Follower:
+    """A `Choice` of the vibrations of designs at rising speeds, lanes as of SteadyStates.
+
+    numbers  of the poles [designs, speeds, n], -1 where a vibration is lost
+    chosen   all of these numbers, ascending
+    status   of each design
+    """
+
+    def __init__(self, speeds: list[float], modes: int):
+        self.speeds, self.modes = speeds, modes
+        self.numbers = self.chosen = torch.zeros(0, 0, 0, dtype=torch.long)
+        self.status: list[str] = []
+
+    def __call__(self, spectra: Sequence[Spectrum], states: Sequence[Linearization]) -> list[int]:
+        shapes = [Shapes.of(x, rest) for x, rest in zip(spectra, states, strict=True)]
+        count = len(self.speeds)
+        followed = [self._of_design(shapes[k : k + count]) for k in range(0, len(shapes), count)]
+        n = min(numbers.shape[1] for numbers, _ in followed)
+        self.numbers = torch.stack([numbers[:, :n] for numbers, _ in followed])
+        self.chosen = self.numbers[self.numbers >= 0].unique()
+        self.status = [self._status(lost) for _, lost in followed]
+        return self.chosen.tolist()
+
+    def _of_design(self, states: Sequence[Shapes]) -> tuple[Tensor, dict[int, int]]:
+        """Numbers [speeds, n], and from which speed on a vibration is lost."""
+        here = states[0]
+        chosen = (here.poles.imag > SWINGS * here.poles.abs()).nonzero()[: self.modes, 0]
+        path, lost = [chosen], {}
+        for k, there in enumerate(states[1:], 1):
+            poles, shapes = here.poles[chosen], here.shapes[:, chosen]
+            likeness = there.likeness(shapes)
+            far = (there.poles - poles[:, None]).abs() / (there.poles.abs() + poles[:, None].abs())
+            _, columns = scipy.optimize.linear_sum_assignment((likeness - TIE * far).numpy(), maximize=True)
+            here, chosen = there, torch.from_numpy(columns)
+            for i in (likeness.gather(1, chosen[:, None])[:, 0] < LOST).nonzero()[:, 0].tolist():
+                lost.setdefault(i, k)
+            path.append(torch.tensor([-1 if i in lost else n for i, n in enumerate(chosen.tolist())], dtype=torch.long))
+        return torch.stack(path), lost
+
+    def _status(self, lost: dict[int, int]) -> str:
+        gone = ", ".join(f"vibration {i + 1} from {self.speeds[k]:.4g} rad/s on" for i, k in lost.items())
+        return f"lost: {gone}: no shape is like it; allowed: smaller steps between speeds" if lost else "ok"

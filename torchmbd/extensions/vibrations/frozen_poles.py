@@ -1,0 +1,57 @@
+"""Poles about the states of a motion at a time, with the coefficients of that time: differentiable as the motion is.
+
+Checked in tests/extensions/vibrations/test_frozen_poles.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Complex
+from torch import Tensor
+
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.extensions.vibrations.eigenvalues import poles_of_matrices
+from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
+from torchmbd.integrate.equilibrium import Equilibrium
+from torchmbd.math.module_call import exclusive, outside_transforms
+from torchmbd.multibody.system.linearized import factored_inertia
+from torchmbd.results.trajectory import Trajectory
+
+
+@checked_signature
+@exclusive
+def frozen_poles(
+    motion: Trajectory, time: float | None = None, coordinates: Sequence[str] | None = None
+) -> Complex[Tensor, "lanes poles"]:
+    """Poles [lanes, 2 freedoms] [1/s] of the equations linearized along a motion, their coefficients frozen at a time.
+
+    motion        of `simulate`, without phases
+    time          one of its times [s]; None: the last one
+    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: modes and rotations as
+                  far as they are independent, then displacements, those of the first lane for all
+
+    In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.
+    A single pole of several that coincide has no derivative, nor has one of a defective pair: InputError, by name. Lanes that
+    failed raise SimulationFailure. Designs are lanes of one motion: torch.vmap over designs is refused.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.5, steps=50)
+    >>> angle = mbd.Angle("bob", "z")(motion)[0, -1]
+    >>> s = mbd.frozen_poles(motion)[0, 1]
+    >>> round((s.imag**2 / torch.cos(angle)).item(), 3)  # g / L
+    4.905
+    """
+    if not isinstance(motion, Trajectory) or isinstance(motion, Equilibrium):
+        raise InputError(f"motion is {motion!r}; allowed: one of mbd.simulate; an equilibrium has `poles`")
+    k, states = time_index(motion, time, "motion"), []
+    if outside_transforms(lambda q: q.shape[-1], motion.q.movedim(0, -1)) > motion.lanes:
+        raise InputError("motion is one under torch.vmap over designs; allowed: designs as lanes of one motion")
+    for lane in range(motion.require_ok().lanes):
+        dynamics = motion.dynamics.select_lanes([lane])
+        q, v = (x[lane, k][:, None, None] for x in (motion.q, motion.v))
+        states.append(MovingLinearization.of(dynamics, q, v, motion.t[k], coordinates))
+        factored_inertia(states[-1].M.detach())
+        coordinates = [dynamics.topology.rate_name(row) for row in states[0].rows]
+    M, C, K = (torch.stack([getattr(x, name) for x in states], -1) for name in "MCK")
+    return poles_of_matrices(M, C, K).T

@@ -1,0 +1,293 @@
+"""The linearized system as matrices for control: x' = A x + B u, y = C x + D u.
+
+    x = (z, z')        q = q0 o N z: independent increments of the coordinates, N the null space of the constraints
+    A = [0, 1; -m^-1 N'K N, -m^-1 N'C N],  m = N'M N        B = [0; m^-1 N'F]        C = [dy/dq N, dy/dq' N],  D = 0
+
+F: generalized forces of unit inputs. Inputs are the actuators and outputs the signals of controllers (mbd.signals).
+About a state of a motion z are independent coordinates, and N moves (moving_state.py); A(t) at one time is frozen: x' = A(t) x.
+Numbers, without derivatives: frequencies, poles and measures of them have these.
+Checked in tests/extensions/vibrations/test_linear_system.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.signal
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError, SimulationFailure, checked_signature
+from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
+from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
+from torchmbd.math.checked_numbers import is_whole, list_of, reals
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.forces.controller import Controller
+from torchmbd.multibody.forces.signals import Actuator, Signal, Time
+from torchmbd.multibody.system import System, equations
+from torchmbd.multibody.system.equilibrium import SPIN
+from torchmbd.multibody.system.linearized import Linearization, factored_inertia
+from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
+from torchmbd.results.motion_data import has_failed
+from torchmbd.results.trajectory import Trajectory
+
+_PORTS = "inputs and outputs"
+_BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
+_KEPT, _SAME = (
+    1e-3,
+    0.05,
+)  # of a motion: violation of joints [m], [m/s]; share of the accelerations that steps may be off
+_UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
+
+
+@checked_signature
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and `control.ss` take them.
+
+    states, inputs, outputs   their names
+    shapes                    increments of the coordinates by the first half of the states [n_v, n]
+
+    >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
+    >>> system = mbd.System([hinge.b.body], [hinge], gravity=(0.0, -9.81, 0.0))
+    >>> linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointRate(hinge)])
+    >>> linear.response(0.1).shape, linear.to_scipy().D.shape  # one frequency, output and input
+    ((1, 1, 1), (1, 1))
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    states: list[str]
+    inputs: list[str]
+    outputs: list[str]
+    shapes: np.ndarray
+
+    def to_scipy(self) -> scipy.signal.StateSpace:
+        """For the functions of scipy.signal."""
+        return scipy.signal.StateSpace(self.A, self.B, self.C, self.D)
+
+    def response(self, frequencies: ArrayLike) -> np.ndarray:
+        """Frequency response [frequencies, outputs, inputs], complex, at frequencies [Hz]."""
+        f = np.atleast_1d(reals("frequencies", frequencies).numpy())
+        if f.ndim != 1 or not np.isfinite(f).all():
+            raise InputError(f"frequencies is {frequencies!r}; allowed: finite numbers [Hz]")
+        unit, result = np.eye(len(self.A)), []
+        for x in f:
+            try:
+                result.append(self.C @ np.linalg.solve(2j * np.pi * x * unit - self.A, self.B) + self.D)
+            except np.linalg.LinAlgError as error:
+                raise InputError(f"frequencies has {x:g} Hz, a pole without damping; allowed: others") from error
+        return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
+
+
+class Ports(nn.Module):
+    """Inputs that do not depend on the outputs."""
+
+    def __init__(self, inputs: int):
+        super().__init__()
+        self.u = torch.zeros(inputs, dtype=torch.float64)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.u + 0.0 * x.sum(1, keepdim=True)
+
+
+@checked_signature
+def linearize(
+    system: System,
+    inputs: Sequence[Actuator],
+    outputs: Sequence[Signal],
+    state: Trajectory | None = None,
+    lane: int = 0,
+    time: float | None = None,
+    coordinates: Sequence[str] | None = None,
+) -> LinearSystem:
+    """Linearize a system about a state: matrices A, B, C, D with names.
+
+    inputs    actuators, such as mbd.signals.JointTorque(joint); outputs: signals, such as mbd.signals.JointAngle(joint)
+    state     an equilibrium, a steady rotation, or a motion of the system; None: the equilibrium near the initial position
+    lane      which design of the state
+    time      one of the times of the state [s]; None: the last one
+    coordinates   of a motion: names of increments that are independent, "rotation z of 'bob'", as `states` has them; None:
+                  modes and rotations as far as they are independent, then displacements
+
+    Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
+    displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
+    but the eigenvalues of A at one time depend on them, if their relation turns with the motion; `states` has their names.
+    Raises InputError for a state that is none, and for a motion in phases; SimulationFailure for a lane that failed.
+
+    >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
+    >>> bob = hinge.b.body
+    >>> system = mbd.System([bob], [hinge], gravity=(0.0, -9.81, 0.0))
+    >>> linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointAngle(hinge)])
+    >>> linear.A.round(3).tolist(), linear.inputs, linear.outputs
+    ([[0.0, 1.0], [-4.905, 0.0]], ['JointTorque 1'], ['JointAngle 1'])
+    """
+    if not isinstance(system, System):
+        raise InputError(f"system is {system!r}; allowed: a System")
+    inputs, outputs = checked_ports(inputs, outputs)
+    state = equilibrium(system) if state is None else state
+    if not isinstance(state, Trajectory):
+        raise InputError(
+            f"state is {state!r}; allowed: a motion, or an equilibrium or steady rotation of mbd.equilibrium"
+        )
+    if not is_whole(lane) or not 0 <= lane < state.lanes:
+        raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
+    if has_failed(state.status[lane]):
+        raise SimulationFailure(f"lane {lane}: {state.status[lane]}")
+    ports = Ports(len(inputs))
+    with torch.no_grad():
+        dynamics, links = _with_ports(system, ports, inputs, outputs, state, lane)
+        k = time_index(state, time)
+        q = state.q[lane, k].detach()[:, None, None]
+        if q.shape[0] != dynamics.topology.n_q:
+            raise InputError(f"state has coordinates {list(q.shape[:1])} that are not those of the system")
+        if isinstance(state, Equilibrium):
+            if coordinates is not None:
+                raise InputError(f"coordinates is {coordinates!r} with an equilibrium; allowed: with a motion")
+            small = _about_rest(dynamics, q, state, lane, k)
+        else:
+            small = _about_motion(dynamics, q, state, lane, k, coordinates)
+        return _matrices(dynamics, ports, links, q, state.t[k].detach(), small, _names(inputs), _names(outputs))
+
+
+def _with_ports(system: System, ports: Ports, inputs: list, outputs: list, state: Trajectory, lane: int) -> tuple:
+    """The equations of one design of the system with inputs and outputs, and their link."""
+    with_ports = system_with_ports(system, ports, inputs, outputs)
+    dynamics, _ = with_ports.stages({name: x[lane : lane + 1].detach() for name, x in state.designs.items()})
+    return dynamics.values(), link_of_ports(dynamics)
+
+
+def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signal]]:
+    """Actuators and signals; InputError for anything else, and for none."""
+    inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+    outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
+    if not inputs:
+        raise InputError("inputs is empty; allowed: at least one actuator")
+    if not outputs:
+        raise InputError("outputs is empty; allowed: at least one signal")
+    if any(isinstance(signal, Time) for signal in outputs):
+        raise InputError("outputs has the time; allowed: signals of the motion")
+    return inputs, outputs
+
+
+def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
+    """The system with actuators that `ports` sets and signals that `link_of_ports` reads."""
+    probe = Controller(ports, outputs, inputs, name=_PORTS)
+    nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
+    names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
+    return System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
+
+
+def link_of_ports(dynamics: Any) -> Any:
+    """The link of a system with ports."""
+    return next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
+
+
+class _Coefficients(NamedTuple):
+    """M z'' + C z' + K z = forces, x = N z, x' = N z' + N1 z as an observer measures x; names of z."""
+
+    M: Tensor
+    C: Tensor
+    K: Tensor
+    N: Tensor
+    N1: Tensor
+    observer: Observer
+    names: list[str]
+
+
+def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int) -> _Coefficients:
+    observer: Observer = ObserverAtRest()
+    if state.rotation is not None:
+        observer = state.rotation.of_spin(state.dynamics.values().select_lanes([lane]).data[SPIN].detach())
+    rest = Linearization.of(dynamics, q[:, 0, 0], state.t[k].detach(), None, observer)
+    size = max(float(rest.forces.abs().max()), float(rest.K.abs().max()))
+    if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
+        rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
+    ):
+        raise InputError("state is no equilibrium of the system; allowed: one of mbd.equilibrium of the same system")
+    factored_inertia(rest.inertia)
+    N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
+    N[rest.active] = rest.N
+    C, names = rest.reduced(rest.C), _freedoms(dynamics.topology, N)
+    return _Coefficients(rest.inertia, C, rest.stiffness, N, torch.zeros_like(N), observer, names)
+
+
+def _about_motion(
+    dynamics: Any, q: Tensor, state: Trajectory, lane: int, k: int, coordinates: Sequence[str] | None
+) -> _Coefficients:
+    v, a = (x[lane, k].detach() for x in (state.v, state.a))
+    moving = MovingLinearization.of(dynamics, q, v[:, None, None], state.t[k].detach(), coordinates)
+    change = (moving.observer.a[:, 0, 0] - a).abs().max()
+    if not (moving.violation <= _KEPT and float(change) <= _SAME * float(a.abs().max()) + _KEPT):
+        raise InputError(
+            f"state is no motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its accelerations "
+            f"differ by {float(change):.2g} m/s2 or rad/s2; allowed: one of mbd.simulate of the same system, with small steps"
+        )
+    names = [dynamics.topology.rate_name(row) for row in moving.rows]
+    factored_inertia(moving.M)  # refuses what moves without a mass
+    return _Coefficients(moving.M, moving.C, moving.K, moving.N, moving.N1, moving.observer, names)
+
+
+def _matrices(
+    dynamics: Any,
+    ports: Ports,
+    link: Any,
+    q: Tensor,
+    t: Tensor,
+    small: _Coefficients,
+    inputs: list[str],
+    outputs: list[str],
+) -> LinearSystem:
+    T, data = dynamics.topology, dynamics.data
+    N, observer, n = small.N, small.observer, small.N.shape[1]
+    zero, still = q.new_zeros(T.n_v, 1, 1), torch.zeros_like(N)
+    excitation = T.prescribed(t, data)
+
+    def signals(x: Tensor, xd: Tensor) -> Tensor:
+        near, v, _ = observer.perturbed(T, q, *(Pair.of(zero, y[..., None]) for y in (x, xd, still)))
+        at = equations.placement(T, data, near, excitation)
+        y = T.links.signals(equations.action_states(T, data, at, v), t)
+        return y.index_select(0, link.read).tangent[..., 0]
+
+    def forces(u: Tensor) -> Tensor:
+        ports.u = u
+        near, v, a = observer.perturbed(T, q, zero, zero, zero)
+        at = equations.placement(T, data, near, excitation)
+        residual = equations.dynamic_residual(T, data, at, v, a, q.new_zeros(T.rows, 1, 1))
+        return -observer.rows(T, q, residual)[:, 0, 0]
+
+    none = torch.zeros_like(ports.u)
+    unit = torch.stack([forces(u) for u in torch.eye(len(none), dtype=q.dtype)], 1) - forces(none)[:, None]
+    ports.u = none
+    A, B = q.new_zeros(2 * n, 2 * n), q.new_zeros(2 * n, len(none))
+    A[:n, n:] = torch.eye(n, dtype=q.dtype)
+    A[n:, :n], A[n:, n:] = (0.0 - torch.linalg.solve(small.M, x) for x in (small.K, small.C))
+    B[n:] = torch.linalg.solve(small.M, N.T @ unit)
+    C = torch.cat([signals(N, small.N1), signals(still, N)], 1)
+    D = np.zeros((len(C), len(none)))
+    states = [*small.names, *(f"rate of {name}" for name in small.names)]
+    return LinearSystem(A.numpy(), B.numpy(), C.numpy(), D, states, inputs, outputs, N.numpy())
+
+
+def _freedoms(T: Any, N: Tensor) -> list[str]:
+    """Names of increments: of one coordinate, or of the one that moves most."""
+    names = []
+    for k, x in enumerate(N.T, 1):
+        row = int(x.abs().argmax())
+        names.append(T.rate_name(row) if float(x[row].abs()) > _UNIT else f"freedom {k}, most {T.rate_name(row)}")
+    return names
+
+
+def _names(ports: Sequence[Any]) -> list[str]:
+    """A name for each number: its kind, the place in the list, and the axis of vectors."""
+    names = []
+    for k, port in enumerate(ports, 1):
+        name, size = f"{type(port).__name__} {k}", getattr(port, "size", 1)
+        names += [name] if size == 1 else [f"{name} {axis}" for axis in "xyz"[:size]]
+    return names

@@ -1,0 +1,1 @@
+"""Measures of vibrations: what experiment files and problems ask for."""

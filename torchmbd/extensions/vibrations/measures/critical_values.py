@@ -1,0 +1,242 @@
+"""Speeds and parameters at which something happens to the vibrations of the whole system, solved for: an implicit gradient.
+
+    CriticalSpeed       w(speed, b) = order speed          w: a natural frequency
+    StabilityLimit      max Re s(p, b) = 0                 s: poles, p: a parameter, such as a load, or the speed
+
+    dp/db = -(dg/db) / (dg/dp)     of g(p, b) = 0
+
+The root is bracketed between neighbors of a grid, then refined by Newton's method within the bracket.
+Checked in tests/contracts/test_responses.py, tests/extensions/vibrations/measures/test_critical_values.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import DesignFailure, InputError, checked_signature, one_of
+from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
+from torchmbd.extensions.vibrations.measures.system_vibrations import OfVibrations, number_of, positive_band, rising
+from torchmbd.extensions.vibrations.steady_states import steady_states
+from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import is_whole, positive, scalar
+from torchmbd.math.gradients import untransformed
+from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.system import System
+
+_STEPS = 60  # of Newton's method; bisection alone takes 50 to double precision
+_ACCURACY = 1e-12  # of the root, relative
+_STILL = 1e-9  # share of |s| below which a real part is rounding: the pole neither decays nor grows
+_ROUNDING = 1e-13  # of poles, as a share of the largest
+SPEED = "speed"
+
+Designs = dict[str, Tensor]
+Function = Callable[[Tensor, Designs, Any, bool], Tensor]
+
+
+def root(g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]], name: str) -> Tensor:
+    """The zero p [] of g(p, designs, more, symmetric); a differentiable function of the designs.
+
+    g         with `symmetric` eigenvalues that coincide have the mean of their derivatives, which is enough for the search
+    bracket   of constant designs: two numbers between which g has two signs, and what else g takes
+    """
+    tensors = list(designs.values())
+    p, slope, more = outside_transforms(lambda *x: _search(g, dict(zip(designs, x, strict=True)), bracket), *tensors)
+    if not slope:
+        raise DesignFailure(f"{name} has no derivative at {p:g}: the curves touch and do not cross")
+    y = g(torch.tensor(p, dtype=torch.float64), designs, more, False)
+    return p - (y - y.detach()) / slope
+
+
+def _search(
+    g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]]
+) -> tuple[float, float, Any]:
+    """p with g(p) = 0, the derivative of g by p there, and what else g takes."""
+    designs = {key: x.detach() for key, x in designs.items()}
+    with torch.no_grad():
+        a, b, more = bracket(designs)
+
+    def at(p: float) -> tuple[float, float]:
+        with torch.enable_grad():
+            x = torch.tensor(p, dtype=torch.float64, requires_grad=True)
+            y = g(x, designs, more, True)
+        return float(y), float(torch.autograd.grad(y, x)[0])
+
+    below = at(a)[0] < 0.0
+    p = 0.5 * (a + b)
+    for _ in range(_STEPS):
+        y, slope = at(p)
+        a, b = (p, b) if (y < 0.0) == below else (a, p)
+        new = p - y / slope if slope else a
+        new = new if a < new < b else 0.5 * (a + b)
+        done = abs(new - p) <= _ACCURACY * max(abs(a), abs(b))
+        p = new
+        if done:
+            break
+    return p, at(p)[1], more
+
+
+def _of_lanes(motion: Trajectory, of_lane: Callable[[Designs], Tensor]) -> Tensor:
+    lanes = [{name: x[lane : lane + 1] for name, x in motion.designs.items()} for lane in range(motion.lanes)]
+    return torch.stack([of_lane(designs) for designs in lanes])
+
+
+def _check_points(points: object) -> None:
+    if not is_whole(points) or points < 2:  # pyright: ignore[reportOperatorIssue]
+        raise InputError(f"points is {points!r}; allowed: 2, 3, ...")
+
+
+@checked_signature
+@dataclass(frozen=True)
+class CriticalSpeed(OfVibrations):
+    """A speed [lanes] [rad/s] at which a natural frequency is a multiple of the speed.
+
+    number    1 is the lowest within `between`
+    order     the multiple: 1 for unbalance seen from the ground, the number of loads per turn for blades
+    between   (lowest, highest) speed that is searched [rad/s], positive
+    points    speeds of the grid, equally spaced; two crossings of one frequency between neighbors are missed
+    axis, center, observer   of the rotation, as of OfVibrations; of rotors in bearings the observer is in the "ground"
+
+    Raises InputError where there are fewer.
+
+    >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
+    >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 5e3), turning_stiffness=(0.0, 30.0, 30.0))
+    >>> motion = mbd.simulate(mbd.System([disk], forces=[bearing]), 1e-4, steps=2)
+    >>> second = mbd.CriticalSpeed(2, between=(10.0, 90.0), axis="x", observer="ground")
+    >>> round(second(motion).item(), 6)  # sqrt(5e3 / 2) [rad/s]
+    50.0
+    """
+
+    unit: ClassVar[str] = "rad/s"
+    number: int = 1
+    order: float = 1.0
+    between: tuple[float, float] = (1.0, 1000.0)
+    points: int = 12
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        number_of("number", self.number)
+        positive("order", self.order, "")
+        object.__setattr__(self, "between", positive_band("between", self.between))
+        _check_points(self.points)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
+
+    def _of_lane(self, system: System, designs: Designs) -> Tensor:
+        def g(speed: Tensor, designs: Designs, mode: int, symmetric: bool) -> Tensor:
+            states = steady_states(system, speed[None], self.shaft, designs)
+            return states.eigenvalues(NATURAL, [mode], symmetric)[0, 0, 0] - self.order * speed
+
+        return root(g, designs, lambda designs: self._bracket(system, designs), "the critical speed")
+
+    def _bracket(self, system: System, designs: Designs) -> tuple[float, float, int]:
+        """Two speeds around the crossing, and the number of the frequency from 0."""
+        speeds = torch.linspace(*self.between, self.points, dtype=torch.float64)
+        w = steady_states(system, speeds, self.shaft, designs).eigenvalues(NATURAL)[0]
+        g = w - self.order * speeds[:, None]
+        crossings = []
+        numbers = ~(g[:-1].isnan() | g[1:].isnan())  # where vibrations grow the lowest is none
+        for i, k in (numbers & ((g[:-1] < 0.0) != (g[1:] < 0.0))).nonzero().tolist():
+            share = float(g[i, k] / (g[i, k] - g[i + 1, k]))
+            crossings.append((float(speeds[i]) + share * float(speeds[i + 1] - speeds[i]), i, k))
+        if len(crossings) < self.number:
+            low, high = self.between
+            raise DesignFailure(
+                f"critical speed {self.number} of order {self.order:g} is not between {low:g} and {high:g} rad/s, where "
+                f"{len(crossings)} are found; allowed: another range, or more points"
+            )
+        _, i, k = sorted(crossings)[self.number - 1]
+        return float(speeds[i]), float(speeds[i + 1]), k
+
+
+@checked_signature
+@dataclass(frozen=True)
+class StabilityLimit(OfVibrations):
+    """The least value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.
+
+    parameter   name of a parameter of the system of one number, such as "push.x"; "speed": of rotation [rad/s]
+    between     (lowest, highest) value that is searched
+    points      values of the grid, equally spaced
+    axis, center, observer   of the rotation, as of OfVibrations
+
+    Vibrations need damping: without it poles are on the imaginary axis until two meet, which has no derivative. Raises
+    InputError where no vibration begins to grow.
+
+    >>> masses = {"a": (2.0, 1.0), "b": (1.0, 2.0)}  # [kg], place along x [m]
+    >>> links = [mbd.RigidBody(name, m, (1e-7,) * 3, position=(x, 0, 0)) for name, (m, x) in masses.items()]
+    >>> ends = [(mbd.Ground().at(), links[0].at(-1.0, 0, 0)), (links[0].at(), links[1].at(-1.0, 0, 0))]
+    >>> hinges = [mbd.Revolute(*pair, axis="z") for pair in ends]
+    >>> springs = [mbd.RotationalSpringDamper(*pair, axis="z", stiffness=3.0, damping=0.2) for pair in ends]
+    >>> tip = links[1].at(0, 0, 0, axes=torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)))
+    >>> push = mbd.Force(tip, (mbd.variable(1.0), 0.0, 0.0), axes="frame", name="push")
+    >>> motion = mbd.simulate(mbd.System(links, hinges, [*springs, push]), 1e-4, steps=2)
+    >>> round(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6)(motion).item(), 4)  # Ziegler: 41/28 k + c^2 / 2 [N]
+    4.4129
+    """
+
+    unit: ClassVar[str] = ""  # that of the parameter, which is not known here
+    parameter: str = SPEED
+    between: tuple[float, float] = (0.0, 1.0)
+    points: int = 12
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.parameter, str):
+            raise InputError(
+                f"parameter is {self.parameter!r}; allowed: 'speed', or the name of a parameter of the system"
+            )
+        low, high = (scalar("between", x) for x in rising("between", self.between))
+        object.__setattr__(self, "between", (low, high))
+        _check_points(self.points)
+
+    def check(self, system: System) -> None:
+        if self.parameter != SPEED:
+            names = [name for name, x in system.named_parameters() if x.numel() == 1]
+            one_of("parameter of one number", self.parameter, [SPEED, *names])
+
+    def value(self, motion: Trajectory) -> Tensor:
+        self.check(motion.system)
+        return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
+
+    def _of_lane(self, system: System, designs: Designs) -> Tensor:
+        def g(p: Tensor, designs: Designs, _: None, symmetric: bool) -> Tensor:
+            poles = self._poles(system, p[None], designs, symmetric)[0]
+            return poles[int(untransformed(poles).real.argmax())].real
+
+        return root(g, designs, lambda designs: self._bracket(system, designs), "the limit of stability")
+
+    def _poles(self, system: System, p: Tensor, designs: Designs, symmetric: bool = True) -> Tensor:
+        """Poles [n, 2 freedoms] at values p [n] of one design."""
+        if self.parameter == SPEED:
+            return steady_states(system, p, self.shaft, designs).eigenvalues(POLES, None, symmetric)[0]
+        like = system.get_parameter(self.parameter)
+        wide = {name: x.expand(len(p), *x.shape[1:]) for name, x in designs.items() if name != self.parameter}
+        wide[self.parameter] = p.reshape(-1, *like.shape)
+        return steady_states(system, [0.0], self.shaft, wide).eigenvalues(POLES, None, symmetric)[:, 0]
+
+    def _bracket(self, system: System, designs: Designs) -> tuple[float, float, None]:
+        """Two values around the limit."""
+        values = torch.linspace(*self.between, self.points, dtype=torch.float64)
+        poles = self._poles(system, values, designs)
+        size = poles.abs()
+        rounding = torch.maximum(_STILL * size, _ROUNDING * size.amax(1, keepdim=True))
+        grows, decays = (poles.real > rounding).any(1), (poles.real < -rounding).all(1)
+        for i in range(len(values) - 1):
+            if bool(grows[i + 1] and decays[i]):
+                return float(values[i]), float(values[i + 1]), None
+            if bool(grows[i + 1] and not grows[i]):
+                raise DesignFailure(
+                    f"no limit of stability for {self.parameter}: at {float(values[i]):g}, before vibrations begin to grow, "
+                    "one neither decays nor grows; allowed: damping of all vibrations, and no free motion"
+                )
+        low, high = self.between
+        state = "vibrations grow at all values" if bool(grows.all()) else "no vibration begins to grow"
+        raise DesignFailure(
+            f"no limit of stability for {self.parameter} between {low:g} and {high:g}: {state}; allowed: another range, or "
+            "more points"
+        )

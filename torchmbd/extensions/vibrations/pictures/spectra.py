@@ -1,0 +1,180 @@
+"""Figures of the vibrations of a system: frequencies over speed (Campbell), and poles over a variable (root locus).
+
+They draw numbers, each column one vibration; a crossing lies on the straight line between two speeds.
+Checked in tests/extensions/vibrations/pictures/test_spectra.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from torch import Tensor
+
+from torchmbd.errors import InputError, checked_signature
+from torchmbd.viz.figures import BAD, CYCLE, OTHER, figure_of, titled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_REVOLUTION = 2.0 * math.pi
+_PAPER = {"facecolor": "white", "alpha": 0.7, "lw": 0.0, "pad": 0.5}  # behind numbers on lines
+_WRITTEN = 14  # crossings with a number beside them, at most
+
+
+@checked_signature
+def campbell(
+    speeds: Any, frequencies: Any, damping: Any = None, orders: Sequence[float] = (1, 2, 3), title: str = ""
+) -> Figure:
+    """Frequencies over speed with lines of 1, 2, 3 vibrations per revolution; their crossings are marked by the speed.
+
+    speeds       ascending [k] [rad/s]
+    frequencies  [k, n] [Hz], a column for each vibration; nan where there is none
+    damping      damping ratios [k, n] [-], in a second panel; where one is negative vibrations grow, and both panels say so
+    orders       vibrations per revolution
+
+    >>> speeds = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
+    >>> frequencies = torch.stack([20.0 - 0.02 * speeds, 20.0 + 0.03 * speeds], 1)
+    >>> figure = mbd.viz.campbell(speeds, frequencies)
+    >>> figure.axes[0].get_ylabel()
+    'frequency [Hz]'
+    """
+    x, f, zeta = _numbers("speeds", speeds), _numbers("frequencies", frequencies), None
+    if x.ndim != 1 or len(x) < 2 or not (np.diff(x) > 0.0).all():
+        raise InputError(f"speeds is {speeds!r}; allowed: two or more in ascending order [rad/s]")
+    _require_columns("frequencies", f, x)
+    if damping is not None:
+        zeta = _numbers("damping", damping)
+        _require_columns("damping", zeta, x, f.shape[1])
+    if not isinstance(orders, (list, tuple)) or not all(isinstance(n, (int, float)) and n > 0.0 for n in orders):
+        raise InputError(f"orders is {orders!r}; allowed: positive numbers, such as (1, 2, 3)")
+    ratios = None if zeta is None else (3, 1.2)
+    figure, axes = figure_of(4.2 if zeta is None else 5.6, rows=1 if zeta is None else 2, ratios=ratios)
+    top = axes[0]
+    for k, column in enumerate(f.T):
+        top.plot(x, column, color=CYCLE[k % len(CYCLE)], lw=1.4)
+    height = 1.08 * float(np.nanmax(f))
+    top.set(xlim=(float(x[0]), float(x[-1])), ylim=(0.0, height), ylabel="frequency [Hz]")
+    _orders(top, x, f, orders, height)
+    if zeta is not None:
+        _damping(top, axes[1], x, f, zeta)
+    axes[-1].set_xlabel("speed [rad/s]")
+    turns = top.secondary_xaxis("top", functions=(_per_minute, _per_second))
+    turns.set_xlabel("[revolutions per minute]", fontsize=8)
+    turns.tick_params(labelsize=8)
+    turns.spines["top"].set_visible(False)
+    return titled(figure, title)
+
+
+@checked_signature
+def root_locus(values: Any, poles: Any, heading: str, title: str = "") -> Figure:
+    """Poles in the complex plane, colored by a variable; those on the right grow.
+
+    values   of the variable [k], such as a speed or a design variable, in the unit of `heading`
+    poles    complex [k, n] [1/s]; of pairs the upper one is drawn
+    heading  name and unit of the variable
+
+    >>> c = torch.linspace(0.0, 1.5, 16, dtype=torch.float64)
+    >>> poles = torch.complex(-0.5 * c, (4.0 - 0.25 * c**2).sqrt())[:, None]
+    >>> figure = mbd.viz.root_locus(c, poles, "damper [N s/m]")
+    >>> figure.axes[0].get_xlabel()
+    'real part [1/s]'
+    """
+    b, s = _numbers("values", values), _numbers("poles", poles, complex)
+    if b.ndim != 1 or not len(b):
+        raise InputError(f"values is {values!r}; allowed: numbers [k]")
+    _require_columns("poles", s, b)
+    figure, (axes,) = figure_of(4.6)
+    shown = np.isfinite(s) & (s.imag >= 0.0)
+    color = np.broadcast_to(b[:, None], s.shape)[shown]
+    dots = axes.scatter(s.real[shown], s.imag[shown], c=color, s=14, cmap="viridis", zorder=3)
+    for name, marker, row in (("first", "o", 0), ("last", "s", -1)):
+        ends = s[row][shown[row]]
+        axes.plot(ends.real, ends.imag, marker, color="none", mec=CYCLE[0], ms=7, label=f"{name}: {b[row]:.4g}")
+    axes.axvline(0.0, color=CYCLE[0], lw=0.9)
+    swings = shown & (s.imag >= np.abs(s.real))  # strongly damped poles would leave no room for the others
+    x, top = s.real[swings if swings.any() else shown], float(s.imag[shown].max())
+    width = float(max(x.max(), 0.0) - min(x.min(), 0.0)) or 1.0
+    low, high = min(float(x.min()), 0.0) - 0.06 * width, max(float(x.max()), 0.0) + 0.12 * width
+    axes.axvspan(0.0, high, color=BAD, alpha=0.08, lw=0.0)
+    notes = {"fontsize": 8, "textcoords": "offset points", "xycoords": axes.get_xaxis_transform()}
+    axes.annotate("grows", (0.0, 0.0), (4, 4), color=BAD, **notes)
+    if beyond := int((shown & (s.real < low)).any(0).sum()):
+        axes.annotate(f"{beyond} more on the left", (low, 0.0), (4, 4), color="#666666", **notes)
+    axes.set(xlim=(low, high), ylim=(0.0, 1.06 * top or 1.0), xlabel="real part [1/s]", ylabel="imaginary part [rad/s]")
+    figure.colorbar(dots, ax=axes, label=heading)
+    axes.legend(frameon=False, fontsize=8)
+    return titled(figure, title)
+
+
+def crossings(speeds: np.ndarray, frequencies: np.ndarray, order: float) -> np.ndarray:
+    """Speeds [rad/s] and frequencies [Hz] [m, 2] at which a vibration has `order` times the frequency of the revolution."""
+    gap = frequencies - order * speeds[:, None] / _REVOLUTION
+    rows, columns = np.nonzero(
+        (gap[:-1] * gap[1:] < 0.0) | ((gap[:-1] == 0.0) & np.isfinite(gap[1:]) & (gap[1:] != 0.0))
+    )
+    share = gap[rows, columns] / (gap[rows, columns] - gap[rows + 1, columns])
+    at = speeds[rows] + share * (speeds[rows + 1] - speeds[rows])
+    return np.stack([at, order * at / _REVOLUTION], 1)
+
+
+def _orders(axes: Axes, x: np.ndarray, f: np.ndarray, orders: Sequence[float], height: float) -> None:
+    """Draw a line for each order, with its name where it leaves the picture, and its crossings."""
+    points = []
+    for order in orders:
+        end = min(float(x[-1]), _REVOLUTION * height / order)
+        axes.plot(
+            [x[0], x[-1]], [order * x[0] / _REVOLUTION, order * x[-1] / _REVOLUTION], color=OTHER, lw=0.9, ls="--"
+        )
+        inside = end < x[-1]  # the line ends at the top
+        place: dict[str, Any] = {"ha": "right", "va": "top"} if inside else {"ha": "left", "va": "center"}
+        where = (end, order * end / _REVOLUTION), (-5, -3) if inside else (4, 0)
+        axes.annotate(f"{order:g}/rev.", *where, textcoords="offset points", fontsize=8, color="#666666", **place)
+        points.append(crossings(x, f, order))
+    marked = np.concatenate([*points, np.zeros((0, 2))])
+    marked = marked[marked[:, 0] > 0.0]
+    axes.plot(marked[:, 0], marked[:, 1], "o", color=BAD, ms=4.5, zorder=4)
+    if len(marked) <= _WRITTEN:
+        for at, y in marked:
+            axes.annotate(f"{at:.4g}", (at, y), (5, -9), textcoords="offset points", fontsize=7, color=BAD, bbox=_PAPER)
+
+
+def _damping(top: Axes, bottom: Axes, x: np.ndarray, f: np.ndarray, zeta: np.ndarray) -> None:
+    """Draw damping ratios, and mark in both panels where vibrations grow."""
+    for k, column in enumerate(zeta.T):
+        bottom.plot(x, 100.0 * column, color=CYCLE[k % len(CYCLE)], lw=1.2)
+    bottom.axhline(0.0, color=CYCLE[0], lw=0.8)
+    rows, columns = np.nonzero(zeta < 0.0)
+    if len(rows):
+        top.plot(x[rows], f[rows, columns], "x", color=BAD, ms=5, label="grows")
+        bottom.plot(x[rows], 100.0 * zeta[rows, columns], "x", color=BAD, ms=5)
+        top.legend(frameon=False, fontsize=8, loc="upper left")
+    bottom.set_ylabel("damping [%]")
+
+
+def _per_minute(speed: Any) -> Any:
+    return speed * 60.0 / _REVOLUTION
+
+
+def _per_second(turns: Any) -> Any:
+    return turns * _REVOLUTION / 60.0
+
+
+def _numbers(name: str, x: Any, kind: type = float) -> Any:
+    try:
+        return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=kind)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {x!r}; allowed: numbers") from None
+
+
+def _require_columns(name: str, y: np.ndarray, x: np.ndarray, columns: int | None = None) -> None:
+    """InputError unless y is [len(x), columns] with a finite number."""
+    if y.ndim != 2 or len(y) != len(x) or not y.shape[1] or columns not in (None, y.shape[1]):
+        raise InputError(
+            f"{name} has shape {y.shape}; allowed: ({len(x)}, {'vibrations' if columns is None else columns})"
+        )
+    if not np.isfinite(y).any():
+        raise InputError(f"{name} has no finite number; allowed: at least one")
