@@ -252,14 +252,7 @@ def _from_word(kind: type, spec: Any, path: Path) -> Any:
 
 def _built(kind: type, first: tuple, options: Mapping[str, Any], path: Path) -> Any:
     """An object of class `kind` from its first arguments and its options; SpecError for options that it does not take."""
-    allowed = _arguments(kind)[len(first) :]
-    for key in options:
-        if key not in allowed:
-            raise SpecError((*path, key), f"unknown key{nearest(key, allowed)}")
-    parameters = list(inspect.signature(kind).parameters.values())[len(first) :]
-    for parameter in parameters:
-        if parameter.default is parameter.empty and parameter.name not in options:
-            raise SpecError(path, f"needs {parameter.name!r}{nearest('', allowed)}")
+    _check_options(kind, options, len(first), path)
     try:
         return kind(*first, **options)
     except InputError as error:
