@@ -237,9 +237,9 @@ class Spline:
         inner = torch.stack([self._at_positions(s) for s in positions.unbind(-1)], -1).flatten(-2)
         return torch.cat([self.y[..., :1], inner, self.y[..., -1:]], -1)
 
-    def _at_positions(self, s: Tensor, derivative: int = 0) -> Tensor:
-        """Value or derivative at the position s, 0 to 1, in every interval [..., n - 1]."""
-        return hermite(self.ends, self._lengths[0], s, derivative)
+    def _at_positions(self, s: Tensor) -> Tensor:
+        """Value at the position s, 0 to 1, in every interval [..., n - 1]."""
+        return hermite(self.ends, self._lengths[0], s)
 
     def _maximum_positions(self) -> tuple[Tensor, Tensor]:
         """Position of the largest value in every interval, 0 to 1, and whether it is a local maximum of the curve.
