@@ -56,7 +56,7 @@ class ScalarizedSearches:
         known: list[OptimizationResult | None] | None = None,
     ) -> list[OptimizationResult | None]:
         """Return the best feasible result of each scalarization, of those that are known and from all `starts` [count, n]."""
-        results = known or [None] * len(scalarizations)
+        results: list[OptimizationResult | None] = known or [None for _ in scalarizations]
         jobs = [(i, x) for i in range(len(scalarizations)) for x in starts]
         self._run_and_keep_better(results, jobs, scalarizations)
         for _ in range(RESTARTS):  # from a better design than the result, where one is known
