@@ -203,11 +203,11 @@ def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
 
     valid_times: as of IntegratedSignals
     """
-    made = motion.integration
-    dynamics, h = made.dynamics.values(), made.history
+    integration = motion.integration
+    dynamics, h = integration.dynamics.values(), integration.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
-    history = History(q, v, vd, lam, made.expansion(dynamics.data), segment=h.segment)
-    signals = IntegratedSignals(history, made, dynamics.data, valid_times)
+    history = History(q, v, vd, lam, integration.expansion(dynamics.data), segment=h.segment)
+    signals = IntegratedSignals(history, integration, dynamics.data, valid_times)
     return replace(
         motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None, t=motion.t.detach()
     )
