@@ -111,11 +111,6 @@ def _plain(phase: Any) -> Any:
     return replace(phase, **{k: x.detach() if isinstance(x, Tensor) else x for k, x in times.items()}, **joints)
 
 
-def parameters_of(system: System) -> dict[str, Tensor]:
-    """Copies of the values of all parameters."""
-    return {name: x.detach().clone() for name, x in system.named_parameters()}
-
-
 def _with_other_modes(motion: Any, system: System, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of `simulate` for a `system` of other modes, out of those of a motion: of `start` and `designs`.
 
