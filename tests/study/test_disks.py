@@ -95,7 +95,7 @@ def test_a_power_cut(study, folder):
         os.sync()
         process = subprocess.Popen(command(study), cwd=disk, env=environment(), stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
-        seen = [next(line for line in process.stdout if f"iteration   {k}" in line) for k in (1, 2)]
+        seen = [next(line for line in process.stdout if f"iteration {k} " in line) for k in (1, 2)]
         process.send_signal(signal.SIGSTOP)
         shutil.copy(image, copy)
         process.send_signal(signal.SIGCONT)
