@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.step import Model, Step, Weights, apply
-from torchmbd.math.pair import Pair, value
+from torchmbd.integrate.step import Model, Step, Weights
+from torchmbd.math.pair import Pair, apply, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored

@@ -25,6 +25,7 @@ from tests.mechanisms import (
 )
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.saddle_blocks import Slopes
 from torchmbd.multibody.system.topology import Topology
 
 
@@ -200,14 +201,14 @@ def test_iteration_matrix_is_the_derivative_of_the_forces(linearized):
         return equations.dynamic_residual(T, data, at, v, torch.zeros_like(v), quiet)[:, 0, 0]
 
     D = torch.func.jacfwd(forces)(v)[:, :, 0, 0]
-    found = system.dynamics().saddle.matrix(data, at, 0.0, 1.0, v)[0] - bare
+    found = system.dynamics().saddle.matrix(data, at, Slopes(0.0, 1.0, v))[0] - bare
     scale = float(D.abs().max())
     assert_close(found[:n_v, :n_v], D, rtol=0, atol=1e-12 * scale)
     assert_close(found[n_v:], torch.zeros_like(found[n_v:]))
 
     w = 7 * T.bodies
     K = torch.func.jacfwd(lambda x: _spring(T, data, q, x, v, quiet, drives))(q[w:])[:, :, 0, 0]
-    found = system.dynamics().saddle.matrix(data, at, 1.0, 0.0)[0] - bare
+    found = system.dynamics().saddle.matrix(data, at, Slopes(1.0, 0.0))[0] - bare
     assert_close(
         found[6 * T.bodies : n_v, 6 * T.bodies : n_v],
         K,
@@ -241,7 +242,7 @@ def test_geometric_stiffness_is_the_derivative_of_the_constraint_forces(lineariz
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix = system.dynamics().saddle.matrix
-    found = matrix(data, at, 1.0, lam=lam)[0] - matrix(data, at, 1.0)[0]
+    found = matrix(data, at, Slopes(1.0, lam=lam))[0] - matrix(data, at, Slopes(1.0))[0]
     assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
     assert not found[n_v:].any()
 
@@ -260,7 +261,7 @@ def test_inertial_stiffness_is_the_derivative_of_the_inertia_forces_by_the_coord
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix, at = system.dynamics().saddle.matrix, equations.placement(T, data, q, drives)
-    found = matrix(data, at, 1.0, 0.0, v, a)[0] - matrix(data, at)[0]
+    found = matrix(data, at, Slopes(1.0, 0.0, v, a))[0] - matrix(data, at)[0]
     assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
     assert not found[n_v:].any()
 

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import cat, dot, linear, value
+from torchmbd.math.pair import apply, cat, dot, linear, value
 from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import NEGATIVE_MASS, Linearization, Vibrations
@@ -155,11 +155,7 @@ def equilibrium_coordinates(
     residual = equations.dynamic_residual(T, data, at, *rates, lam)
     if T.rows:
         residual = cat([residual, equations.constraints(T, at)])
-
-    def step(x: Tensor) -> Tensor:
-        return -(inverse @ x.permute(2, 0, 1)).permute(1, 2, 0)
-
-    return equations.advance(T, q, linear(step, residual))
+    return equations.advance(T, q, linear(lambda x: -apply(inverse, x), residual))
 
 
 def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None = None) -> Any:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.gradients import untransformed
-from torchmbd.math.pair import cat, cross, linear, matvec, matvec_t, value
+from torchmbd.math.pair import apply, cat, cross, linear, matvec, matvec_t, value
 from torchmbd.math.rotation import exponential, quaternion_product, rotation_matrix
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.topology import Topology
@@ -75,15 +75,15 @@ class RigidGroups:
         U, s, Vh = torch.linalg.svd(J, full_matrices=False)
         inverse = Vh.mT @ (torch.where(s > _RANK * s[:, :1], 1.0 / s, 0.0)[..., None] * U.mT)
         phi = equations.constraints(T, at)
-        y = -_times(inverse, value(phi).detach())
+        y = -apply(inverse, value(phi).detach())
         still = torch.zeros_like(value(self._rates(q, y)))
         of_y, of_zero = (
             equations.constraint_jets(T, at, data, v, still, t).velocity for v in (self._rates(q, y), still)
         )
         residual = phi + of_y - of_zero
-        forces = self._forces(q, equations.constraint_forces(T, data, at, _times(inverse.mT, y)))
-        turned = linear(lambda u: u - _times(inverse, _times(J, u)), forces)
-        y = y + turned - linear(lambda x: _times(inverse, x), residual)
+        forces = self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y)))
+        turned = linear(lambda u: u - apply(inverse, apply(J, u)), forces)
+        y = y + turned - linear(lambda x: apply(inverse, x), residual)
         return self._moved(q, y), float(untransformed(value(phi)).abs().max())
 
     def _arms(self, q: Any) -> tuple[Any, Any, Any]:
@@ -121,8 +121,3 @@ class RigidGroups:
         turn = exponential(th)
         r = center + V + matvec(rotation_matrix(turn), arm)
         return cat([r.flatten(0, 1), quaternion_product(turn, p).flatten(0, 1), q[7 * self.topology.bodies :]])
-
-
-def _times(A: Tensor, x: Tensor) -> Tensor:
-    """Matrices [lanes, n, k] times numbers [k, pair, lanes]."""
-    return (A @ x.permute(2, 0, 1)).permute(1, 2, 0)
