@@ -31,12 +31,11 @@ from torchmbd.multibody.joints.joint import AttachmentTable, Joint
 from torchmbd.multibody.system import arrangement
 from torchmbd.multibody.system.beams import beam_data
 from torchmbd.multibody.system.description import Description, check_connected, describe
-from torchmbd.multibody.system.design_tangents import tangents_of
+from torchmbd.multibody.system.design_variables import refuse_lost_constants, refuse_lost_laws, tangents_of
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import start_of_bodies
-from torchmbd.multibody.system.lost_gradients import refuse_lost_constants, refuse_lost_laws
 from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
 from torchmbd.multibody.system.modal_start import in_moving_basis
 from torchmbd.multibody.system.saddle import Saddle
@@ -317,7 +316,7 @@ class System(nn.Module):
         return self._dynamics(data)
 
     def _check(self) -> None:
-        """Join again where that is due; InputError for what is differentiated and cannot be (lost_gradients.py)."""
+        """Join again where that is due; InputError for what is differentiated and cannot be (design_variables.py)."""
         refuse_lost_constants(self)
         self.join_again()
         refuse_lost_laws(self)
