@@ -49,7 +49,7 @@ def parts(T: Topology, x: Tensor, index: int, rotation_rows: int) -> tuple[Tenso
     r = y[: 3 * n].reshape(3, n)[:, index]
     p = y[3 * n : (3 + rotation_rows) * n].reshape(rotation_rows, n)[:, index]
     w = y[(3 + rotation_rows) * n :].reshape(T.modes, T.flexible)
-    return r, p, w[: T.own_modes[index], index] if index < T.flexible else y[:0]
+    return r, p, w[: T.mode_counts[index], index] if index < T.flexible else y[:0]
 
 
 def matrix_of(p: Tensor) -> Tensor:
@@ -179,7 +179,8 @@ def test_saddle_matrix_is_the_derivative_of_the_index_1_residual(linearized):
     both = torch.cat([x, moved], -1)
     wide = {name: y.expand(*y.shape[:-1], n + 1) for name, y in data.items()}
     at_all = equations.placement(T, wide, q.expand(-1, 1, n + 1), T.prescribed(t))
-    R = dynamics._residual(wide, at_all, v.expand(-1, 1, n + 1), both[: T.n_v], both[T.n_v :], T.law_jets(t))[:, 0]
+    unknowns, alpha = (v.expand(-1, 1, n + 1), both[: T.n_v], both[T.n_v :]), 1.0 / dynamics.stabilization
+    R = equations.stabilized_residual(T, wide, at_all, *unknowns, T.law_jets(t), alpha)[:, 0]
     columns = R[:, 1:] - R[:, :1]
     scale = float(R.abs().max())
     assert_close(dynamics.saddle.matrix(data, at)[0], columns, rtol=1e-12, atol=1e-14 * scale)

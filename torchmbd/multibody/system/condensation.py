@@ -345,19 +345,19 @@ def _condensation(
     )
     rates, independent = _rates(T, bodies, guided)
     topology = assemble(
-        [T.names[b] for b in bodies],
-        T.own_modes,
-        tuple(T.attached[i] for i in vectors),
-        [number[b] for b in T.vector_body[vectors].tolist()],
-        primitives,
-        tuple(T.row_names[i] for i in rows),
-        tuple(T.row_joints[i] for i in rows),
-        tuple(
+        names=[T.names[b] for b in bodies],
+        mode_counts=T.mode_counts,
+        attached=tuple(T.attached[i] for i in vectors),
+        body_of=[number[b] for b in T.vector_body[vectors].tolist()],
+        primitives=primitives,
+        row_names=tuple(T.row_names[i] for i in rows),
+        row_joints=tuple(T.row_joints[i] for i in rows),
+        actions=tuple(
             replace(a, members=tuple(torch.tensor([position[int(i)] for i in m]) for m in a.members)) for a in T.actions
         ),
-        tuple(prescribed_bodies.values()),
-        rates,
-        [position[i] for i in beams],
+        prescribed_bodies=tuple(prescribed_bodies.values()),
+        rates=rates,
+        beams=[position[i] for i in beams],
     )
     return Condensation(
         T, topology, Saddle(topology), bodies, vectors, torch.tensor(rows, dtype=torch.long), independent

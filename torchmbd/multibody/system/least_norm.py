@@ -89,11 +89,11 @@ class LeastNorm:
         J = self.saddle.values_of_jacobian(data, at) * self.acting[:, None]
         failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes whose multipliers become nan
         U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)
-        kept = s > _APART * s[:, :1]
-        kept[:, : self.rank] |= s[:, : self.rank] > 0.0
-        U = U * kept[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
+        independent = s > _APART * s[:, :1]
+        independent[:, : self.rank] |= s[:, : self.rank] > 0.0
+        U = U * independent[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
         U = torch.where(failed, torch.nan, U)
-        return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
+        return (Vh.mT * torch.where(independent, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
 
 
 def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:

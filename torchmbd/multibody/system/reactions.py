@@ -67,7 +67,7 @@ def _all_rows(c: Condensation, data: Data, excitation: Prescribed, q: Any, v: An
 def _residual(T: Topology, data: Data, at: Placement, v: Any, a: Any, lam: Any) -> Any:
     """Rows [6 bodies, ...] of the rigid bodies in the equations of motion."""
     f, n = T.flexible, T.bodies
-    rigid = replace(T, names=T.names[f:], flexible=0, modes=0, own_modes=(), attached_flexible=0)
+    rigid = replace(T, names=T.names[f:], flexible=0, modes=0, mode_counts=(), attached_flexible=0)
     inertia = {name: data[name].index_select(rank, torch.arange(f, n)) for name, rank in INERTIA.items()}
     inertia |= {"gravity": data["gravity"]} if "gravity" in data else {}
     rows = torch.tensor([k * n + b for k in range(6) for b in range(f, n)])

@@ -45,11 +45,11 @@ class RigidGroups:
         for first, second in zip(T.beams.bodies[:n], T.beams.bodies[n:], strict=True):
             first, second = (group[min(k, T.bodies)] for k in (first, second))
             group = [min(first, second) if k in (first, second) else k for k in group]
-        held = group.pop()
+        of_ground = group.pop()
         names = sorted(set(group))
         of = torch.tensor([names.index(k) for k in group])
         members = torch.nn.functional.one_hot(of, len(names)).T.double()
-        free = torch.tensor([float(k != held) for k in names], dtype=torch.float64)
+        free = torch.tensor([float(k != of_ground) for k in names], dtype=torch.float64)
         return cls(T, of, members / members.sum(1, keepdim=True), free)
 
     def closed(self, dynamics: Any, q: Any, t: Tensor, small: float) -> Any:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
-from torchmbd.math.rotation import axial, skew
+from torchmbd.math.rotation import axial, increment_torque, skew
 from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.equations import (
     Placement,
@@ -114,7 +114,8 @@ class SaddleBlocks:
             blocks["beam"] = beams.stiffness(T, data, at, beam_rates(T, data, at, v), stiffness, damping, turned)
         if T.rows:
             blocks |= self._row_blocks(data, at)
-            blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)
+            torque, pair_body = blocks["row_torque"], self.rows.pair_body
+            blocks["row_turn"] = torque if turn is None else increment_torque(turn.index_select(1, pair_body), torque)
         # A system without flexible bodies has no modal blocks yet.
         missing, like = {name: shape for name, shape in self.shapes() if name not in blocks}, blocks["mass"]
         return blocks | {name: like.new_zeros(*shape, *like.shape[-2:]) for name, shape in missing.items()}
@@ -135,14 +136,6 @@ class SaddleBlocks:
         if "action_modal" not in blocks:
             blocks["action_modal"] = blocks["action_force"].new_zeros(0, 1, 1)
         return blocks, cat(weights)
-
-    def _by_increment(self, torque: Tensor, turn: Tensor | None) -> Tensor:
-        """A change d of the increment th turns a body by (1 - ~th/2 + ~th~th/6) d, here to the third order."""
-        if turn is None:
-            return torque
-        th = turn.index_select(1, self.rows.pair_body)
-        half = cross(th, torque)
-        return torque + 0.5 * half + (1.0 / 6.0) * cross(th, half)
 
     def _mass_blocks(self, data: Data, at: Placement, body: Moments, stiffness: Any, damping: Any) -> dict[str, Tensor]:
         T = self.T

@@ -226,7 +226,7 @@ class System(nn.Module):
         """
         if part is None:
             system = self._with_present_numbers()
-            equation = StateEquation(dict(system.named_children()), system._parameters, system._own_dynamics)
+            equation = StateEquation(dict(system.named_children()), system._parameters, system._present_dynamics)
             equation.register_load_state_dict_post_hook(functools.partial(_rebuild_topology_of, system))
             return equation
         if part not in ("data", "stages"):
@@ -252,7 +252,7 @@ class System(nn.Module):
         return dict(self.named_parameters()) | dict(self.named_buffers())
 
     @exclusive
-    def _own_dynamics(self, numbers: Mapping[str, Tensor]) -> Dynamics:
+    def _present_dynamics(self, numbers: Mapping[str, Tensor]) -> Dynamics:
         """Structure stage of the present parameters, one design; numbers: in the place of parameters of the system itself."""
         self._check()
         return self._dynamics(call_module(self, numbers, "data"))

@@ -87,7 +87,7 @@ class Topology:
     names: tuple[str, ...]  # bodies, flexible first
     flexible: int
     modes: int
-    own_modes: tuple[int, ...]  # retained modes of each flexible body
+    mode_counts: tuple[int, ...]  # retained modes of each flexible body
     attached: tuple[Attached, ...]  # vectors, those of flexible bodies first
     attached_flexible: int
     vector_body: Tensor  # [vectors]; the ground is len(names)
@@ -247,7 +247,7 @@ class Topology:
 
     def w_slice(self, flexible: int) -> list[int]:
         """Rows of q with the modal coordinates of a flexible body (its own modes, without padding)."""
-        return [7 * self.bodies + a * self.flexible + flexible for a in range(self.own_modes[flexible])]
+        return [7 * self.bodies + a * self.flexible + flexible for a in range(self.mode_counts[flexible])]
 
     def rate_name(self, row: int, straight: str = "displacement", about: str = "rotation") -> str:
         """What row `row` of v stands for, for messages: "rotation x of 'rod'"; other words for forces."""
