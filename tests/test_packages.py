@@ -68,5 +68,8 @@ def test_every_folder_of_tests_is_of_a_tier():
     tests = ROOT / "tests"
     folders = {path.name for path in tests.iterdir() if any(path.glob("**/test_*.py"))}
     options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
-    assert {f"tests/{name}" for name in folders - SECOND_TIER} | {"tests/test_*.py"} == set(options["testpaths"])
-    assert folders > SECOND_TIER
+    assert {f"tests/{name}" for name in folders - SECOND_TIER - {"extensions"}} | {"tests/test_*.py"} == set(
+        options["testpaths"]
+    )
+    assert folders > SECOND_TIER | {"extensions"}
+    assert "pytest -n 2 tests/extensions\n" in (ROOT / ".ci" / "run").read_text()

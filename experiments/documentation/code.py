@@ -29,6 +29,7 @@ PARTS = {
     "studies, tracking, pictures, command line": ("study", "tracking", "viz", "cli.py", "__main__.py"),
     "examples": ("examples",),
 }
+LARGEST = 7  # extensions that have a line of their own
 _FILE = re.compile(r"\*\*`(?P<path>[\w/]+\.py)`\*\* \((?P<lines>[\d,]+) lines\)")
 _TABLE = re.compile(r"(?<=<!-- lines -->\n).*?(?=<!-- end -->)", re.DOTALL)
 _WORD = re.compile(r"`([^`\n]+)`")
@@ -142,6 +143,13 @@ def table(text: str) -> str:
     read = [lines_of(PACKAGE / m["path"]) for m in _FILE.finditer(text)]
     rows = [(part, len(x), sum(x)) for part, x in counts.items()]
     rows.insert(1, ("of it, the files of this page", len(read), sum(read)))
+    extensions: dict[str, list[int]] = {}
+    for part, file in files():
+        if part == "extensions":
+            name = file.relative_to(PACKAGE / "extensions").parts[0].removesuffix(".py")
+            extensions.setdefault(name, []).append(lines_of(file))
+    largest = sorted(extensions, key=lambda name: -sum(extensions[name]))[:LARGEST]
+    rows += [(f"of them, `extensions/{name}`", len(extensions[name]), sum(extensions[name])) for name in largest]
     rows.append(("all", sum(map(len, counts.values())), sum(map(sum, counts.values()))))
     body = "".join(f"| {part} | {count:,} | {lines:,} |\n" for part, count, lines in rows)
     return f"| part | files | lines |\n|---|---|---|\n{body}"

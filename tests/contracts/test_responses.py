@@ -38,8 +38,7 @@ from torchmbd.design.measures import (
     Min,
     SmoothMax,
 )
-from torchmbd.design.ply_failure import PlyFailure
-from torchmbd.design.ply_stress import PlyStress
+from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.fem.materials import Strength
 from torchmbd.integrate import Trajectory
 from torchmbd.math.variable import LayerNumbers

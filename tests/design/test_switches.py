@@ -67,6 +67,7 @@ def whole_and_pieces(native) -> Callable[[str, str], tuple[Trajectory, Trajector
     @cache
     def motions(mode: str, jump: str) -> tuple[Trajectory, Trajectory]:
         common = {"designs": {NAME: ANGLES}, "variables": [NAME], "iterations": ITERATIONS, "gradients": mode}
+        common |= {"backend": "native"}  # a dozen corrections of every row of cotangents: eager steps take minutes
         whole = mbd.simulate(system, DURATION, steps=STEPS, phases=[mbd.Phase(lasting=SWITCH), seconds[jump]], **common)
         before = mbd.simulate(system, SWITCH, steps=16, phases=[mbd.Phase()], **common)
         return whole.require_ok(), before.require_ok()

@@ -40,5 +40,8 @@ def test_every_part_is_a_folder_or_file_that_may_be_there():
     numbers = dict(re.findall(r"^\| ([a-z][^|]+) \| [\d,]+ \| ([\d,]+) \|$", table, re.MULTILINE))
     counts = {part: int(lines.replace(",", "")) for part, lines in numbers.items()}
     read = counts.pop("of it, the files of this page")
+    largest = [counts.pop(part) for part in list(counts) if part.startswith("of them, ")]
     assert sum(counts.values()) == 2 * counts["all"]
+    assert largest == sorted(largest, reverse=True)
+    assert sum(largest) <= counts["extensions"]
     assert read < counts["core"]

@@ -9,9 +9,11 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import box, tensor
+from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_count import all_modes, announce, first_steps, needed_steps
 from torchmbd.progress import motion_shown, without_bars
+from torchmbd.results.history import History
 
 pytestmark = pytest.mark.usefixtures("compiled")  # thousands of steps
 GROUND = mbd.Ground()
@@ -96,8 +98,10 @@ def stats(turn: float, error: float, suggested: float) -> Statistics:
     ],
 )
 def test_steps_that_an_estimate_asks_for(found, status, wanted):
-    assert needed_steps(200, found, [status], {}, {}) == wanted
-    assert needed_steps(200, found, [status], {0: "it starts nowhere"}, {}) == 200
+    nothing = torch.zeros(1, 0, 1, 1, dtype=torch.float64)
+    result = IntegrationResult(History(nothing, nothing, nothing, nothing), found)
+    assert needed_steps(200, result, [status], {}) == wanted
+    assert needed_steps(200, result, [status], {0: "it starts nowhere"}) == 200
 
 
 @pytest.mark.thorough

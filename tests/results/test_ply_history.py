@@ -11,8 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
-from torchmbd.design.ply_failure import PlyFailure
-from torchmbd.design.ply_stress import PlyStress
+from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import ply_basis
 from torchmbd.fem.materials import CRITERIA, Ply, Strength

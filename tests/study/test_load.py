@@ -156,7 +156,6 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         "line 2: modl unknown key; allowed: model, options, design",
         "line 3: options = [3]: must be a mapping",
         "line 5: design.rod.laminate.angles.start.1 = 'x': must be a valid number",
-        "line 5: design.rod.laminate.angles.upper is missing",
         "line 5: design.rod.laminate.angles.uper unknown key; allowed: start, lower, upper, unit, tolerance, step; "
         "did you mean 'upper'",
         "line 5: design.rod.laminate.angles.unit = 'degree': allowed: deg, rad, m, cm, mm",
@@ -199,9 +198,9 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         ({"model": "build"}, "model", "pattern"),
         ({"model": "rod_model.py:no_system", "options": {}}, "model", "the function says -> int about what it returns"),
         ({"model": "rod_model.py:broken", "options": {}}, "options", "ZeroDivisionError in"),
-        ({"simulate": {"duration": 0.1, "rtoll": 1}}, "simulate.rtoll", "unknown key for method 'generalized_alpha'"),
+        ({"simulate": {"duration": 0.1, "rtoll": 1}}, "simulate.rtoll", "does not exist"),
         ({"simulate": {"duration": 0.1, "method": "dopri5", "refresh": 1}}, "simulate.refresh", "for method 'dopri5'"),
-        ({"optimizer": {"name": "mmfd", "ctt": 1}}, "optimizer.ctt", "unknown key for method 'mmfd'"),
+        ({"optimizer": {"name": "mmfd", "ctt": 1}}, "optimizer.ctt", "does not exist"),
         ({"minimize": {"integral": {"strain_energy": "crank"}}}, "minimize.integral.strain_energy", "allowed: rod"),
         ({"minimize": {}}, "minimize", "has 0 keys; must have exactly one"),
         ({"minimize": {"max": {"strain_energy": "rod"}, "windw": [0, 1]}}, "minimize.windw", "did you mean 'window'?"),
@@ -221,7 +220,7 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         ({"starts": {"sampler": "none", "include_initial": False}}, "starts", "leaves no start"),
         ({"starts": {"sampler": "given", "points": [[1]]}}, "starts.points.0", "has 1 values; allowed: 2"),
         ({"starts": {"sampler": "given", "points": [[1, 91]]}}, "starts.points.0", "must lie between"),
-        ({"sweep": {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 2}}}, "", "sweep and optimizer and starts"),
+        ({"sweep": {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 2}}}, "sweep", "and optimizer and starts"),
         ({"design": {}}, "design", "is empty; must have at least one"),
     ],
 )

@@ -78,14 +78,14 @@ CASES = [
     ("options: {layers: 2}", "options: {layers: 2", "", "is not YAML"),
     ("options: {layers: 2}", "options: &a {layers: 2}", "options", "anchors"),
     (TEXT, "", "", "allowed: sections such as model:"),
-    ("max_iterations: 2", "max_iterations: 2, kkt: [1]", "optimizer.kkt = [1]", "must be a valid number"),
+    ("max_iterations: 2", "max_iterations: 2, kkt: [1]", "optimizer.kkt = [1]", "must be a number"),
     ("max_iterations: 2", "max_iterations: 2, metric: 3", "optimizer.metric", "max_analyses"),
-    ("max_iterations: 2", "max_iterations: 2, max_lanes: many", "optimizer.max_lanes = 'many'", "valid integer"),
+    ("max_iterations: 2", "max_iterations: 2, max_lanes: many", "optimizer.max_lanes = 'many'", "an integer"),
     ("steps: 60", "steps: 60, method: hht_alpha, alfa: -0.1", "simulate.alfa", "did you mean 'alpha'"),
-    ("steps: 60", "steps: 60, method: hht_alpha, alpha: strong", "simulate.alpha = 'strong'", "must be a valid number"),
+    ("steps: 60", "steps: 60, method: hht_alpha, alpha: strong", "simulate.alpha = 'strong'", "allowed: -1/3"),
     ("steps: 60", "steps: 60, method: hht_alpha, spectral_radius: 0.8", "simulate.spectral_radius", "allowed: "),
-    ("steps: 60", "steps: 60, iterations: 3", "simulate.iterations = 3", "must be a valid array"),
-    ("steps: 60", "steps: 60, iterations: [3, x]", "simulate.iterations = [3, 'x']", "must be a valid integer"),
+    ("steps: 60", "steps: 60, iterations: 3", "simulate.iterations = 3", "allowed: two positive integers"),
+    ("steps: 60", "steps: 60, iterations: [3, x]", "simulate.iterations = [3, 'x']", "allowed: two positive integers"),
 ]
 
 

@@ -213,7 +213,10 @@ LINK = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
             {"minimize": None},
             "minimize is missing; allowed: a response, such as .*, or instead of it maximize: or tradeoff:",
         ),
-        ({"maximize": {"mass": "rod"}}, r"line \d+: maximize and minimize are both given; allowed: one of"),
+        (
+            {"maximize": {"mass": "rod"}},
+            r"line \d+: maximize and minimize are both given; allowed: one without the other",
+        ),
         (
             {"minimize": None, "maximize": {"at_times": {"strain_energy": "rod"}, "times": [0.001, 0.002]}},
             r"line \d+: maximize.*, of 2 rows; allowed: a measure of one number",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.extensions.native.codegen.build_cache import entries
+from torchmbd.integrate.backend import BACKENDS
 from torchmbd.tracking import MlflowTracker, TrackingError
 from torchmbd.tracking.catalog import children, find, studies
 from torchmbd.tracking.store import open_store, store_uri
@@ -278,7 +278,7 @@ def test_stores_leave_one_lock_for_all(tmp_path, empty_store, monkeypatch):
         tracker.close()
     assert not list((tmp_path / "TMPDIR").iterdir())
     assert [file.name for file in (tmp_path / "TORCHMBD_CACHE").iterdir()] == ["stores.lock"]
-    assert not entries()  # torchmbd cache lists libraries
+    assert not [file for backend in BACKENDS.values() for file in backend().files()]  # torchmbd cache lists libraries
 
 
 def test_the_default_store(monkeypatch, tmp_path):

@@ -6,6 +6,8 @@ import pytest
 from experiments.peers import pazy_wing
 from experiments.peers.pazy_wing import GROUND_TEST, ORDER, PRINTED, UM_NAST, UM_NAST_BENT
 
+pytestmark = pytest.mark.extensions  # vibrations, identification, the deck
+
 
 def test_the_beam_vibrates_as_that_of_another_program():
     """Bending and torsion; in the plane the source's couplings of extension are taken as uniform."""

@@ -41,7 +41,7 @@ def test_one_variable():
     X = np.array([[3.0], [1.0], [2.0]])
     figure = design_map(paths, OBJECTIVES, ["angle [deg]"], {"c": 1}, (X, np.array([9.0, 7.0, 8.0])), "energy")
     drawn = lines(figure.axes[0])
-    assert_array_equal(drawn[0], [[1, 7], [2, 8], [3, 9]])
+    assert_array_equal(drawn[0], [[3, 9], [1, 7], [2, 8]])
     assert_array_equal(drawn[1], np.c_[paths["a"], OBJECTIVES["a"]])
     assert figure.axes[0].get_ylabel() == "energy"
 

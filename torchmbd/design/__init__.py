@@ -25,8 +25,7 @@ from torchmbd.design.measures import (
     Min,
     SmoothMax,
 )
-from torchmbd.design.ply_failure import PlyFailure
-from torchmbd.design.ply_stress import PlyStress
+from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES

@@ -1,7 +1,14 @@
 """Gradients of functions of a motion by the design variables of each lane: the chain rule of eq. (27) by torch.
 
-Lanes are independent: the gradient of a sum over lanes by the design of a lane is the gradient of this lane's term.
-Checked in tests/contracts/test_responses.py.
+`differentiate` pulls back rows, sixteen at a time. Lanes are independent: the gradient of a sum over lanes by the design of a
+lane is the gradient of this lane's term.
+
+`push_forward` is for thousands of rows, such as samples of a measurement, by few variables: the tangents of the motion
+(simulate(..., gradients="forward")) pushed through f, in the time of a few evaluations of f.
+
+    d f / d b = f'(outputs, b) . (d outputs / d b, d b / d b)        one pass for each variable, all at once by torch.func.vmap
+
+Checked in tests/contracts/test_responses.py, tests/design/test_differentiate.py.
 """
 
 from __future__ import annotations
@@ -15,6 +22,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
+from torchmbd.integrate.forward_integration import ForwardIntegration
+from torchmbd.integrate.simulate import trajectory_of
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pull_back import pull_back
 
@@ -65,3 +74,46 @@ def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     gradients = pull_back([rows], inputs, [torch.eye(len(rows), dtype=rows.dtype)])  # all rows in one backward pass
     parts = [x.reshape(len(rows), len(y), -1) for x, y in zip(gradients, inputs, strict=True)]
     return torch.cat(parts, -1).transpose(0, 1)
+
+
+@exclusive
+def push_forward(f: Callable[[Any], Tensor], motion: Trajectory) -> ValueAndGradient:
+    """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`, which is nan where the value is.
+
+    Raises InputError for a motion of reverse mode, or one without gradients.
+    """
+    made = motion.integration
+    if not isinstance(made, ForwardIntegration) or not motion.variables:
+        raise InputError("the motion has no tangents; allowed: simulate(..., gradients='forward')")
+    names, designs = list(motion.variables), {name: x.detach() for name, x in motion.designs.items()}
+    moving = {name: designs[name] for name in names}
+    directions = _units(moving)
+    with torch.no_grad():
+        # As of Motion: lanes last, tangents before them.
+        inner = [directions[name].movedim((0, 1), (-2, -1)) if name in names else None for name in made.names]
+        tangents = tuple(x.movedim(-2, 0).unsqueeze(-2) for x in made.tangents(inner))
+        outputs = tuple(made.outputs.values())
+        tangents = tuple(x.expand(-1, *y.shape) for x, y in zip(tangents, outputs, strict=True))
+
+        def of_outputs(outputs: tuple[Tensor, ...], moving: dict[str, Tensor]) -> Tensor:
+            same = trajectory_of(made.system, made, outputs, made.dynamics.data, designs | moving, names)
+            same.actions = made.actions
+            return f(same)
+
+        def push(directions: tuple[Tensor, ...], of_designs: dict[str, Tensor]) -> Any:
+            return torch.func.jvp(of_outputs, (outputs, moving), (directions, of_designs))
+
+        values, slopes = torch.func.vmap(push)(tangents, directions)
+    value, gradient = values[0], slopes.movedim(0, -1)
+    return ValueAndGradient(value, torch.where(value.isnan()[..., None], torch.nan, gradient))
+
+
+def _units(moving: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Unit directions of all entries, the same in all lanes: by name [n_b, lanes, ...]."""
+    sizes = {name: x[0].numel() for name, x in moving.items()}
+    unit, result, first = torch.eye(sum(sizes.values()), dtype=torch.float64), {}, 0
+    for name, x in moving.items():
+        rows = unit[:, None, first : first + sizes[name]].expand(-1, len(x), -1)
+        result[name] = rows.reshape(-1, *x.shape)
+        first += sizes[name]
+    return result

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from math import comb
 
 import torch
+from numpy.polynomial import Polynomial
 from torch import Tensor
 
 _LEFT: dict[int, tuple[tuple[float, ...], ...]] = {
@@ -78,14 +78,7 @@ def _table(kinds: int, derivative: int) -> list[list[float]]:
     """Coefficients, by powers of s, of the weights of value, value, slope, slope, ... at both ends."""
     rows = []
     for k, weights in enumerate(_LEFT[kinds]):
-        for row in (weights, tuple((-1.0) ** k * c for c in _mirrored(weights))):
-            for _ in range(derivative):
-                row = tuple(power * c for power, c in enumerate(row))[1:]
-            rows.append([float(c) for c in row])
+        left = Polynomial(weights)
+        right = (-1.0) ** k * left(Polynomial([1.0, -1.0]))  # L(1 - s)
+        rows += [side.deriv(derivative).coef.tolist() for side in (left, right)]
     return rows
-
-
-def _mirrored(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Coefficients of L(1 - s)."""
-    n = len(coefficients)
-    return tuple((-1) ** j * sum(comb(i, j) * coefficients[i] for i in range(j, n)) for j in range(n))

@@ -118,11 +118,8 @@ class Position(History):
         return vector_component(motion, self.vector(motion), self.axis, self.observer, self.axes)
 
     def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
-        if self.order or self.axes not in (
-            None,
-            self.observer,
-        ):  # third rates, and rates of other axes, are not available
-            return None
+        if self.order or self.axes not in (None, self.observer):
+            return None  # third rates, and rates of other axes, are not available
         _, rate, second_rate = (x @ unit_vector(self.axis) for x in self._seen(motion))
         return rate, second_rate
 
@@ -249,9 +246,9 @@ class RelativeDisplacement(History):
         if self.axes not in (None, self.body):
             return None
         a, b = (motion.body(self.body).at(node) for node in (self.a, self.b))
-        return (a.rho_rate - b.rho_rate) @ unit_vector(self.axis), (
-            a.rho_acceleration - b.rho_acceleration
-        ) @ unit_vector(self.axis)
+        rates = (a.rho_rate - b.rho_rate, a.rho_acceleration - b.rho_acceleration)
+        first, second = (x @ unit_vector(self.axis) for x in rates)
+        return first, second
 
 
 @checked_signature
@@ -322,11 +319,8 @@ def flexible_body(system: System, name: str) -> FlexibleBody:
     """The flexible body of that name; InputError for a rigid one."""
     body = system.body(name)
     if not isinstance(body, FlexibleBody):
-        others = (
-            ", ".join(other.name for other in system.bodies if isinstance(other, FlexibleBody))
-            or "(the system has none)"
-        )
-        raise InputError(f"body {name!r} is rigid; allowed: {others}")
+        flexible = [other.name for other in system.bodies if isinstance(other, FlexibleBody)]
+        raise InputError(f"body {name!r} is rigid; allowed: {', '.join(flexible) or '(the system has none)'}")
     return body
 
 

@@ -71,11 +71,10 @@ class OfHistory(Measure):
 
 
 def _require_history(measure: Measure, history: object) -> None:
+    name = type(measure).__name__
     if not isinstance(history, History):
-        name = type(measure).__name__
         raise InputError(f"{name} of {history!r}; allowed: a history, such as StrainEnergy('rod')")
     if not history.smooth:
-        name = type(measure).__name__
         raise InputError(
             f"{name} of an angle with wrapped=True, which jumps between the samples; allowed: the continuous angle"
         )

@@ -1,10 +1,13 @@
-"""First ply failure as a history: the largest failure index of all ply points of a body, at every time.
+"""Plies as histories: the largest failure index of all ply points of a body, or one stress component, at every time.
 
-    Max(PlyFailure("rod")) <= 1         no ply fails during the motion
+    Max(PlyFailure("rod")) <= 1                           no ply fails during the motion
+    Max(PlyStress("rod", "22")) <= 40e6                   largest tension across the fibers
+    Min(PlyStress("rod", "11", extreme="lowest")) >= -1e9
 
-The points are those of plates and of laminated beams. The criteria are those of fem/materials/strength.py; plies
-must have a Strength.
-Checked in tests/results/test_ply_history.py, tests/results/test_section_history.py.
+The points are in all cells of plates at the two faces of every layer, and, of failure, in laminated beams. The criteria are
+those of fem/materials/strength.py; plies must have a Strength. Components of stress are in the axes of the ply: 11 along the
+fibers, 22 across, 12, 13, 23 shear. The derivative is that of the index or the stress at the extreme point.
+Checked in tests/contracts/test_responses.py, tests/results/test_ply_history.py, tests/results/test_section_history.py.
 """
 
 from __future__ import annotations
@@ -19,11 +22,12 @@ from torch import Tensor
 
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, checked_signature, unknown, warn
-from torchmbd.fem.materials import CRITERIA, Strength
+from torchmbd.fem.materials import CRITERIA, PLY_COMPONENTS, Strength
 from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.variable import number
 from torchmbd.multibody.system import System
-from torchmbd.results.ply_history import PlyHistory
+from torchmbd.results.ply_history import PlyHistory, require_plies
 from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
 # Largest ratio of sides of triangles to the thickness. Errors of the shear between layers of a carbon cantilever: 4 % for a
@@ -85,3 +89,45 @@ def _check_interlaminar(name: str, body: Any, strengths: Sequence[Strength]) -> 
                 f"triangles of body {name!r} are {ratio:.0f} times as long as it is thick: shear between its layers may be "
                 f"tens of per cent off; allowed: quadrilaterals, or triangles up to {LONGEST:g} times the thickness"
             )
+
+
+EXTREMES = ("highest", "lowest")
+
+
+@checked_signature
+@dataclass(frozen=True)
+class PlyStress(History):
+    """Highest or lowest stress among the ply points of a laminated body [lanes, times] [Pa].
+
+    body       its name
+    component  "11" along the fibers, "22" across, "12", "13", "23" shear, in the axes of the ply
+    layer      0 at the bottom; None: all
+    extreme    "highest" or "lowest"
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> along = mbd.PlyStress("arm", "11")
+    >>> 1e6 < mbd.Max(along)(motion).item() < 1e9
+    True
+    """
+
+    body: str
+    component: str
+    layer: int | None = None
+    extreme: str = "highest"
+
+    def check(self, system: System) -> None:
+        if self.component not in PLY_COMPONENTS:
+            raise unknown("stress component", self.component, PLY_COMPONENTS)
+        if self.extreme not in EXTREMES:
+            raise unknown("extreme", self.extreme, EXTREMES)
+        body = system.body(self.body)
+        require_plies(body)
+        layers = min(len(part.laminate.layer_plies) for part in body.plates.values())
+        if self.layer is not None and not (is_whole(self.layer) and 0 <= self.layer < layers):
+            raise InputError(f"layer is {self.layer!r}; allowed: 0 to {layers - 1}, or None for all")
+
+    def values(self, motion: Trajectory) -> Tensor:
+        plies, component = PlyHistory(motion, self.body), PLY_COMPONENTS.index(self.component)
+        if self.extreme == "lowest":
+            return -plies.extreme(component, self.layer, -1.0)
+        return plies.extreme(component, self.layer)

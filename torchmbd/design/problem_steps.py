@@ -114,9 +114,7 @@ def steps_for(
     """
     tolerance = tolerance or problem.tolerance
     enough = tolerance or 0.0
-    errors = (
-        _errors(problem, x, None, least_size) if steps is None else _errors_of(problem, x, steps, least_size, enough)
-    )
+    errors = _errors_of(problem, x, steps, least_size, enough) if steps else _errors(problem, x, None, least_size)
     n = steps or errors.choice.steps
     if n is None or errors.multiple is None or tolerance is None:
         return StepChoice(n)

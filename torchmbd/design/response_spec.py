@@ -35,6 +35,7 @@ from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.errors import InputError, nearest
+from torchmbd.math.checked_numbers import is_real
 
 SUM, FUNCTION, SCALED, AGGREGATE = "weighted_sum", "function", "scaled", "aggregate"
 SEVERAL: dict[str, Callable[[Any, Any], Any]] = {"sum": add, "difference": sub, "product": mul, "quotient": truediv}
@@ -134,13 +135,13 @@ def _operation(name: str, spec: Any, options: Mapping[str, Any], path: Path, rea
     if name in SINGLE:
         return _combined(SINGLE[name], entry, read(spec, entry))
     if name == SCALED:
-        if not _number(options.get("by")):
+        if not is_real(options.get("by")):
             raise SpecError((*path, "by"), f"= {options.get('by')!r}: must be a number, that {name!r} multiplies by")
         return _combined(mul, entry, read(spec, entry), options["by"])
     exact = 2 if name in ("difference", "quotient") else None
     if not isinstance(spec, list) or len(spec) < 2 or (exact and len(spec) != exact):
         raise SpecError(entry, f"= {spec!r}: must be a list of {'two' if exact else 'two or more'} responses")
-    parts = [x if k and _number(x) else read(x, (*entry, k)) for k, x in enumerate(spec)]
+    parts = [x if k and is_real(x) else read(x, (*entry, k)) for k, x in enumerate(spec)]
     return reduce(partial(_combined, SEVERAL[name], entry), parts)
 
 
@@ -210,10 +211,6 @@ def _not_imported(motion: Any) -> Any:
     raise InputError("a function of an experiment file was not looked up")
 
 
-def _number(x: Any) -> bool:
-    return isinstance(x, (int, float)) and not isinstance(x, bool)
-
-
 def _terms(spec: Any, path: Path, find: Find | None) -> list[tuple[float, Measure]]:
     if not isinstance(spec, list) or not spec:
         raise SpecError(path, f"= {spec!r}: must be a list of measures, each with its weight")
@@ -223,7 +220,7 @@ def _terms(spec: Any, path: Path, find: Find | None) -> list[tuple[float, Measur
         if not isinstance(term, Mapping) or "weight" not in term:
             raise SpecError(entry, f"= {term!r}: needs the key 'weight'; allowed: a measure and its weight")
         weight = term["weight"]
-        if not _number(weight):
+        if not is_real(weight):
             raise SpecError((*entry, "weight"), f"= {weight!r}: must be a number")
         terms.append((float(weight), measure_of({key: x for key, x in term.items() if key != "weight"}, entry, find)))
     return terms
@@ -255,14 +252,7 @@ def _from_word(kind: type, spec: Any, path: Path) -> Any:
 
 def _built(kind: type, first: tuple, options: Mapping[str, Any], path: Path) -> Any:
     """An object of class `kind` from its first arguments and its options; SpecError for options that it does not take."""
-    allowed = _arguments(kind)[len(first) :]
-    for key in options:
-        if key not in allowed:
-            raise SpecError((*path, key), f"unknown key{nearest(key, allowed)}")
-    parameters = list(inspect.signature(kind).parameters.values())[len(first) :]
-    for parameter in parameters:
-        if parameter.default is parameter.empty and parameter.name not in options:
-            raise SpecError(path, f"needs {parameter.name!r}{nearest('', allowed)}")
+    _check_options(kind, options, len(first), path)
     try:
         return kind(*first, **options)
     except InputError as error:

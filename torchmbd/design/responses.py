@@ -34,8 +34,7 @@ from torchmbd.design.measures import (
     Min,
     SmoothMax,
 )
-from torchmbd.design.ply_failure import PlyFailure
-from torchmbd.design.ply_stress import PlyStress
+from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.response import History, Measure
 from torchmbd.registry import Registry
 

@@ -190,20 +190,17 @@ class Scenarios(Problem):
         farthest beyond it.
         """
         motions = self.motions_by_system(x)
-        objective, *constraints = self._values_by_scenario(motions)
+        objective, *constraints = (
+            self.in_scenario_order(
+                [m.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
+            )[0]
+            for m in self.reference.measures
+        )  # [scenarios, rows]
         excesses = self._excesses(constraints)
         statuses = self.in_scenario_order([np.array([motion.status]) for motion in motions])[0]
         objectives = np.where(statuses == OK, objective.max(1), -np.inf)
         candidates = np.flatnonzero(np.isclose(objectives, objectives.max(), rtol=1e-9, atol=0.0))
         return list(self.scenarios)[candidates[np.argmax(excesses[candidates])]]
-
-    def _values_by_scenario(self, motions: Sequence[Trajectory]) -> list[np.ndarray]:
-        """Values of objective and constraints [scenarios, rows] of one design."""
-        values = (
-            [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
-            for measure in self.reference.measures
-        )
-        return [self.in_scenario_order(parts)[0] for parts in values]
 
     def _excesses(self, constraints: Sequence[np.ndarray]) -> np.ndarray:
         """The largest (g - limit) / scale in every scenario [scenarios], of values g [scenarios, rows] of each constraint."""
@@ -311,13 +308,12 @@ class Scenarios(Problem):
     def _statuses(self, motions: Sequence[Trajectory], count: int) -> Sequence[str]:
         """The status of each design: that of its first scenario that fails, with the name of the scenario."""
         by_group = [np.array(motion.status, dtype=object).reshape(count, -1) for motion in motions]
-        return [self._status(statuses) for statuses in self.in_scenario_order(by_group)]
-
-    def _status(self, statuses: Sequence[str]) -> str:
-        for name, status in zip(self.scenarios, statuses, strict=True):
-            if status != OK:
-                return f"failed: scenario {name!r}: {status.removeprefix('failed: ')}"
-        return OK
+        result = []
+        for statuses in self.in_scenario_order(by_group):
+            failed = [(name, x) for name, x in zip(self.scenarios, statuses, strict=True) if x != OK]
+            texts = [f"failed: scenario {name!r}: {x.removeprefix('failed: ')}" for name, x in failed]
+            result.append(texts[0] if texts else OK)
+        return result
 
     def _unscaled(
         self, motions: Sequence[Trajectory], measures: Sequence[Measure]

@@ -13,7 +13,7 @@ one piece ends there and another begins, with two values at one time; nothing lo
 between them. The curve has the later value there, a window that begins at a switch the later and one that ends there the
 earlier one. Knots that move carry total derivatives, so all derivatives contain the effect of the moving jump.
 
-Where a history bends within an interval (kinks.py), the cubic has other slopes before a knot than after it (slopes.py).
+Where a history bends within an interval (curve.py), the cubic has other slopes before a knot than after it (slopes.py).
 Integrals are those of the curve itself, so that they, and their slopes, are continuous where the end of a window passes a knot.
 Over 300 lines: each method is a measure of the same knots.
 Checked in tests/design/test_spline.py, tests/design/test_switches.py.
@@ -232,32 +232,26 @@ class Spline:
 
     def extremes(self) -> Tensor:
         """The first value, the largest and the smallest of every interval in order of time, and the last [..., 2 n]."""
-        positions = (
-            torch.stack([self._maximum_positions()[0], self.negative()._maximum_positions()[0]], -1).sort(-1).values
-        )
+        both = [curve._maximum_positions()[0] for curve in (self, self.negative())]
+        positions = torch.stack(both, -1).sort(-1).values
         inner = torch.stack([self._at_positions(s) for s in positions.unbind(-1)], -1).flatten(-2)
         return torch.cat([self.y[..., :1], inner, self.y[..., -1:]], -1)
 
-    def _at_positions(self, s: Tensor, derivative: int = 0) -> Tensor:
-        """Value or derivative at the position s, 0 to 1, in every interval [..., n - 1]."""
-        return hermite(self.ends, self._lengths[0], s, derivative)
+    def _at_positions(self, s: Tensor) -> Tensor:
+        """Value at the position s, 0 to 1, in every interval [..., n - 1]."""
+        return hermite(self.ends, self._lengths[0], s)
 
     def _maximum_positions(self) -> tuple[Tensor, Tensor]:
         """Position of the largest value in every interval, 0 to 1, and whether it is a local maximum of the curve.
 
         Constants: neither autograd nor torch.func differentiates the search.
         """
-        return replace(
-            self, t=self.t.detach(), **{name: x.detach() for name, (_, x) in self._knots.items()}
-        )._searched()
-
-    def _searched(self) -> tuple[Tensor, Tensor]:
-        """As `_maximum_positions`, of numbers without derivatives."""
-        root, inner = self._stationary_positions()
-        y0, y1 = self.y[..., :-1], self.y[..., 1:]
-        inner = inner & self._lengths[1] & (self._at_positions(root) >= torch.maximum(y0, y1))
+        plain = replace(self, t=self.t.detach(), **{name: x.detach() for name, (_, x) in self._knots.items()})
+        root, inner = plain._stationary_positions()
+        y0, y1 = plain.y[..., :-1], plain.y[..., 1:]
+        inner = inner & plain._lengths[1] & (plain._at_positions(root) >= torch.maximum(y0, y1))
         s = torch.where(inner, root, (y1 > y0).to(y0.dtype))
-        starts, ends = self._ends_that_are_maxima()
+        starts, ends = plain._ends_that_are_maxima()
         return s, inner | (starts & (s == 0.0)) | (ends & (s == 1.0))
 
     def _ends_that_are_maxima(self) -> tuple[Tensor, Tensor]:

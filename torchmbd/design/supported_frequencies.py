@@ -5,7 +5,6 @@ Checked in tests/design/test_frequencies.py.
 
 from __future__ import annotations
 
-from typing import Any
 from weakref import WeakKeyDictionary
 
 from torch import Tensor, nn
@@ -14,7 +13,7 @@ from torchmbd.design.histories import flexible_body
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.digest import digest
-from torchmbd.math.module_call import call_module, outside_transforms
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.statics import VibrationCase
 from torchmbd.multibody.statics.supported_body import Supports
 from torchmbd.multibody.system import System
@@ -25,9 +24,7 @@ _CASES: WeakKeyDictionary[nn.Module, dict[str, VibrationCase]] = WeakKeyDictiona
 def supported_frequencies(motion: Trajectory, body: str, supports: Supports, number: int) -> Tensor:
     """The lowest frequencies [lanes, number] [Hz] of a body on supports, in the designs of a motion."""
     case = _case(motion.system, body, supports)
-    designs = {f"system.{name}": x for name, x in motion.designs.items()}
-    frequencies = call_module(_Frequencies(motion.system, case, number), designs)
-    return frequencies.expand(motion.lanes, number)
+    return motion.of_designs(lambda: case(number).frequencies).expand(motion.lanes, number)
 
 
 def check_supports(system: System, body: str, supports: Supports, number: int) -> None:
@@ -43,14 +40,3 @@ def _case(system: System, name: str, supports: Supports) -> VibrationCase:
     if key not in cases:
         cases[key] = outside_transforms(lambda: VibrationCase(body, supports))
     return cases[key]
-
-
-class _Frequencies(nn.Module):
-    """Frequencies of a case, as a module that holds the system: designs replace its parameters."""
-
-    def __init__(self, system: nn.Module, case: VibrationCase, number: int) -> None:
-        super().__init__()
-        self.system, self.case, self.number = system, case, number
-
-    def forward(self) -> Any:
-        return self.case(self.number).frequencies

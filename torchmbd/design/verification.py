@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,24 +160,15 @@ class _Response:
         """Of the first design, the start, and the second, the best."""
         name = unit(self.measure)
         factor, name = (math.degrees(1.0), "deg") if name == "rad" else (1.0, name or "")
+        changes = self.finer - self.value
         start, best = (
-            Number(factor * float(self.value[k]), factor * float(self.finer[k] - self.value[k]), self.reasons[k])
-            for k in (0, 1)
+            Number(factor * float(self.value[k]), factor * float(changes[k]), self.reasons[k]) for k in (0, 1)
         )
+        answer = Answer(self.goal, words(self.measure), name, start, best)
         if self.limit is None or self.excess is None or self.finer_excess is None:
-            return Answer(self.goal, words(self.measure), name, start, best)
-        margin = -float(self.excess[1])
-        return Answer(
-            self.goal,
-            words(self.measure),
-            name,
-            start,
-            best,
-            factor * float(self.limit[1]),
-            margin,
-            -float(self.finer_excess[1]),
-            abs(margin) <= _ACTIVE,
-        )
+            return answer
+        limit, margin, finer = factor * float(self.limit[1]), -float(self.excess[1]), -float(self.finer_excess[1])
+        return replace(answer, limit=limit, margin=margin, finer=finer, active=abs(margin) <= _ACTIVE)
 
 
 class _Fault(NamedTuple):
@@ -199,14 +190,11 @@ def _responses(
     objective, *errors = design_errors(problem, np.stack(designs), beside)
     value, finer = (x.max(1) for x in _both(objective))
     goal = "minimize" if problem.sign > 0.0 else "maximize"
-    responses = [
-        _Response(goal, problem.stated_objective, value, finer, objective, problem.sign),
-    ]
+    responses = [_Response(goal, problem.stated_objective, value, finer, objective, problem.sign)]
     initial = next((k for k, x in enumerate(designs) if np.array_equal(x, problem.space.start)), None)
     count = len(problem.constraints)
-    for k, (constraint, rows, error) in enumerate(
-        zip(problem.constraints, problem.constraint_rows, errors[:count], strict=True), start=1
-    ):
+    stated = zip(problem.constraints, problem.constraint_rows, errors[:count], strict=True)
+    for k, (constraint, rows, error) in enumerate(stated, start=1):
         limits = problem.limits[rows]
         if known:
             limits = known[k].finer_limits

@@ -74,7 +74,9 @@ class StepEstimates:
         self.iterations.put_into(statistics, self.steps + 1)
         if self.alternation is not None:
             number = torch.zeros(self.steps + 1, 1, dtype=torch.long) if segment is None else segment
-            statistics.alternation = alternating_share(self.alternation[:, 1:-1], second_halves(number))
+            late = second_halves(number)  # what a jump leaves has been damped since
+            change, size = torch.where(late, self.alternation[:, 1:-1], 0.0).sum(1)
+            statistics.alternation = change / size.clamp_min(torch.finfo(size.dtype).tiny)
         assert statistics.valid_times is not None
         valid = statistics.valid_times.minimum(first_true(self.turn > TURN).clamp_min(1))
         statistics.valid_times = (valid + every - 1) // every
@@ -168,16 +170,6 @@ def _acceleration_by_rounding(dynamics: Dynamics, history: History) -> Tensor:
     rates = [stiffness[k % len(stiffness)] / mass[body] for k, body in enumerate(T.beams.bodies) if body < T.bodies]
     far = history.q[:, : 3 * T.bodies, 0].abs().amax((0, 1))
     return _OF_PLACES * far * torch.stack(torch.broadcast_tensors(0.0 * far, *rates)).amax(0)
-
-
-def alternating_share(parts: Tensor, counted: Tensor) -> Tensor:
-    """Share [lanes] of the accelerations that changes its sign from step to step.
-
-    parts     as of `alternations`
-    counted   the steps that count [times - 2, lanes]: what a jump leaves has been damped since
-    """
-    change, size = torch.where(counted, parts, 0.0).sum(1)
-    return change / size.clamp_min(torch.finfo(size.dtype).tiny)
 
 
 def second_halves(number: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.ode import RightHandSide, flow
-from torchmbd.integrate.phases.switch import accelerations, at_time
+from torchmbd.integrate.phases.switch import at_time
 from torchmbd.math.pair import Pair, cat, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
@@ -94,7 +94,7 @@ def _flow_of_lane(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict
     y = _shifted(dynamics, y, t1, 1.0)
     z = Pair(y) if y.shape[1] > 1 else y
     q, v = z[: dynamics.topology.n_q], z[dynamics.topology.n_q :]
-    a, lam = at_time(accelerations, dynamics, t1, q, v)
+    a, lam = at_time(Dynamics.accelerations, dynamics, t1, q, v)
     return State(q, v, a, a, lam)
 
 

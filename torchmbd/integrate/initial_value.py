@@ -93,11 +93,17 @@ class SeveralSegments(InitialValueProblem):
         every = steps // integrator.stored_intervals(steps)
         run = MultiphaseRun(self.dynamics, self.segments, self.views, self.duration, steps, integrator, every)
         statistics = integrator.integrate_phases(run)
-        failed = {lane: reason for lane, reason in enumerate(run.failures) if reason}
         contacts = run.watch.unresolved(self.duration / steps, by_steps=integrator.adjoint)
         run.watch.gaps_and_rates = None  # of all steps: the run is kept for the adjoint
         return IntegrationResult(
-            run.history, statistics, failed, contacts, run.doubts, run.failed_for_good, run.switches, run.whole.data
+            history=run.history,
+            statistics=statistics,
+            failed={lane: reason for lane, reason in enumerate(run.failures) if reason},
+            contacts=contacts,
+            doubts=run.doubts,
+            for_good=run.failed_for_good,
+            switches=run.switches,
+            data=run.whole.data,
         )
 
     def select_lanes(self, lanes: Sequence[int]) -> SeveralSegments:

@@ -15,9 +15,10 @@ from torch import Tensor
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lane_status import validity
-from torchmbd.integrate.memory import memory_check
+from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.outputs import Outputs
-from torchmbd.integrate.retries import LaneResults, integrate_by_chosen_steps, integrate_lanes
+from torchmbd.integrate.retries import LaneResults, integrate_lanes
+from torchmbd.integrate.step_count import choose_steps
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
@@ -49,12 +50,16 @@ class IntegratedMotion:
 
     def integrate(self, problem: InitialValueProblem, tangents: int) -> None:
         """Integrate all lanes, with so many tangents."""
+        first = None
         if self.steps is None:
-            assert self.system is not None
-            check_memory = memory_check(self.system, problem.dynamics.lanes, tangents, self.integrator)
-            self.steps, self.results = integrate_by_chosen_steps(self.integrator, problem, check_memory)
-        else:
-            self.results = integrate_lanes(self.integrator, problem, self.steps)
+
+            def check_memory(steps: int) -> None:
+                assert self.system is not None
+                require_memory(self.system, problem.dynamics.lanes, self.integrator.stored_intervals(steps), tangents)
+
+            self.steps, first = choose_steps(self.integrator, problem.values(), check_memory)
+            first = None if problem.dynamics.tangents else first  # a motion of values alone has no tangents
+        self.results = integrate_lanes(self.integrator, problem, self.steps, first)
         self.dynamics = problem.dynamics if self.results.data is None else problem.dynamics.with_data(self.results.data)
         self.validity = validity(self.history, self.status, self.results.statistics)
 

@@ -56,8 +56,8 @@ class IntegrationResult:
     data: Data | None = None
 
 
-class Retry(NamedTuple):
-    """The integrator for lanes that failed, and how many of its steps stand for one of the steps that failed."""
+class Steps(NamedTuple):
+    """Steps of an integrator, so many of which stand for one that was asked for."""
 
     integrator: Integrator
     substeps: int
@@ -169,6 +169,6 @@ class Integrator(ABC):
         """Whether lanes may be integrated by smaller steps than asked for."""
         return False
 
-    def retry(self) -> Retry | None:
-        """The integrator for lanes that failed; None: they are not integrated again."""
+    def retry(self) -> Steps | None:
+        """Steps for lanes that failed; None: they are not integrated again."""
         return None

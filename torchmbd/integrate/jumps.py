@@ -162,13 +162,24 @@ def _sampled(
 
 
 def _jumps_of_force(force: Any, duration: float) -> list[float]:
-    return _jumps(f"law of {force.name!r}", force, lambda: _force_laws(force), duration)
+    """Of those of its laws that are functions of a user."""
+
+    def functions() -> list[Callable[[Tensor], Tensor]]:
+        laws = [action.law for action in force.actions(AttachmentTable())]
+        return [_at_a_state(law) for law in laws if not is_library_law(law)]
+
+    return _jumps(f"law of {force.name!r}", force, functions, duration)
 
 
 def _jumps_of_module(force: Controller, duration: float) -> list[float]:
-    """Of a controller, without those of held values."""
-    label, held = force.control.label, held_times(force.control, duration)
-    return _jumps(label, force, lambda: [_of_time(force)], duration, held)
+    """Of a controller, its inputs but the time fixed in general position; without those of held values."""
+
+    def functions() -> list[Callable[[Tensor], Tensor]]:
+        clock = torch.cat([torch.full((x.size,), isinstance(x, Time)) for x in force.inputs])
+        rest = 0.1 + 0.37 * torch.arange(len(clock), dtype=torch.float64).cos()
+        return [lambda t: force.module(torch.where(clock, t, rest)[None])[0]]
+
+    return _jumps(force.control.label, force, functions, duration, held_times(force.control, duration))
 
 
 def _refuse_jumps(system: Any, duration: float) -> None:
@@ -183,12 +194,6 @@ def _refuse_jumps(system: Any, duration: float) -> None:
                 f"duration requires a gradient, and the law of {force.name!r} jumps at {_shown(times)}; allowed: a law that "
                 "does not jump, or a duration without a gradient"
             )
-
-
-def _force_laws(force: Any) -> list[Callable[[Tensor], Tensor]]:
-    """Functions of time [] -> [1] of the laws that are functions of a user."""
-    laws = [action.law for action in force.actions(AttachmentTable())]
-    return [_at_a_state(law) for law in laws if not is_library_law(law)]
 
 
 def _at_a_state(law: Any) -> Callable[[Tensor], Tensor]:
@@ -252,13 +257,6 @@ def _warn_of_module(force: Controller, duration: float) -> None:
             "that it acts up to half a step early or late, an error of first order in the step; allowed: a module that does "
             'not jump in time, mbd.ControlHistory(..., kind="hold") for what does, or method="dopri5"'
         )
-
-
-def _of_time(force: Controller) -> Callable[[Tensor], Tensor]:
-    """u [outputs] of the module as a function of time, its other inputs fixed in general position."""
-    clock = torch.cat([torch.full((x.size,), isinstance(x, Time)) for x in force.inputs])
-    rest = 0.1 + 0.37 * torch.arange(len(clock), dtype=torch.float64).cos()
-    return lambda t: force.module(torch.where(clock, t, rest)[None])[0]
 
 
 def _warn_of_drive(drive: Drive, duration: float) -> None:

@@ -14,11 +14,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.integrator import Integrator
 from torchmbd.multibody.system import System
 from torchmbd.results.history import SEGMENT
 
@@ -111,15 +109,6 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
         f"steps is {steps}: the motion of one design takes {sizes}; allowed: up to {_rounded(most)} states; "
         "checkpoint=100 keeps every hundredth only"
     )
-
-
-def memory_check(system: System, lanes: int, tangents: int, integrator: Integrator) -> Callable[[int], None]:
-    """A function that refuses a number of steps whose motion does not fit into memory (InputError)."""
-
-    def check(steps: int) -> None:
-        require_memory(system, lanes, integrator.stored_intervals(steps), tangents)
-
-    return check
 
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:

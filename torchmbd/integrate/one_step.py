@@ -36,8 +36,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepEstimates
-from torchmbd.integrate.integrator import IntegrationResult, Integrator, Retry
-from torchmbd.integrate.moving_steps import MovingSteps
+from torchmbd.integrate.integrator import IntegrationResult, Integrator, Stepper, Steps
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
@@ -46,7 +45,7 @@ from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
 from torchmbd.integrate.stepper import EagerStepper, resume
-from torchmbd.integrate.variable_step import step_of_size
+from torchmbd.integrate.variable_step import MovingSteps, step_of_size
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -122,7 +121,12 @@ class OneStep(Integrator):
         h, every = duration / steps, self.checkpoint
         whole, condensed, x = prepare(dynamics).detached()
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
-        stepper = self._stepper_of(condensed, duration, steps)
+        by_duration = condensed.data.get(DURATION)
+        stepper: Stepper = (
+            MovingSteps(self, condensed, lambda i: by_duration * ((i + 1) / steps))
+            if isinstance(by_duration, Pair)
+            else self.stepper(condensed, h)
+        )
         record = Record(x, len(times))
         record.put(0, x)
         estimates = self.estimates(condensed, duration, steps)
@@ -152,13 +156,6 @@ class OneStep(Integrator):
         )
         return IntegrationResult(history, statistics, contacts=watch.unresolved(h))
 
-    def _stepper_of(self, dynamics: Dynamics, duration: float, steps: int) -> EagerStepper | MovingSteps:
-        """Of equal steps, whose size moves where there are tangents by the duration."""
-        by_duration = dynamics.data.get(DURATION)
-        if not isinstance(by_duration, Pair):
-            return self.stepper(dynamics, duration / steps)
-        return MovingSteps(self, dynamics, lambda i: by_duration * ((i + 1) / steps))
-
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
         """Of the errors of equal steps, whose states are those of these dynamics."""
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)
@@ -174,7 +171,7 @@ class OneStep(Integrator):
     def refines(self) -> bool:
         return self.halvings > 0
 
-    def retry(self) -> Retry | None:
+    def retry(self) -> Steps | None:
         """First with a new matrix for every correction, and more of these; then with half the step.
 
         The matrix of the step before does not suit one near a singular position: there its inverse grows without bound. Nor do
@@ -182,8 +179,8 @@ class OneStep(Integrator):
         """
         if self.refresh != 0:
             values, tangents = self.iterations or _OF_BEAMS
-            return Retry(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
-        return Retry(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None
+            return Steps(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
+        return Steps(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None
 
 
 def _expansion(whole: Dynamics, condensed: Dynamics, times: Tensor) -> Expansion | None:

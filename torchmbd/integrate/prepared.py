@@ -36,7 +36,11 @@ class Prepared(NamedTuple):
 def prepare(dynamics: Dynamics) -> Prepared:
     """Initial state and condensed system, made once for a `Dynamics`; grad mode of the first call decides on a graph."""
     if dynamics.prepared is None:
-        dynamics.prepared = _prepared(dynamics)
+        x, condensed = initial(dynamics), dynamics.condensed()
+        if condensed is not dynamics:
+            x = condensed.initial.condensation.retained_state(x)
+            x = x._replace(lam=condensed.zero_left_out(x.lam))
+        dynamics.prepared = Prepared(dynamics, condensed, x)
     return dynamics.prepared
 
 
@@ -47,14 +51,6 @@ def differentiable(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
     with torch.enable_grad():
         prepare(of_leaves)
     return of_leaves
-
-
-def _prepared(dynamics: Dynamics) -> Prepared:
-    x, condensed = initial(dynamics), dynamics.condensed()
-    if condensed is dynamics:
-        return Prepared(dynamics, dynamics, x)
-    x = condensed.initial.condensation.retained_state(x)
-    return Prepared(dynamics, condensed, x._replace(lam=condensed.zero_left_out(x.lam)))
 
 
 def _detached(dynamics: Dynamics) -> Dynamics:

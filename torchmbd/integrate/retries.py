@@ -15,15 +15,14 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_contacts.py, t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import torch
 
 from torchmbd.integrate.contacts import MOST_SUBSTEPS, UnresolvedContact
 from torchmbd.integrate.initial_value import InitialValueProblem
-from torchmbd.integrate.integrator import IntegrationResult, Integrator
+from torchmbd.integrate.integrator import IntegrationResult, Integrator, Steps
 from torchmbd.integrate.jumps import substeps_at
 from torchmbd.integrate.lane_status import (
     mark_doubts,
@@ -35,20 +34,12 @@ from torchmbd.integrate.lane_status import (
 )
 from torchmbd.integrate.lanes import pick_lanes, put_lanes
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.step_count import Trial, choose_steps
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import ATTACHED, Data
 from torchmbd.results.history import History, RefinedLane
-from torchmbd.results.motion_data import OK, Switch, has_failed
+from torchmbd.results.motion_data import Switch, has_failed
 
 _MOST_NUMBERS = 2e8  # of a motion whose steps are made smaller for its contacts
-
-
-class Steps(NamedTuple):
-    """Steps of an integrator, so many of which stand for one."""
-
-    integrator: Integrator
-    substeps: int
 
 
 @dataclass
@@ -173,7 +164,7 @@ def integrate_lanes(
         other = integrate_lanes(
             retry.integrator, problem.select_lanes(to_retry), retry.substeps * steps, substeps=substeps
         )
-        results.replace_lanes(to_retry, Steps(*retry), other)
+        results.replace_lanes(to_retry, retry, other)
     warn_unresolved([reason for lane, reason in enumerate(results.status) if lane not in results.replaced])
     return results
 
@@ -225,26 +216,3 @@ def _substeps_for_contacts(
     while finer > 1 and finer * numbers > _MOST_NUMBERS:
         finer //= 2
     return max(finer, 1)
-
-
-def integrate_by_chosen_steps(
-    integrator: Integrator,
-    problem: InitialValueProblem,
-    check_memory: Callable[[int], None],
-) -> tuple[int, LaneResults]:
-    """The number of steps that the motion needs (step_count.py), and the motion of all lanes by these.
-
-    check_memory   raises InputError for a number of steps that does not fit into memory
-    """
-    values, duration = problem.values(), problem.duration
-
-    def integrate(steps: int) -> Trial[IntegrationResult]:
-        result = values.integrate(integrator, steps)
-        status = status_of_lanes(result.history, duration, result.statistics)
-        # What was given up, as a phase that never ends, is with more steps as well.
-        status = [OK if lane in result.failed else reason for lane, reason in enumerate(status)]
-        return Trial(result, result.statistics, status, result.contacts)
-
-    steps, result = choose_steps(integrator, values.dynamics, duration, integrate, check_memory)
-    first = None if problem.dynamics.tangents else result  # a motion of values alone has no tangents
-    return steps, integrate_lanes(integrator, problem, steps, first)

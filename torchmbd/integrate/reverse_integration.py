@@ -5,7 +5,7 @@
     outputs   outputs.py; states of one segment are those of its condensed system
 
 Tangents are integrated when they are asked for, together with the values once more, by the steps that gave these. Those by the
-duration are made by operators of torch (moving_steps.py).
+duration are made by operators of torch (`MovingSteps`).
 Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py, tests/sensitivity/test_phase_adjoint.py.
 """
 

@@ -68,14 +68,18 @@ class Segment:
     @classmethod
     def of(cls, dynamics: Dynamics, phase: Phase, number: int) -> Segment:
         """A segment in which all joints act and none is locked."""
-        T, saddle, initial = dynamics.topology, dynamics.saddle, dynamics.initial
-        name, rows = phase.name or str(number + 1), list(range(T.rows))
-        return cls(number, phase, name, T, saddle, rows, [], (T, saddle), initial, initial.condensed)
-
-    @property
-    def starts_assembled(self) -> bool:
-        """Whether it begins in the state of the assembled mechanism: the first segment, without locks."""
-        return self.number == 0 and not self.locks
+        return cls(
+            number=number,
+            phase=phase,
+            name=phase.name or str(number + 1),
+            topology=dynamics.topology,
+            saddle=dynamics.saddle,
+            rows=list(range(dynamics.topology.rows)),
+            locks=[],
+            closing=(dynamics.topology, dynamics.saddle),
+            initial=dynamics.initial,
+            condensation=dynamics.initial.condensed,
+        )
 
 
 def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
@@ -140,7 +144,7 @@ def _segment(
 ) -> Segment:
     """The segment of a phase in which the joints `acting` and `locks` act."""
     model = whole.equations()
-    T, initial = model.topology, model.initial
+    T = model.topology
     closing_rows = _rows(T, acting)
     if len(closing_rows) == T.rows and not phase.laws:
         return Segment.of(model, phase, number)
@@ -152,11 +156,21 @@ def _segment(
     if locks:
         of_joints = replace(T.selected(closing_rows), actions=actions)
         closing = of_joints, Saddle(of_joints)
-    initial = replace(initial, topology=closing[0])
     always = set(rows).intersection(*(segment.rows for segment in before))
     constant = [i for i, row in enumerate(rows) if row in always]
-    condensation = condense(topology, initial.q, constant, [lock.name for lock in locks]) if topology.rows else None
-    return Segment(number, phase, name, topology, saddle, rows, locks, closing, initial, condensation)
+    q = model.initial.q
+    return Segment(
+        number=number,
+        phase=phase,
+        name=name,
+        topology=topology,
+        saddle=saddle,
+        rows=rows,
+        locks=locks,
+        closing=closing,
+        initial=replace(model.initial, topology=closing[0]),
+        condensation=condense(topology, q, constant, [lock.name for lock in locks]) if topology.rows else None,
+    )
 
 
 def _check_names(system: System, names: Sequence[str]) -> None:

@@ -42,7 +42,7 @@ from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
 from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
-from torchmbd.integrate.simulation import Simulation, parameters_of
+from torchmbd.integrate.simulation import Simulation
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
@@ -157,11 +157,10 @@ def simulate(
         if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
         if gradients == "forward" or not isinstance(integrator, OneStep):
-            labels = entry_labels(system, names)
             integration = ForwardIntegration(
                 names=tuple(batch),
                 variables=tuple(names),
-                labels=labels,
+                labels=entry_labels(system, names),
                 duration=seconds,
                 steps=steps,
                 system=system,
@@ -174,8 +173,16 @@ def simulate(
             motion = trajectory_of(whole, integration, outputs, integration.dynamics.data, batch, names)
             motion.actions = integration.actions
         else:
-            length = duration if by_duration else seconds
-            motion = _reverse(system, batch, names, length, steps, integrator, backend, phases)
+            motion = _reverse(
+                system,
+                batch,
+                names,
+                duration=duration if by_duration else seconds,
+                steps=steps,
+                integrator=integrator,
+                backend=backend,
+                phases=phases,
+            )
         motion.stats["backend"] = motion.integration.dynamics.backend
         mode = "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
         motion.stats["gradients"] = mode if names or by_times or initial.is_differentiated else "none"
@@ -194,7 +201,15 @@ def simulate(
         }
         arguments |= {"phases": phases, "backend": backend, "start": start}
         count = motion.integration.steps or len(motion.t) - 1
-        motion.simulation = Simulation(simulate, model, integrator, count, arguments, options, parameters_of(model))
+        motion.simulation = Simulation(
+            simulate=simulate,
+            system=model,
+            integrator=integrator,
+            steps=count,
+            arguments=arguments,
+            options=options,
+            parameters={name: x.detach().clone() for name, x in model.named_parameters()},
+        )
         return motion
 
 
@@ -203,11 +218,11 @@ def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
 
     valid_times: as of IntegratedSignals
     """
-    made = motion.integration
-    dynamics, h = made.dynamics.values(), made.history
+    integration = motion.integration
+    dynamics, h = integration.dynamics.values(), integration.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
-    history = History(q, v, vd, lam, made.expansion(dynamics.data), segment=h.segment)
-    signals = IntegratedSignals(history, made, dynamics.data, valid_times)
+    history = History(q, v, vd, lam, integration.expansion(dynamics.data), segment=h.segment)
+    signals = IntegratedSignals(history, integration, dynamics.data, valid_times)
     return replace(
         motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None, t=motion.t.detach()
     )
@@ -247,6 +262,7 @@ def _reverse(
     system: System,
     batch: dict[str, Tensor],
     names: list[str],
+    *,
     duration: float | Tensor,
     steps: int | None,
     integrator: OneStep,

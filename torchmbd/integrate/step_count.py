@@ -14,24 +14,23 @@ Checked in tests/integrate/test_step_count.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Callable, Collection, Sequence
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import GOOD_STEP
-from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.initial_value import InitialValueProblem
+from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import held_times_of, steps_at
+from torchmbd.integrate.lane_status import status_of_lanes
 from torchmbd.integrate.ode import fastest_vibration
-from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.stepper import TURN
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.progress import say
-from torchmbd.results.motion_data import has_failed
+from torchmbd.results.motion_data import OK, has_failed
 
 FEWEST, RIGID = 200, 1000  # steps
 _LONG = 20_000  # steps that are announced
@@ -46,32 +45,15 @@ _MOST_MORE = 8  # times the steps of a motion has the next: the estimate of a co
 _LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
 
 
-Result = TypeVar("Result")
-
-
-class Trial(NamedTuple, Generic[Result]):
-    """A motion by some number of steps, with what says whether it needs more.
-
-    result   what the caller keeps of it;  contacts: by lane, those that the steps do not show
-    """
-
-    result: Result
-    statistics: Statistics
-    status: Sequence[str]
-    contacts: Mapping[int, UnresolvedContact]
-
-
 def choose_steps(
-    integrator: Integrator,
-    dynamics: Dynamics,
-    duration: float,
-    integrate: Callable[[int], Trial[Result]],
-    check_memory: Callable[[int], None],
-) -> tuple[int, Result | None]:
-    """The number of steps that a motion needs, and the result of `integrate` with them.
+    integrator: Integrator, problem: InitialValueProblem, check_memory: Callable[[int], None]
+) -> tuple[int, IntegrationResult | None]:
+    """The number of steps that a motion of values needs, and this motion.
 
     Methods without estimates of their error get the steps that all modes need, and are not tried: their result is None.
+    check_memory   raises InputError for a number of steps that does not fit into memory
     """
+    dynamics, duration = problem.dynamics, problem.duration
     round_up = rounding(integrator, dynamics, duration)
     most = round_up(all_modes(dynamics, duration))
     if not integrator.adjoint:
@@ -85,10 +67,13 @@ def choose_steps(
     steps = min(round_up(first_steps(dynamics, duration)), most)
     while True:
         check_memory(steps)
-        trial = integrate(steps)
-        needed = needed_steps(steps, trial.statistics, trial.status, dynamics.start_errors, trial.contacts)
+        result = problem.integrate(integrator, steps)
+        # What was given up, as a phase that never ends, is with more steps as well.
+        status = status_of_lanes(result.history, duration, result.statistics)
+        status = [OK if lane in result.failed else reason for lane, reason in enumerate(status)]
+        needed = needed_steps(steps, result, status, dynamics.start_errors)
         if needed <= steps or steps >= most:
-            return steps, trial.result
+            return steps, result
         steps = min(round_up(needed), most)
 
 
@@ -117,15 +102,9 @@ def first_steps(dynamics: Dynamics, duration: float) -> int:
     return max(least, _SAMPLES)
 
 
-def needed_steps(
-    steps: int,
-    statistics: Statistics,
-    status: Sequence[str],
-    start_errors: Mapping[int, str],
-    contacts: Mapping[int, UnresolvedContact],
-) -> int:
+def needed_steps(steps: int, result: IntegrationResult, status: Sequence[str], start_errors: Collection[int]) -> int:
     """How many steps the lanes of a motion of so many need; lanes without an initial state (`start_errors`) need no more."""
-    needed, s = steps, statistics
+    needed, s, contacts = steps, result.statistics, result.contacts
     assert s.turn is not None
     assert s.step_error is not None
     assert s.suggested_steps is not None

@@ -8,7 +8,6 @@ Checked in tests/integrate/.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -45,19 +44,6 @@ ROUNDING = 1e-10  # of coordinates, with what equations and factors add to it
 def negligible(dynamics: Dynamics) -> Tensor:
     """Acceleration by a multiplier of one that is no more than rounding [lanes] or [1]."""
     return _NEGLIGIBLE / value(dynamics.data["mass"]).amax((0, 1))
-
-
-def check_intervals(count: int, first: int, tangents: int) -> Iterator[slice]:
-    """Steps, the first of number `first`, in runs without a check in between: compiled code makes a run in one call.
-
-    A check may call for more corrections from the next step on, so with tangents its step is a run of its own.
-    """
-    done = 0
-    while done < count:
-        since = (first + done) % CHECK
-        end = done + (1 if tangents and not since else min(CHECK - since, count - done))
-        yield slice(done, end)
-        done = end
 
 
 class EagerStepper(Stepper):

@@ -2,8 +2,9 @@
 
 Size h and end t1 of a step are numbers [1 + n, lanes] with tangents: each lane has its own, and its numbers depend on no
 other lane. Iterated to rounding, values and tangents; a lane whose iteration does not converge is nan.
+`MovingSteps` are regular steps whose size moves with the duration T of the motion: h = T / n, t_i = i T / n.
 Checked in tests/integrate/phases/test_variable_step.py, tests/sensitivity/test_events.py,
-tests/sensitivity/test_phase_adjoint.py.
+tests/sensitivity/test_phase_adjoint.py, tests/sensitivity/test_phase_times.py.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.step import Model, Step, Weights
+from torchmbd.integrate.integrator import Stepper
+from torchmbd.integrate.step import Model, Step, Weights, algorithmic
 from torchmbd.math.pair import Pair, apply, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored
 from torchmbd.multibody.system.times_as_lanes import at_own_times
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.topology import Schedule, Topology
+from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 _MOST = 40  # corrections
@@ -64,6 +67,26 @@ def step_to(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: 
     with torch.no_grad():
         K = dynamics.regularize(step.matrix(z))
     return step.finish(_implicit(step, factored(K.mT), z))
+
+
+class MovingSteps(Stepper):
+    """Steps of an integrator whose sizes depend on the design; time(i): the time [1 + n, lanes] at the end of step i."""
+
+    def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
+        super().__init__(dynamics)
+        self.integrator, self.time = integrator, time
+
+    def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
+        """See Stepper. The schedule counts steps only: laws are evaluated at times that depend on the design."""
+        self.steps = len(schedule)  # the last ones
+        for k in range(len(schedule)):
+            begin, end = self.time(first + k - 1), self.time(first + k)
+            x = self.integrator.step_of_size(self.dynamics, x, end - begin, end)
+            record.put(start + k, x)
+        return x
+
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
+        return algorithmic(self.integrator.weights(1.0), a, vd)
 
 
 def _step(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> Step:

@@ -48,11 +48,9 @@ class MemoryStore(Generic[T]):
         A failed evaluation has none, and serves all the same.
         """
         evaluation: Any = self.entries[key][1] if key in self.entries else None
-        return (
-            None
-            if evaluation is None or (gradients and evaluation.ok and not evaluation.differentiated)
-            else evaluation
-        )
+        if evaluation is not None and gradients and evaluation.ok and not evaluation.differentiated:
+            return None
+        return evaluation
 
 
 class CachedProblem(Generic[T]):

@@ -1,7 +1,9 @@
-"""Second derivatives of the Lagrangian along active constraints: whether a Kuhn-Tucker point is a minimum.
+"""Kuhn-Tucker points that are no minima, by the second derivatives of the Lagrangian along active constraints.
 
 A Kuhn-Tucker point is no minimum if s'H s < 0 for a direction s along the constraints and bounds that have a multiplier:
-a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by symmetry.
+a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by symmetry. No first-order method
+moves from a start that is one. So one more design is evaluated, near the start and inside the bounds: if it is better and
+feasible, the search begins there.
 
 Source: Nocedal and Wright, Numerical Optimization, section 12.5 (second-order conditions).
 Checked in tests/optimization/test_curvature.py.
@@ -40,7 +42,11 @@ def reduced_hessian(
 
     Z  directions [n, k];  H  second derivatives of the Lagrangian at y [n, n]
     """
-    steps = [_step(search, y, z) for z in Z.T]
+    steps = []
+    for z in Z.T:  # positive if y + step z lies inside the bounds, else negative
+        step = DIFFERENCE / float((np.abs(z) / np.maximum(np.abs(y), 1.0)).max())
+        inside = np.all((y + step * z >= search.lower) & (y + step * z <= search.upper))
+        steps.append(step if inside else -step)
     neighbors = [np.clip(y + step * z, search.lower, search.upper) for step, z in zip(steps, Z.T, strict=True)]
     search.prefetch(neighbors)
     gradient = lagrangian_gradient(evaluation, multipliers)
@@ -54,8 +60,19 @@ def reduced_hessian(
     return 0.5 * (reduced + reduced.T)
 
 
-def _step(search: Search, y: np.ndarray, z: np.ndarray) -> float:
-    """Return the signed length of a small step along z: positive if y + step z lies inside the bounds, else negative."""
-    step = DIFFERENCE / float((np.abs(z) / np.maximum(np.abs(y), 1.0)).max())
-    inside = np.all((y + step * z >= search.lower) & (y + step * z <= search.upper))
-    return step if inside else -step
+STATIONARY = 1e-6  # Kuhn-Tucker residual
+
+
+def perturb_stationary_start(search: Search, first: Evaluation) -> tuple[np.ndarray, Evaluation]:
+    """Return design [n] and evaluation to begin with: the start, unless it is stationary and a design near it is better."""
+    y = search.start
+    if search.kuhn_tucker(first, y).residual > STATIONARY:
+        return y, first
+    assert first.objective_gradient is not None
+    perturbed = search.neighbor
+    evaluation = search.evaluate(perturbed, gradients=True)
+    better = evaluation.ok and evaluation.objective < first.objective - 1e-12 * max(1.0, abs(first.objective))
+    if not better or search.violation(evaluation) > max(search.feasibility, search.violation(first)):
+        return y, first
+    search.record(perturbed)
+    return perturbed, evaluation

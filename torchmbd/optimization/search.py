@@ -225,11 +225,6 @@ class Search:
             self._cache.entries[key] = self.physical(tightened), evaluation
         return tightened
 
-    def _equality_mask(self, constraints: int) -> np.ndarray:
-        mask = np.zeros(constraints, dtype=bool)
-        mask[self.equalities] = True
-        return mask
-
     def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
         if self._cache.lookup(x.tobytes(), gradients) is None:
             self._fetch([x], gradients)
@@ -256,7 +251,8 @@ class Search:
             self.gradient_evaluations += with_gradients
             self.failures += not evaluation.ok
             if evaluation.ok and self.equality.size != evaluation.constraints.size:
-                self.equality = self._equality_mask(evaluation.constraints.size)
+                self.equality = np.zeros(evaluation.constraints.size, dtype=bool)
+                self.equality[self.equalities] = True
             if not evaluation.ok:
                 self._ranks.pop(x.tobytes(), None)  # its values were evaluated before, its gradient fails
             self._cache.entries[x.tobytes()] = x, evaluation

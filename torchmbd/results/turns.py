@@ -28,7 +28,7 @@ class AngleBefore(NamedTuple):
     now: Tensor
 
 
-def turns_between(motion: Any, angle: Tensor, rate: Tensor, before: AngleBefore | None = None) -> Tensor:
+def turns_between(motion: Any, angle: Tensor, rate: Tensor, before: AngleBefore | None) -> Tensor:
     """Turns to be added to angles [lanes, times] of a motion with these rates; before: of its first time."""
     first = torch.zeros_like(angle[:, :1])
     if before is not None:

@@ -19,6 +19,7 @@ from torchmbd.design.scenarios import Scenarios
 from torchmbd.errors import InputError
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, latin_hypercube, sobol
+from torchmbd.study import schema
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
 from torchmbd.study.parameter_values import set_parameters
@@ -51,7 +52,7 @@ def study_of(data: StudyFile, system: System, file: Path, overrides: tuple[str, 
         searched = RobustProblem(problem, np.append(tolerance, extra), data.robust or "expected")
     return StudySettings(
         searched,
-        _starts(data, problem, space.names),
+        starts_of(data.starts, data.design, space.names, problem.start),
         optimizer.name,
         file.stem,
         max_iterations=optimizer.max_iterations,
@@ -128,13 +129,15 @@ def point_in_si(design: Mapping[str, Bounded], names: Sequence[str], point: Sequ
     return [factor * x for factor, x in zip(factors, point, strict=False)]
 
 
-def _starts(data: StudyFile, problem: Problem | Tradeoff, names: Sequence[str]) -> Starts | list[Any] | None:
-    starts = data.starts
+def starts_of(
+    starts: schema.Starts | None, design: Mapping[str, Bounded], names: Sequence[str], initial: np.ndarray
+) -> Starts | list[Any] | None:
+    """Return where searches start, None: from the initial design alone; `names`: of the entries of a point."""
     if starts is None or starts.sampler == "none":
         return None
     if starts.sampler == "given":
-        points = [point_in_si(data.design, names, x) for x in starts.points or ()]
-        return [problem.start, *points] if starts.include_initial else points
+        points = [point_in_si(design, names, x) for x in starts.points or ()]
+        return [initial, *points] if starts.include_initial else points
     sample = {"sobol": sobol, "latin_hypercube": latin_hypercube}[starts.sampler]
     return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)
 

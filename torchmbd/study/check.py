@@ -6,6 +6,7 @@ Checked in tests/contracts/test_file_mistakes.py, tests/study/test_load.py.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -19,7 +20,8 @@ from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
 from torchmbd.design.scenario_settings import settings_of
 from torchmbd.design.space import CONSTANT, DesignSpace
 from torchmbd.errors import InputError
-from torchmbd.integrate.arguments import check_gradients, checked_integrator, start_of
+from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
+from torchmbd.integrate.registry import integrator_of
 from torchmbd.integrate.segment import segments_of
 from torchmbd.integrate.simulate import entry_labels
 from torchmbd.math import units
@@ -35,9 +37,8 @@ from torchmbd.study.model import (
 )
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import Scenario
-from torchmbd.study.schema import OBJECTIVE_KEYS, Simulation, Variable
-from torchmbd.study.settings import sweep_values
-from torchmbd.study.validation import MISSING_BOUND
+from torchmbd.study.schema import OBJECTIVE_KEYS, Motion, Simulation, Variable
+from torchmbd.study.settings import check_options, sweep_values
 
 Sections = Mapping[str, Any]
 NOUNS = {"lower": "lower bound", "upper": "upper bound", "start": "start", "tolerance": "tolerance", "step": "step"}
@@ -60,8 +61,17 @@ class Faults(list[Fault]):
         except InputError as error:
             below = {key: line for key, line in self.lines.items() if key[: len(path)] == path}
             text = str(error)
-            fault = Fault(mentioned(text, below) or path, text if text.startswith("= ") else f": {text}")
+            place = mentioned(text, below) or path
+            # "duration is 0 s; ..." and "kkt = [1]: ..." at this key: "simulate.duration = 0 s; ..."
+            text, named = re.subn(rf"^{re.escape(str(place[-1]))} (is|=) ", "= ", text)
+            fault = Fault(place, text if named or text.startswith("= ") else f": {text}")
             self += [fault] * (fault not in self)
+
+    def made(self, path: Path, make: Callable[[], Any]) -> Any:
+        """Return what `make` returns; None where it raises an InputError, which becomes a fault."""
+        with self.at(*path):
+            return make()
+        return None
 
 
 def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
@@ -87,17 +97,33 @@ def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, l
     return system, faults
 
 
+def motion_faults(motion: Motion, lines: Lines) -> list[Fault]:
+    """Return what is wrong with the method of a motion, its options and its backend."""
+    faults = Faults(lines)
+    for name, x in motion.options.items():
+        with faults.at("simulate", name):
+            integrator_of(motion.method, {name: x}, type(motion).model_fields)
+    with faults.at("simulate", "backend"):
+        check_backend(motion.backend)
+    return faults
+
+
 def section_faults(sections: Sections, system: System | None, folder: FilePath, lines: Lines) -> list[Fault]:
     """Return what the constructors refuse in the valid sections and entries of a file, see validation.py.
 
     system  of its model, None if there is none
     """
-    faults = Faults(lines)
     simulate: Simulation | None = sections.get("simulate")
+    faults = Faults(lines)
     if simulate is not None:
+        faults += motion_faults(simulate, lines)
         with faults.at("simulate"):
-            integrator = checked_integrator(simulate.duration, simulate.method, simulate.steps, simulate.options)
+            integrator = checked_integrator(simulate.duration, simulate.method, simulate.steps, {})
             check_gradients(simulate.gradients, integrator)
+    if (optimizer := sections.get("optimizer")) is not None:
+        for name, x in optimizer.options.items():
+            with faults.at("optimizer", name):
+                check_options(optimizer.name, {name: x}, sections.get("tradeoff") is not None)
     if system is None:
         return faults
     if simulate is not None:
@@ -164,7 +190,7 @@ def _add_design(faults: Faults, sections: Sections, system: System) -> None:
                     space(links=followers | {follower: {leader: factor}})
     make, valid = partial(space, links=followers), {}
     for name, variable in known.items():
-        of_numbers = _number_faults(name, variable, make, unlinked, bool(links))
+        of_numbers = _number_faults(name, variable, make, unlinked)
         faults += of_numbers
         if not of_numbers:
             valid[name] = variable
@@ -173,9 +199,7 @@ def _add_design(faults: Faults, sections: Sections, system: System) -> None:
         _add_points(faults, sections, whole)
 
 
-def _number_faults(
-    name: str, variable: Variable, make: Callable[..., DesignSpace], space: DesignSpace, linked: bool
-) -> list[Fault]:
+def _number_faults(name: str, variable: Variable, make: Callable[..., DesignSpace], space: DesignSpace) -> list[Fault]:
     """Return the faults of the numbers of a design variable; `make`: its space, with bounds and start; `space`: without."""
     alone, zeros = {name: variable}, np.zeros(len(space.names))
     of_keys = [_design_fault(name, variable, partial(space.vector, NOUNS[k], in_si(alone, k), zeros)) for k in NOUNS]
@@ -183,10 +207,11 @@ def _number_faults(
         start, lower, upper = (in_si(alone, key) for key in ("start", "lower", "upper"))
         pairs = {name: (lower.get(name, -np.inf), upper.get(name, np.inf))} if lower or upper else {}
         of_keys = [_design_fault(name, variable, partial(make, bounds=pairs, start=start))]
-    faults = [fault for fault in of_keys if fault is not None]
-    if linked and variable.lower is variable.upper is None and any(x.rpartition("[")[0] == name for x in space.names):
-        faults += [Fault(("design", name, key), MISSING_BOUND) for key in ("lower", "upper")]
-    return faults
+    missing = [key for key in ("lower", "upper") if getattr(variable, key) is None]
+    if len(missing) == 2 and all(entry.rpartition("[")[0] != name for entry in space.names):
+        missing = []  # every entry follows others
+    of_bounds = [Fault(("design", name, key), "is missing; allowed: a number") for key in missing]
+    return of_bounds + [fault for fault in of_keys if fault is not None]
 
 
 def _add_points(faults: Faults, sections: Sections, space: DesignSpace) -> None:

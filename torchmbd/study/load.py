@@ -19,7 +19,6 @@ from torchmbd.study.estimate import print_estimate
 from torchmbd.study.figures import FIGURES
 from torchmbd.study.file_errors import Fault, StudyError, located, mentioned
 from torchmbd.study.kind import Kind, Source
-from torchmbd.study.method_options import method_faults
 from torchmbd.study.overrides import override
 from torchmbd.study.parameter_values import with_values_of_file
 from torchmbd.study.paths import study_key
@@ -80,16 +79,16 @@ def load_study(path: str | Path, overrides: Sequence[str] = ()) -> StudySettings
 def _read_study(source: Source, sections: dict[str, Any], faults: list[Fault]) -> StudySettings | list[Fault]:
     lines = source.document.lines
     system, of_model = built_system(sections, source.folder)
-    of_keys = method_faults(sections) + of_model
-    faults = faults + of_keys
+    faults = faults + of_model
     refusal = None
     if system is not None and not faults:
         try:
             return study_of(StudyFile.model_construct(**sections), system, source.path, source.overrides)
         except InputError as error:
             refusal = str(error)
-    wrong = {fault.path[0] for fault in of_keys}
-    faults += section_faults({key: x for key, x in sections.items() if key not in wrong}, system, source.folder, lines)
+    if of_model:
+        sections = {key: x for key, x in sections.items() if key not in ("model", "options", "parameters")}
+    faults += section_faults(sections, system, source.folder, lines)
     if refusal is not None and not faults:  # of the study as a whole
         faults = [Fault(mentioned(refusal, lines), f": {refusal}")]
     return faults

@@ -31,7 +31,8 @@ from pydantic_core import PydanticCustomError
 from torchmbd.design.problem_steps import TOLERANCE
 from torchmbd.design.response_spec import SpecError, measure_of
 from torchmbd.design.words import unit
-from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
+from torchmbd.integrate.arguments import GRADIENTS
+from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.registry import DEFAULT, METHODS
 from torchmbd.math import units
 from torchmbd.math.plausible_units import turn_in_radians
@@ -51,6 +52,12 @@ SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
 OBJECTIVE_KEYS = ("minimize", "maximize", "tradeoff")  # exactly one of them is given
+#: Key -> what a file has not beside it.
+_EXCLUSIVE = {
+    "maximize": ("minimize",),
+    "tradeoff": ("minimize", "maximize", "scenarios", "tolerance"),
+    "sweep": ("optimizer", "starts", "scenarios"),
+}
 Limit = Literal["initial"] | float
 
 
@@ -130,7 +137,7 @@ class Motion(Section):
     method: Annotated[str, NameOf(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
     phases: str | None = None
-    backend: Annotated[str, NameOf(BACKENDS)] = "auto"
+    backend: str = Field(default="auto", json_schema_extra={"enum": ["auto", *BACKENDS]})
     start: Annotated[str, NameOf(STARTS)] | dict[str, list[float]] = STARTS[0]
 
     @property
@@ -342,34 +349,21 @@ class StudyFile(Section):
 
     @model_validator(mode="after")
     def _one_question(self) -> Self:
-        keys = [key for key in OBJECTIVE_KEYS if getattr(self, key) is not None]
-        if not keys:
+        keys = {key for key in type(self).model_fields if getattr(self, key) is not None}
+        keys |= {"tolerance"} if any(variable.tolerance is not None for variable in self.design.values()) else set()
+        if not keys & {*OBJECTIVE_KEYS}:
             text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
             raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
-        if len(keys) > 1:
-            raise fault(f"and {keys[0]} are both given; allowed: one of {', '.join(OBJECTIVE_KEYS)}", keys[1])
-        tolerant = any(variable.tolerance is not None for variable in self.design.values())
-        if self.robust is not None and not tolerant:
+        for key in keys & _EXCLUSIVE.keys():
+            if others := [other for other in _EXCLUSIVE[key] if other in keys]:
+                raise fault(f"and {' and '.join(others)} are both given; allowed: one without the other", key)
+        if "robust" in keys and "tolerance" not in keys:
             raise fault(f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design", "robust")
-        others = {"scenarios": self.scenarios is not None, "tolerance": tolerant}
-        for key in others:
-            if self.tradeoff is not None and others[key]:
-                raise fault(f"and {key} are both given; allowed: one of them", "tradeoff")
-        return self
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
-        extra = [key for key in ("optimizer", "starts") if getattr(self, key) is not None]
-        if self.sweep is not None and extra:
-            allowed = "a sweep, or an optimizer with starts"
-            raise fault(f": sweep and {' and '.join(extra)} are both given; allowed: {allowed}")
-        if self.combine is not None and self.scenarios is None:
-            raise fault(": combine is given without scenarios; allowed: both, or none")
-        if self.sweep is not None and self.scenarios is not None:
-            raise fault(": sweep and scenarios are both given; allowed: one of them")
+        if "combine" in keys and "scenarios" not in keys:
+            raise fault("is given without scenarios; allowed: both, or none", "combine")
         names = [scenario.name for scenario in self.scenarios or () if scenario.name is not None]
         if len({*names}) < len(names):
-            raise fault(f": scenarios have the names {names}; allowed: each name once")
+            raise fault(f": have the names {names}; allowed: each name once", "scenarios")
         return self
 
     def resolved(self) -> dict[str, Any]:

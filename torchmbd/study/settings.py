@@ -5,33 +5,50 @@ Checked in tests/study/test_study.py.
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
 from torchmbd.design import Tradeoff
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, argument_names, nearest, unknown
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
-from torchmbd.optimization import RobustProblem, Starts
+from torchmbd.optimization import OPTIMIZERS, RobustProblem, Starts
 from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
 from torchmbd.optimization.discrete.grid import Grid
+from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.sampling import recipe, starts_at
 from torchmbd.optimization.optimizer import find_method, require_count, require_inside, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.results.answer import Verification
 from torchmbd.study.columns import Columns
-from torchmbd.study.method_options import search_options
 from torchmbd.study.schema import NAME, UNITS, StudyFile
 from torchmbd.summary import Summary
 from torchmbd.tracking.store import checked_uri
 from torchmbd.tracking.uri import StoreURI
 
 MAX_ITERATIONS = 60
+#: Type of an option -> types of its values, in words.
+_TYPES: dict[Any, tuple[Any, str]] = {
+    float: (numbers.Real, "a number"),
+    int: (numbers.Integral, "an integer"),
+    bool: ((bool, np.bool_), "true or false"),
+}
+_NO_OPTIONS = {
+    "problem",
+    "method",
+    "starts",
+    "callback",
+    "ended",
+    "max_iterations",
+    "options",
+    "progress",
+}  # of searches
 
 
 @dataclass(frozen=True)
@@ -87,7 +104,7 @@ class StudySettings(Summary):
         self.problem: Any = problem
         self.method, self.name, self.question = method, name, question
         self.front = len(getattr(problem, "criteria", ())) > 1
-        _check_options(method, options, self.front)
+        check_options(method, options, self.front)
         self.max_iterations, self.options = int(max_iterations), options
         self.experiment, self.origin = experiment, origin
         self.uri: StoreURI | None = None if uri is None else checked_uri(uri)
@@ -241,10 +258,17 @@ def sweep_values(
     return index, np.linspace(first, last, count)
 
 
-def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
-    """InputError for options that neither the search nor the method has."""
-    shared = search_options(pareto_front if front else None)
-    find_method(method, {key: value for key, value in options.items() if key not in shared})
+def check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
+    """InputError for options that neither the search nor the method has, or of another type; ranges the method checks."""
+    search = pareto_front if front else multistart
+    shared = [name for name in argument_names(search) if name not in _NO_OPTIONS]
+    find_method(method, {key: x for key, x in options.items() if key not in shared}, [*shared, "max_iterations"])
+    hints = get_type_hints(OPTIMIZERS[method]) | get_type_hints(search)
+    for name, x in options.items():
+        kind, *others = get_args(hints[name]) or (hints[name],)
+        types, text = _TYPES.get(kind, (object, ""))
+        if not (isinstance(x, types) and isinstance(x, bool) <= (kind is bool)) and not (x is None and others):
+            raise InputError(f"{name} = {x!r}: must be {text}")
     for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
         if options.get(name) is not None:
             require_count(name, options[name], least, most)

@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
-from torchmbd.study.schema import LIMIT_KINDS, UNITS, Section, StudyFile
+from torchmbd.study.schema import LIMIT_KINDS, UNITS, Section
 from torchmbd.tracking.uri import StoreURI
 
 _FUNCTION = "package.module:function or path/to/file.py:function"
@@ -33,21 +33,18 @@ _ALLOWED = {
 }
 #: Sections of several entries, each of which can be checked alone.
 _OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
-MISSING_BOUND = f"is missing; allowed: {_ALLOWED['lower']}"
 
 
 def validate(data: Any, kind: type[Section]) -> tuple[dict[str, Any], list[Fault]]:
     """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be.
 
-    Of a section with faulty entries, such as scenarios, these are None, and the others valid. A missing bound alone makes
-    no section invalid: the other numbers of the variable can be checked.
+    Of a section with faulty entries, such as scenarios, these are None, and the others valid.
     """
     if not isinstance(data, dict):
         keys = ", ".join(f"{key}:" for key in _keys((), kind))
         return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
-    missing = _missing_bounds(data) if kind is StudyFile else []
     try:
-        return dict(kind.model_validate(data)), missing
+        return dict(kind.model_validate(data)), []
     except ValidationError as error:
         faults = _faults(error, data, kind)
     sections: dict[str, Any] = {}
@@ -58,18 +55,7 @@ def validate(data: Any, kind: type[Section]) -> tuple[dict[str, Any], list[Fault
             sections[name] = getattr(alone, name)
         elif name in _OF_ENTRIES and all(len(path) > 1 for path in paths):
             sections[name] = _entries(kind, name, data[name], {path[1] for path in paths})
-    return sections, missing + faults
-
-
-def _missing_bounds(data: dict[Any, Any]) -> list[Fault]:
-    """Return missing bounds: one of two, or both if no entry of any variable follows others (see check.py for the rest)."""
-    design, links = data.get("design"), data.get("links")
-    faults = []
-    for name, variable in design.items() if isinstance(design, dict) else ():
-        missing = [key for key in ("lower", "upper") if isinstance(variable, dict) and key not in variable]
-        if len(missing) == 1 or not links:
-            faults += [Fault(("design", name, key), MISSING_BOUND) for key in missing]
-    return faults
+    return sections, faults
 
 
 @cache

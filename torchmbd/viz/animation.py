@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from torchmbd.design.words import unit
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.mesh import Mesh, cut_quads
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
-from torchmbd.viz.panels import display_unit, full_name, panels_of
+from torchmbd.viz.panels import display_unit, full_name, panels_of, require_problem
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _NONE = np.empty(0, dtype=int)  # no elements
@@ -65,10 +65,10 @@ def animate(
     require_motion(motion)
     require_lane(motion, lane)
     frames = spread_frames(motion, max_frames)
-    if problem is not None and not isinstance(problem, Problem):
-        raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
+    if problem is not None:
+        require_problem(problem)
     scene = scene_of(motion, lane, frames)
-    scene["strips"] = _strips(problem, motion, lane, frames) or _energies(scene)
+    scene["strips"] = _strips(problem, motion, lane, frames, scene)
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
     if scale is not None:
         scene["scale"] = float(scale)
@@ -104,6 +104,13 @@ def require_lane(motion: Any, lane: int) -> None:
         raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
 
 
+def require_labels(motion: Any, labels: Sequence[str]) -> None:
+    """InputError unless the arguments are a motion and a label for each of its lanes."""
+    require_motion(motion)
+    if len(labels) != motion.lanes:
+        raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
+
+
 def spread_frames(motion: Any, max_frames: int) -> np.ndarray:
     """Return the indices of every n-th time, the first and the last among them, `max_frames` at most."""
     if max_frames < 2:
@@ -127,7 +134,10 @@ def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
         r, A = _array(state.r)[lane][frames], _array(state.A)[lane][frames]
         entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
         if state.mesh is None:
-            points = np.array(_unique(_array(side.point).tolist() for side in own_frames)).reshape(-1, 3)
+            ends = [_array(side.point).tolist() for side in own_frames]
+            points = np.array(list({tuple(np.round(end, 12)): end for end in ends}.values())).reshape(
+                -1, 3
+            )  # each once
             center = _array(body.center.detach()).reshape(1, 3)
             entry |= {"points": points.tolist(), "center": center[0].tolist()}
             local = (points if len(points) > 1 else np.concatenate([points, center]))[None]
@@ -153,8 +163,10 @@ def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray) -> list[dict[str, Any]]:
-    """Return a strip for each history of the responses of a problem; none for masses and frequencies."""
+def _strips(
+    problem: Problem | None, motion: Any, lane: int, frames: np.ndarray, scene: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Return a strip for each history of the responses of a problem; if there is none, one of all strain energies."""
     strips = []
     for panel in [] if problem is None else panels_of(problem):
         factor, name = display_unit(unit(panel.history))
@@ -162,13 +174,10 @@ def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray)
         limits = [factor * limit for limit, _ in panel.limits]
         label = f"{full_name(panel.history)} ({'; '.join(panel.goals)})"
         strips.append({"label": label, "unit": name, "limits": limits, "curves": [{"name": "", "y": _packed(y)}]})
-    return strips
-
-
-def _energies(scene: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return one strip with the strain energies of all flexible bodies."""
     curves = [{"name": body["name"], "y": body["energy"]} for body in scene["bodies"] if "energy" in body]
-    return [{"label": "strain energy", "unit": "J", "limits": [], "curves": curves}] if curves else []
+    if curves and not strips:
+        strips.append({"label": "strain energy", "unit": "J", "limits": [], "curves": curves})
+    return strips
 
 
 def _flexible(
@@ -181,10 +190,13 @@ def _flexible(
     shapes, weights = _low_rank(u.reshape(len(frames), -1))
     modes = shapes.reshape(len(shapes), -1, 3)
     relative = modes - through_joints(x, modes, sorted(joint_nodes))
+    mesh, triangles = state.mesh, _NONE
+    if isinstance(mesh, Mesh):
+        triangles = torch.cat([mesh.triangles, cut_quads(mesh.nodes, mesh.quads).flatten(0, 1)])
     entry.update(
         x=_packed(x),
-        triangles=_triangles(state.mesh),
-        lines=_array(getattr(state.mesh, "elements", getattr(state.mesh, "lines", _NONE))).reshape(-1).tolist(),
+        triangles=triangles.flatten().tolist(),
+        lines=_array(getattr(mesh, "elements", getattr(mesh, "lines", _NONE))).reshape(-1).tolist(),
         modes=_packed(shapes),
         relative=_packed(relative),
         weights=_packed(weights),
@@ -192,13 +204,6 @@ def _flexible(
     )
     deformation = np.einsum("tk,knc->tnc", weights, relative)
     return x + u, float(np.linalg.norm(deformation, axis=-1).max())
-
-
-def _triangles(mesh: Any) -> list[int]:
-    """Return the corners of the plates, quadrilaterals cut in two; none for a line."""
-    if not isinstance(mesh, Mesh):
-        return []
-    return torch.cat([mesh.triangles, cut_quads(mesh.nodes, mesh.quads).flatten(0, 1)]).flatten().tolist()
 
 
 def through_joints(x: np.ndarray, u: np.ndarray, joints: list[int]) -> np.ndarray:
@@ -245,10 +250,6 @@ def _node(side: Any) -> int | None:
     if side.interpolation is None:
         return None
     return side.interpolation.nearest(side.body.mesh.nodes - side.body.origin, side.point)
-
-
-def _unique(points: Iterable[list[float]]) -> list[list[float]]:
-    return list({tuple(np.round(point, 12)): point for point in points}.values())
 
 
 def _round(x: float) -> float:

@@ -17,9 +17,9 @@ from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.viz.animation import require_motion
-from torchmbd.viz.figures import BAD, BEST, CYCLE, LINE, OTHER, figure_of, over_time, titled, wrapped
-from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of
+from torchmbd.viz.animation import require_labels, require_motion
+from torchmbd.viz.figures import BAD, CYCLE, LINE, best_on_top, figure_of, over_time, titled, wrapped
+from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of, require_problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,22 +54,22 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     >>> figure.axes[0].get_ylabel()
     'strain energy of arm [J]'
     """
-    _require(problem)
-    require_motion(motion)
-    if len(labels) != motion.lanes:
-        raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
+    require_problem(problem)
+    require_labels(motion, labels)
     panels = panels_of(problem)
     if not panels:
         return None
-    t = motion.t.numpy()
-    whole = float(t[0]), float(t[-1])
-    spans = [(panel, span) for panel in panels for span in (whole, *_parts(panel.windows, whole))]
+    whole = float(motion.t[0]), float(motion.t[-1])
+    spans = []
+    for panel in panels:  # a part of the motion is drawn once more: what counts there may be small beside the rest
+        short = [window for window in panel.windows if window[1] - window[0] < _WHOLE * (whole[1] - whole[0])]
+        spans += [(panel, span) for span in dict.fromkeys([whole, *short])]
     figure, rows = figure_of(1.0 + 2.1 * len(spans), rows=len(spans), sharex=False)
     for axes, (panel, span) in zip(rows, spans, strict=True):
         factor, name = display_unit(unit(panel.history))
         curves = [samples_over_time(panel.history, motion, lane) for lane in range(motion.lanes)]
         drawn = [(x.numpy(), factor * np.asarray(y.detach())) for x, y in curves]
-        for (x, y), label, color in zip(drawn, labels, _colors(len(labels)), strict=True):
+        for (x, y), label, color in zip(drawn, labels, CYCLE * len(labels), strict=False):
             over_time(axes, x, y, label, color)
         parts = [y[(x >= span[0]) & (x <= span[1])] for x, y in drawn]
         inside = np.concatenate(parts)
@@ -109,20 +109,17 @@ def criteria_over_iterations(
     >>> figure.axes[-1].get_xlabel()
     'iteration'
     """
-    _require(problem)
+    require_problem(problem)
     searches = {name: [i for i in history if np.isfinite(i.objective)] for name, history in searches.items()}
     searches = {name: history for name, history in searches.items() if history}
     if not searches:
         raise InputError("searches is empty; allowed: at least one start with one iterate")
     figure, rows = figure_of(1.4 + 1.5 * (1 + len(problem.constraints)), rows=1 + len(problem.constraints))
-    for name in sorted(searches, key=lambda name: name == best):  # the best is drawn last, on top
-        style: dict[str, Any] = {"color": OTHER, "lw": 0.9}
-        if name == best:
-            style = {"color": BEST, "lw": 2.0, "label": f"best: {name}"}
+    for name, style in best_on_top(searches, best):
         steps = [iterate.iteration for iterate in searches[name]]
         for axes, curve in zip(rows, _curves(problem, searches[name]), strict=True):
             axes.plot(steps, curve, marker="o", ms=2.5, **style)
-    factor, name = display_unit(unit(problem.stated_objective))
+    _, name = display_unit(unit(problem.stated_objective))
     rows[0].set_ylabel(_label(words(problem.stated_objective), name, _SHORT), fontsize=8)
     if all(value > 0.0 for line in rows[0].lines for value in np.asarray(line.get_ydata(), dtype=float)):
         rows[0].set_yscale("log")
@@ -151,7 +148,7 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
     >>> [text.get_text() for text in figure.axes[0].get_yticklabels()]
     ['0.7 x mass of arm', '0.3 x integral of...']
     """
-    _require(problem)
+    require_problem(problem)
     require_motion(motion)
     if not isinstance(problem.stated_objective, Total) or len(problem.stated_objective.terms) < 2:
         return None
@@ -168,7 +165,7 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
         values.append(weight / divisor * np.asarray(part(motion).detach()))
     figure, (axes,) = figure_of(1.4 + 0.25 * len(names) * (1 + len(labels)))
     thick, places = 0.8 / len(labels), np.arange(len(names))
-    for k, (label, color) in enumerate(zip(labels, _colors(len(labels)), strict=True)):
+    for k, (label, color) in enumerate(zip(labels, CYCLE * len(labels), strict=False)):
         heights = np.array([value[k] for value in values])
         axes.barh(
             places + (k - 0.5 * (len(labels) - 1)) * thick,
@@ -179,15 +176,9 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
         )
     axes.set_yticks(places, [_label(name, "") for name in names], fontsize=8)
     axes.invert_yaxis()
-    divided = "weight x criterion / its size at start" if problem.objective.refers_to_start else "weight x criterion"
-    axes.set_xlabel(divided)
+    axes.set_xlabel(f"weight x criterion{' / its size at start' if problem.objective.refers_to_start else ''}")
     _legend(figure, [axes])
     return titled(figure, title)
-
-
-def _require(problem: Any) -> None:
-    if not isinstance(problem, Problem):
-        raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
 
 
 def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
@@ -199,12 +190,6 @@ def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     for constraint, values in zip(problem.constraints, responses, strict=True):
         curves.append(display_unit(unit(constraint.measure))[0] * values)
     return curves
-
-
-def _parts(windows: Sequence[tuple[float, float]], whole: tuple[float, float]) -> list[tuple[float, float]]:
-    """Return the windows that are parts of the motion, each once: what counts there may be small beside the rest."""
-    short = [(start, end) for start, end in windows if end - start < _WHOLE * (whole[1] - whole[0])]
-    return list(dict.fromkeys(short))
 
 
 def _show_only(axes: Axes, parts: Sequence[np.ndarray]) -> None:
@@ -249,10 +234,6 @@ def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]],
 
 def _label(said: str, name: str, width: int = 30) -> str:
     return wrapped(f"{said} [{name}]" if name else said, width)
-
-
-def _colors(count: int) -> list[str]:
-    return [CYCLE[k % len(CYCLE)] for k in range(count)]
 
 
 def _legend(figure: Figure, rows: Sequence[Axes]) -> None:

@@ -62,7 +62,7 @@ def design_map(
     X = X.reshape(-1, len(headings))
     seen = np.isfinite(y)
     if len(headings) == 1:
-        _line_of_designs(axes, X[seen], y[seen])
+        axes.plot(X[seen, 0], y[seen], ".", color="#c0c0c0", ms=4, zorder=1)
     else:
         _plane_of_designs(axes, X[seen], y[seen], objective, contours=not flat)
     named = set()
@@ -112,11 +112,6 @@ def _projected(
         names.append(f"direction {k + 1} ({shares[k]:.0%} of the spread):\nmostly {', '.join(first)}")
     seen = None if visited is None else (plane(visited[0]), np.asarray(visited[1], dtype=float))
     return {name: plane(path) for name, path in paths.items()}, seen, names
-
-
-def _line_of_designs(axes: Axes, X: np.ndarray, y: np.ndarray) -> None:
-    order = np.argsort(X[:, 0])
-    axes.plot(X[order, 0], y[order], ".", color="#c0c0c0", ms=4, zorder=1)
 
 
 def _plane_of_designs(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str, contours: bool) -> None:

@@ -17,11 +17,10 @@ from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated
-from torchmbd.viz.animation import require_motion
+from torchmbd.viz.animation import require_labels
 from torchmbd.viz.figures import BAD, CYCLE, LINE, figure_of, titled, wrapped
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from torchmbd.integrate import Trajectory
@@ -47,9 +46,7 @@ def failure_map(
     >>> figure.axes[0].get_title(loc="left").startswith("start:")
     True
     """
-    require_motion(motion)
-    if len(labels) != motion.lanes:
-        raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
+    require_labels(motion, labels)
     owner: Any = motion.system.body(body)
     if getattr(owner, "plates", None):
         indices = _of_plates(motion, body, criterion)
@@ -102,7 +99,6 @@ def _on_mesh(owner: Any, indices: list[tuple[np.ndarray, str]], labels: Sequence
     low, high = min(0.0, *(float(v.min()) for v in shown)), max(float(v.max()) for v in shown)
     width, height = np.ptp(flat, axis=0)
     figure, rows = figure_of(1.7 + len(indices) * min(3.2, 0.8 + 5.0 * height / width), rows=len(indices))
-    parts = None
     for axes, (values, place), label in zip(rows, indices, labels, strict=True):
         parts = PolyCollection(corners, array=values[: len(corners)], cmap="viridis", edgecolors="face", linewidths=0.2)
         parts.set_clim(low, high)
@@ -115,9 +111,9 @@ def _on_mesh(owner: Any, indices: list[tuple[np.ndarray, str]], labels: Sequence
         axes.set_ylabel(f"{names[1]} [m]", fontsize=8)
         axes.grid(False)
     rows[-1].set_xlabel(f"{names[0]} of {owner.name} [m]", fontsize=8)
-    assert parts is not None
     said = f"failure index of {owner.name} ({criterion.replace('_', ' ')}), largest of all times, layers and faces"
-    figure.colorbar(parts, ax=rows, label=wrapped(said, LINE), location="bottom", aspect=50, shrink=0.9)
+    colors = rows[-1].collections[0]
+    figure.colorbar(colors, ax=rows, label=wrapped(said, LINE), location="bottom", aspect=50, shrink=0.9)
     return figure
 
 
@@ -147,7 +143,8 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
         lengths = beams.lengths(key).detach()
         for lane, (label, color) in enumerate(zip(labels, CYCLE * len(labels), strict=False)):
             index = FailureForms(criterion, basis[lane].detach(), strength[lane].detach())
-            x = _lengths(lengths[lane])
+            far = lengths[lane].cumsum(0)
+            x = torch.stack([far - lengths[lane], far], 1).flatten().numpy()  # both ends of each element
             largest, when = _largest(index, beams.w[lane].detach(), basis.shape[1])
             each = largest.unflatten(0, (len(x), -1))
             most = each.amax(1).numpy()
@@ -156,18 +153,9 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
             said = wrapped(f"{label}: {most.max():.3g} at t = {time:.4g} s", LINE)
             axes.plot(x, most, color=color, lw=1.3, label=said)
             axes.plot(x[most.argmax()], most.max(), "o", ms=7, mfc="none", mec=BAD, mew=1.4)
-        _finish(axes, key if len(parts) > 1 else "", body, criterion)
+        axes.set_ylabel(wrapped(f"failure index of {body} ({criterion.replace('_', ' ')})", 30), fontsize=8)
+        axes.set_ylim(bottom=0.0)
+        title: dict[str, Any] = {"title": key, "title_fontsize": 8} if len(parts) > 1 else {}
+        axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), alignment="left", **title)
     rows[-1].set_xlabel(f"length along {body} [m]")
     return figure
-
-
-def _lengths(sizes: Tensor) -> np.ndarray:
-    """Return the positions of both ends of each element along the beam [m]."""
-    return torch.stack([torch.cumsum(sizes, 0) - sizes, torch.cumsum(sizes, 0)], 1).flatten().numpy()
-
-
-def _finish(axes: Axes, part: str, body: str, criterion: str) -> None:
-    axes.set_ylabel(wrapped(f"failure index of {body} ({criterion.replace('_', ' ')})", 30), fontsize=8)
-    axes.set_ylim(bottom=0.0)
-    title = {"title": part, "title_fontsize": 8} if part else {}
-    axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), alignment="left", **title)

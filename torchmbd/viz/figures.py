@@ -7,7 +7,7 @@ Each function returns a matplotlib Figure (no pyplot, no global state); `save` w
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +42,7 @@ def convergence(
     if not objectives or not any(len(values) for values in objectives.values()):
         raise InputError("objectives is empty; allowed: at least one start with one iteration")
     figure, (top, bottom) = figure_of(5.4, rows=2, ratios=(3, 1))
-    for name in sorted(objectives, key=lambda name: name == best):  # the best is drawn last, on top
-        style = {"color": BEST, "lw": 2.0, "label": f"best: {name}"} if name == best else {"color": OTHER, "lw": 0.9}
+    for name, style in best_on_top(objectives, best):
         steps = range(len(objectives[name]))
         top.plot(steps, objectives[name], marker="o", ms=2.5, **style)
         bottom.plot(steps, violations.get(name, [0.0] * len(steps)), marker="o", ms=2.5, **style)
@@ -60,6 +59,15 @@ def convergence(
     bottom.locator_params(axis="x", integer=True)
     top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
     return figure
+
+
+def best_on_top(starts: Iterable[str], best: str | None) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the name and the line style of each start, the best last."""
+    for name in sorted(starts, key=lambda name: name == best):
+        yield (
+            name,
+            {"color": BEST, "lw": 2.0, "label": f"best: {name}"} if name == best else {"color": OTHER, "lw": 0.9},
+        )
 
 
 @checked_signature

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.viz.animation import require_motion, scene_of
+from torchmbd.viz.animation import require_lane, require_motion, scene_of
 
 _ACROSS = {"x": (1, 2), "y": (0, 2), "z": (0, 1)}  # axes of the picture, by the axis along which one looks
 _WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
@@ -50,8 +50,7 @@ def film(
     if not writers.is_available(_WRITERS[path.suffix]):
         raise InputError(f"path = {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed; allowed: .gif")
     require_motion(motion)
-    if not 0 <= lane < len(motion.status) or motion.status[lane].startswith("failed"):
-        raise InputError(f"lane = {lane}: allowed: the lanes with a motion, of {motion.status}")
+    require_lane(motion, lane)
     count = round(seconds * frames_per_second)
     if count < 2 or frames_per_second < 1:
         raise InputError(f"seconds = {seconds}, frames_per_second = {frames_per_second}: allowed: two frames or more")

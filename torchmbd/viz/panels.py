@@ -14,6 +14,7 @@ from torchmbd.design.measures import AtTime, Integral, OfHistory
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.words import unit, words
+from torchmbd.errors import InputError
 
 SIGNS = {"at_most": "at most", "at_least": "at least", "equal": "equal to"}
 
@@ -40,16 +41,12 @@ def panels_of(problem: Problem) -> list[Panel]:
                 panels.append(panel := Panel(history))
             panel.goals.append(_question_words(response, limit, "minimize" if problem.sign > 0.0 else "maximize"))
             # Only limits of the history itself are drawn, not those of its integral or of other functions of it.
-            if isinstance(response, Constraint) and measure is outer and _of_one_unit(measure, history):
+            itself = isinstance(measure, (OfHistory, AtTime)) and not isinstance(measure, Integral)
+            if isinstance(response, Constraint) and measure is outer and itself and unit(measure) == unit(history):
                 panel.limits.append((float(limit or 0.0), response.kind))
             if (window := getattr(measure, "window", None)) is not None:
                 panel.windows.append(window)
     return panels
-
-
-def _of_one_unit(measure: Measure, history: History) -> bool:
-    kinds = isinstance(measure, (OfHistory, AtTime)) and not isinstance(measure, Integral)
-    return kinds and unit(measure) == unit(history)
 
 
 def _question_words(response: Measure | Constraint, limit: float | None, goal: str) -> str:
@@ -59,6 +56,12 @@ def _question_words(response: Measure | Constraint, limit: float | None, goal: s
     return (
         f"{words(response.measure, bodies=False)} {SIGNS[response.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
     )
+
+
+def require_problem(problem: Any) -> None:
+    """InputError unless the argument is a Problem."""
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
 
 
 def first_limits(problem: Problem) -> list[float]:

@@ -73,7 +73,12 @@ def parallel_coordinates(
         axes.plot(
             places, share[k], color=shade if good[k] else OTHER, lw=0.9, ls="-" if good[k] else ":", marker="o", ms=2.5
         )
-    _best(axes, places, share, worse, good)
+    if good.any():
+        k = int(np.nanargmin(np.where(good, worse, np.nan)))
+        axes.plot(places, share[k], color=BEST, lw=2.2, marker="o", ms=4, label="best")
+    axes.plot([], [], color="0.4", lw=0.9, label="other starts, the better the darker")
+    if not good.all():
+        axes.plot([], [], color=OTHER, lw=0.9, ls=":", label="not feasible")
     for k in places:
         axes.vlines(k, 0.0, 1.0, color="#444444", lw=0.8, zorder=0)  # between its numbers, not through them
         for edge, text, va in ((-0.03, low[k], "top"), (1.03, high[k], "bottom")):
@@ -89,15 +94,6 @@ def parallel_coordinates(
     axes.grid(False)
     axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=3)
     return titled(figure, title)
-
-
-def _best(axes: Any, places: np.ndarray, share: np.ndarray, worse: np.ndarray, good: np.ndarray) -> None:
-    if good.any():
-        k = int(np.nanargmin(np.where(good, worse, np.nan)))
-        axes.plot(places, share[k], color=BEST, lw=2.2, marker="o", ms=4, label="best")
-    axes.plot([], [], color="0.4", lw=0.9, label="other starts, the better the darker")
-    if not good.all():
-        axes.plot([], [], color=OTHER, lw=0.9, ls=":", label="not feasible")
 
 
 def _lines(heading: str) -> list[str]:

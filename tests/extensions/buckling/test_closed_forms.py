@@ -16,7 +16,7 @@ import scipy.optimize
 import torch
 
 import torchmbd as mbd
-from tests.validation.test_vibrations import CARBON, plate, supported
+from tests.validation.test_vibrations import CARBON, EDGES, plate, supported
 
 
 def uniaxial(a: float, b: float, D: torch.Tensor, m: int, n: int) -> float:

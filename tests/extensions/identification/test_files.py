@@ -309,7 +309,7 @@ MISTAKES = {
     ),
     "a parameter that the model has not": ("parameters={bob.mas: 1.0}", r"parameters\.bob\.mas.*bob\.mass"),
     "a parameter that cannot be": ("parameters={bob.mass: -1.0}", r"parameters\.bob\.mass.*positive"),
-    "an option of the motion": ("simulate.stepps=5", r"simulate\.stepps unknown key.*steps"),
+    "an option of the motion": ("simulate.stepps=5", r"simulate\.stepps = 5.*does not exist.*did you mean 'steps'"),
 }
 
 

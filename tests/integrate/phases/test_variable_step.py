@@ -12,7 +12,7 @@ from torchmbd.integrate import variable_step
 from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.lanes import lanes_of, pick_lanes, pick_states
-from torchmbd.integrate.phases.switch import accelerations, at_time, jump
+from torchmbd.integrate.phases.switch import at_time, jump
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State
 
@@ -46,7 +46,7 @@ def states() -> tuple[Dynamics, State]:
     q, v = (x[0, at].T[:, None] for x in (motion.q, motion.v))
     dynamics = motion.dynamics
     (v,) = at_time(jump, dynamics, TIMES, q, v)
-    a, lam = at_time(accelerations, dynamics, TIMES, q, v)
+    a, lam = at_time(Dynamics.accelerations, dynamics, TIMES, q, v)
     return dynamics, State(q, v, a, a, lam)
 
 

@@ -280,9 +280,9 @@ def test_residual_carries_design_tangents(linearized):
     }
 
     def residual(x):
-        own = {name: x[name] for name in data}
-        at = equations.placement(T, own, x["q"], T.prescribed(t))
-        return dynamics._residual(own, at, x["v"], x["a"], x["lam"], T.law_jets(t))
+        parts, alpha = {name: x[name] for name in data}, 1.0 / dynamics.stabilization
+        at = equations.placement(T, parts, x["q"], T.prescribed(t))
+        return equations.stabilized_residual(T, parts, at, x["v"], x["a"], x["lam"], T.law_jets(t), alpha)
 
     value, slope = torch.func.jvp(residual, (arguments,), (moves,))
     result = residual({name: Pair.of(x, moves[name]) for name, x in arguments.items()})

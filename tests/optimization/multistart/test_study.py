@@ -13,7 +13,7 @@ from tests.optimization.analytic import Analytic
 from torchmbd.errors import InputError
 from torchmbd.optimization import Evaluation, latin_hypercube, optimize, sobol, starts_at
 from torchmbd.optimization.multistart import multistart
-from torchmbd.optimization.multistart.minima import distinct_minima
+from torchmbd.optimization.multistart.run import distinct_minima
 
 METHODS = ["mmfd", "slsqp"]
 

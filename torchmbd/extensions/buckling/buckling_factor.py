@@ -24,7 +24,7 @@ from torchmbd.extensions.buckling.buckling_index import BucklingIndex
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.digest import digest
-from torchmbd.math.module_call import call_module, outside_transforms
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
 
 _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = (
@@ -72,8 +72,7 @@ class BucklingFactor(Measure):
         if self.loads is None:
             return reciprocal(self._peak.value(motion))
         case = self._case(motion.system, self.loads)
-        designs = {f"system.{name}": x for name, x in motion.designs.items()}
-        factors = call_module(_Factors(motion.system, case, self.number), designs)
+        factors = motion.of_designs(lambda: case(self.number).factors)
         return factors[..., -1].expand(len(motion.q))
 
     @property
@@ -86,14 +85,3 @@ class BucklingFactor(Measure):
         if key not in cases:
             cases[key] = outside_transforms(lambda: BucklingCase(body, loads, self.supports))
         return cases[key]
-
-
-class _Factors(nn.Module):
-    """Buckling factors of a case, as a module that holds the system: designs replace its parameters."""
-
-    def __init__(self, system: nn.Module, case: BucklingCase, number: int):
-        super().__init__()
-        self.system, self.case, self.number = system, case, number
-
-    def forward(self) -> Tensor:
-        return self.case(self.number).factors

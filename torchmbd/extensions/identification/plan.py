@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.design.response_spec import SpecError, history_of
+from torchmbd.design.response_spec import history_of
 from torchmbd.design.words import unit as unit_of
 from torchmbd.errors import InputError, nearest
 from torchmbd.extensions.identification.channel import SENSOR, Channel
@@ -37,14 +37,12 @@ from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.math import units
 from torchmbd.math.variable import variable
 from torchmbd.multibody.system import System
-from torchmbd.optimization import Starts, latin_hypercube, sobol
-from torchmbd.study.assemble import in_si, links_in_si, point_in_si
-from torchmbd.study.check import built_system
+from torchmbd.study.assemble import in_si, links_in_si, starts_of
+from torchmbd.study.check import Faults, built_system, motion_faults
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.file_errors import Fault
 from torchmbd.study.file_errors import Path as FaultPath
 from torchmbd.study.kind import Source
-from torchmbd.study.method_options import method_faults
 from torchmbd.study.model import build_model, find_model, find_phases, find_response, option_faults
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import si_of
@@ -95,28 +93,13 @@ class IdentificationPlan:
 
 
 @dataclass
-class _Faults(list):
-    """Faults of a file, by the path at which a constructor refuses it."""
-
-    def at(self, path: FaultPath, make: Any) -> Any:
-        """What `make` returns; None where it raises an error, which is a fault at the path."""
-        try:
-            return make()
-        except SpecError as error:
-            self.append(Fault((*path, *error.path), error.text))
-        except InputError as error:
-            self.append(Fault(path, f": {error}"))
-        return None
-
-
-@dataclass
 class _Maker:
     """Makes the experiments of a file, and keeps what is wrong with them."""
 
     data: IdentificationFile
     system: System
     folder: Path
-    faults: _Faults = field(default_factory=_Faults)
+    faults: Faults
     sensors: dict[str, Any] = field(default_factory=dict)  # unknowns of sensors by name -> variables
     systems: dict[str, System] = field(default_factory=dict)
 
@@ -161,10 +144,10 @@ class _Maker:
         start = simulate.start if data.start is None else data.start
         phases = None
         if simulate.phases is not None:
-            phases = self.faults.at(("simulate", "phases"), partial(find_phases, simulate.phases, self.folder))
+            phases = self.faults.made(("simulate", "phases"), partial(find_phases, simulate.phases, self.folder))
         options = {"method": simulate.method, "phases": phases, "backend": simulate.backend, "start": start}
         make = partial(Experiment, system, measured, si_of(data.set), data.duration, simulate.steps)
-        return self.faults.at(path, partial(make, **options, **simulate.options))
+        return self.faults.made(path, partial(make, **options, **simulate.options))
 
     def _of_file(
         self, path: FaultPath, kind: str, name: str, key: str, system: System | None
@@ -177,7 +160,7 @@ class _Maker:
             made = self._channel(place, kind, name, channel, x)
             if made is not None and system is not None:
                 before = len(self.faults)
-                self.faults.at(place, partial(made.response.check, system))
+                self.faults.made(place, partial(made.response.check, system))
                 channels |= {channel: made} if len(self.faults) == before else {}
         if not channels:
             return None
@@ -209,7 +192,8 @@ class _Maker:
         place = (*path, "modal_data")
         find = partial(find_response, folder=self.folder)
         sensors = [
-            self.faults.at((*place, "sensors", k), partial(history_of, x, (), find)) for k, x in enumerate(data.sensors)
+            self.faults.made((*place, "sensors", k), partial(history_of, x, (), find))
+            for k, x in enumerate(data.sensors)
         ]
         if None in sensors:
             return None
@@ -217,7 +201,7 @@ class _Maker:
         shares = {key: getattr(data, key) for key in ("frequency_share", "damping_share")}
         shares |= {} if data.least_mac is None else {"least_mac": data.least_mac}
         make = partial(ModalData, data.frequencies, damping, data.shapes, sensors, data.modes, **shares)
-        return self.faults.at(place, make)
+        return self.faults.made(place, make)
 
     def _frequency_responses(self, path: FaultPath, data: Any, system: System | None) -> FrequencyResponseData | None:
         if system is None:
@@ -231,9 +215,9 @@ class _Maker:
             signal, row = port(x).output(system)
             return signal if signal.size == 1 else (signal, "xyz"[row])
 
-        source = self.faults.at((*place, "input"), lambda: port(data.input).input(system))
+        source = self.faults.made((*place, "input"), lambda: port(data.input).input(system))
         outputs = {
-            name: self.faults.at((*place, "outputs", name), partial(output, x)) for name, x in data.outputs.items()
+            name: self.faults.made((*place, "outputs", name), partial(output, x)) for name, x in data.outputs.items()
         }
         if source is None or None in outputs.values():
             return None
@@ -241,7 +225,7 @@ class _Maker:
         spin = {} if data.spin is None else {"spin": data.spin}
         make = partial(FrequencyResponseData, self.folder / data.file, source, outputs, **keys, **spin)
         try:
-            return self.faults.at(place, make)
+            return self.faults.made(place, make)
         except OSError as error:
             self.faults.append(Fault((*place, "file"), f": cannot be read: {error.strerror}"))
             return None
@@ -256,14 +240,14 @@ class _Maker:
         key = repr(sorted(merged.items()))
         if key not in self.systems:
             make = partial(build_model, builder, merged)
-            built = self.faults.at(path, lambda: set_parameters(make(), self.data.parameters))
+            built = self.faults.made(path, lambda: set_parameters(make(), self.data.parameters))
             if built is None:
                 return None
             self.systems[key] = built
         return self.systems[key]
 
     def _channel(self, path: FaultPath, kind: str, name: str, channel: str, data: ChannelData) -> Channel | None:
-        response = self.faults.at(
+        response = self.faults.made(
             path, partial(history_of, data.response, (), partial(find_response, folder=self.folder))
         )
         if response is None:
@@ -291,7 +275,7 @@ class _Maker:
             else:
                 numbers[key] = factor * written
         deviation = None if data.deviation is None else scale * data.deviation
-        return self.faults.at(path, partial(Channel, response, data.column, data.unit, deviation, **numbers))
+        return self.faults.made(path, partial(Channel, response, data.column, data.unit, deviation, **numbers))
 
     def _sensor(self, label: str, key: str, first: float, si: str | None) -> Any:
         if label not in self.sensors:
@@ -316,11 +300,13 @@ def read_identification(
 ) -> IdentificationPlan | list[Fault]:
     """The identification of a file, or all faults; its experiments are checked where its keys and its model are valid."""
     system, of_model = built_system(sections, source.folder)
-    faults = faults + of_model + method_faults(sections)
+    faults = faults + of_model
+    if "simulate" in sections:
+        faults += motion_faults(sections["simulate"], source.document.lines)
     if system is None or faults:
         return faults
     data = IdentificationFile.model_construct(**sections)
-    maker = _Maker(data, system, source.folder)
+    maker = _Maker(data, system, source.folder, Faults(source.document.lines))
     identify, faults = data.identify, maker.faults
     experiments = {name: maker.experiment("experiments", name, x) for name, x in identify.experiments.items()}
     held_out = {name: maker.experiment("validation", name, x) for name, x in identify.validation.items()}
@@ -365,7 +351,7 @@ def read_identification(
         "f_scale": identify.f_scale,
         "tolerance": identify.tolerance,
         "max_evaluations": identify.max_evaluations,
-        "starts": _starts(data, problem),
+        "starts": starts_of(data.starts, unknowns, problem.names, problem.start),
     }
     return IdentificationPlan(data, source, made, others, arguments | more, problem)
 
@@ -378,14 +364,3 @@ def _place(text: str, unknowns: Mapping[str, Unknown]) -> FaultPath:
     words = {"lower bound": "lower", "upper bound": "upper", "prior": "prior", "scale": "scale", "start": "start"}
     key = next((key for word, key in words.items() if word in text and getattr(unknowns[named], key) is not None), None)
     return ("identify", "unknowns", named) if key is None else ("identify", "unknowns", named, key)
-
-
-def _starts(data: IdentificationFile, problem: FitProblem) -> Starts | list[Any] | None:
-    starts = data.starts
-    if starts.sampler == "none":
-        return None
-    if starts.sampler == "given":
-        points = [point_in_si(data.identify.unknowns, problem.names, x) for x in starts.points or ()]
-        return [problem.start, *points] if starts.include_initial else points
-    sample = {"sobol": sobol, "latin_hypercube": latin_hypercube}[starts.sampler]
-    return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)

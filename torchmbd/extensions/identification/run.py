@@ -13,8 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.design.differentiate import ValueAndGradient, differentiate
-from torchmbd.design.push_forward import push_forward
+from torchmbd.design.differentiate import ValueAndGradient, differentiate, push_forward
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.multibody.system import System

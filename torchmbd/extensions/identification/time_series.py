@@ -4,7 +4,7 @@
 
 y is the curve through the states of the motion: a Hermite polynomial of fifth degree with exact rates where the response has
 them, else of third degree (design/spline.py). Derivatives by parameters of the system are those of the steps, pushed forward
-through this curve (design/push_forward.py).
+through this curve (design/differentiate.py).
 
 Checked in tests/extensions/identification/test_time_series.py.
 """

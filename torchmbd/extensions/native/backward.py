@@ -84,20 +84,26 @@ class NativeAdjointSolver(AdjointSolver):
         scratch = torch.empty(
             self.code.adjoint_scratch(self.library.address, rows, len(steps)) // 8, dtype=torch.float64
         )
-        arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
-        arrays += [x if x is None else _spaced(x, steps, self.grid) for x in of_motion]
-        arrays += [blocks(expanded(a, lanes)), self.values, moved]
-        arrays += [
-            *(self.stepper.diagonal or (None, None)),
-            self.negligible,
-            slopes,
-            moved_slopes,
-            state_slopes,
-            error,
-            scratch,
-        ]
-        numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
-        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.corrections, self.library.address)
+        names, (row_mask, diagonal_shift) = ("q", "v", "vd", "lam"), self.stepper.diagonal or (None, None)
+        arrays: dict[str, Tensor | None] = {"shared": table, "values": self.values, "moved": moved}
+        arrays |= {name: x.contiguous() for name, x in zip(names, h.states, strict=True)}
+        bars = (x if x is None else _spaced(x, steps, self.grid) for x in of_motion)
+        arrays |= {f"{name}_bar": x for name, x in zip(names, bars, strict=True)}
+        arrays |= {"start": blocks(expanded(a, lanes)), "row_mask": row_mask, "diagonal_shift": diagonal_shift}
+        arrays |= {"negligible": self.negligible, "slopes": slopes, "moved_slopes": moved_slopes}
+        arrays |= {"state_slopes": state_slopes, "error": error, "scratch": scratch}
+        job = _Job(
+            lanes=lanes,
+            rows=rows,
+            data=data,
+            prescribed=table.shape[1],
+            steps=len(steps),
+            moving=moving,
+            moved_columns=moved.shape[2],
+            corrections=self.corrections,
+            mechanism=self.library.address,
+            **addresses(arrays),
+        )
         called, of_strengths = self._called(job, schedule) if self.library.called.actions else (None, new(0))
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
@@ -121,8 +127,10 @@ class NativeAdjointSolver(AdjointSolver):
         wanted = {name for name, x in data.items() if value(x).requires_grad}
         plain = {name: value(x).detach() for name, x in data.items()}
         adjoint = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)
-        arrays = [_blocks(adjoint.strengths), _blocks(adjoint.slopes), of_strengths]
-        job.strengths, job.law_slopes, job.strength_bars = addresses(arrays)
+        arrays = {"strengths": _blocks(adjoint.strengths), "law_slopes": _blocks(adjoint.slopes)}
+        arrays["strength_bars"] = of_strengths
+        for name, address in addresses(arrays).items():
+            setattr(job, name, address)
         job.kept = arrays
         return adjoint, of_strengths
 

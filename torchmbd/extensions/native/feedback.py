@@ -27,6 +27,7 @@ from torchmbd.multibody.forces.feedback import Links, Port, derivative
 R = TypeVar("R")
 _CALL = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_long)
 _STRENGTHS, _SLOPES, _TANGENTS = range(3)  # as in feedback.cpp
+_NAMES = ("signals", "strengths", "slopes", "tangents", "strength_tangents")  # of its arrays
 
 
 class CalledLaws:
@@ -84,9 +85,7 @@ class CalledLaws:
 class _Struct(ctypes.Structure):
     """The struct of this name in feedback.cpp: fields, order and types are the same."""
 
-    _fields_ = [("call", _CALL)] + [
-        (name, ctypes.c_void_p) for name in ("signals", "strengths", "slopes", "tangents", "strength_tangents")
-    ]
+    _fields_ = [("call", _CALL)] + [(name, ctypes.c_void_p) for name in _NAMES]
 
 
 class Feedback:
@@ -102,7 +101,7 @@ class Feedback:
         self.arrays = [torch.zeros(*shape, LANES, dtype=torch.float64) for shape in shapes]
         self.lane_parameters = [p[:0] if p.shape[1] == 1 else p for p in self.parameters]
         self.error: BaseException | None = None
-        self.struct = _Struct(_CALL(self._call), *addresses(self.arrays))
+        self.struct = _Struct(_CALL(self._call), **addresses(dict(zip(_NAMES, self.arrays, strict=True))))
 
     @property
     def address(self) -> int:

@@ -48,20 +48,21 @@ class CompiledRates:
         head = torch.stack([t.new_tensor(1.0 / self.dynamics.stabilization), t])
         prescribed = in_blocks(torch.cat([head, *(x.flatten() for jet in jets for x in jet.parts)]))
         dy, lam = torch.empty_like(y), y.new_empty(T.rows, *y.shape[1:])
-        numbers = (
-            y.shape[2],
-            y.shape[1] - 1,
-            self.values.shape[2],
-            self.tangents.shape[2],
-            int(self.count % CHECK == 0),
-        )
-        self.count += 1
-        arrays = (prescribed, self.values, self.tangents, y, dy, lam, self.scratch)
         assert y.shape[2] == self.dynamics.lanes
         if self.feedback is not None:
             self.feedback.times = t[None]
-        back = None if self.feedback is None else self.feedback.address
-        job = _Job(*numbers, *addresses(arrays), self.library.address, back)
+        arrays = {"prescribed": prescribed, "values": self.values, "tangents": self.tangents, "y": y, "dy": dy}
+        job = _Job(
+            lanes=y.shape[2],
+            n_b=y.shape[1] - 1,
+            data=self.values.shape[2],
+            data_tangents=self.tangents.shape[2],
+            check=int(self.count % CHECK == 0),
+            mechanism=self.library.address,
+            feedback=None if self.feedback is None else self.feedback.address,
+            **addresses(arrays | {"lam": lam, "scratch": self.scratch}),
+        )
+        self.count += 1
         run = partial(self.code.rates, ctypes.byref(job))
         failed = run() if self.feedback is None else self.feedback.run(run)
         return None if failed else (dy, lam)

@@ -5,7 +5,7 @@ Checked in tests/extensions/native/test_steps.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -31,10 +31,10 @@ def lanes_out(x: Tensor, lanes: int) -> Tensor:
     return x.permute(2, 1, 0, 3).flatten(2)[..., :lanes]
 
 
-def addresses(arrays: Sequence[Tensor | None]) -> list[int | None]:
-    """Addresses of arrays, which compiled code takes for doubles without gaps."""
-    assert all(x is None or (x.is_contiguous() and x.dtype == torch.float64) for x in arrays)
-    return [None if x is None else x.data_ptr() for x in arrays]
+def addresses(arrays: Mapping[str, Tensor | None]) -> dict[str, int | None]:
+    """Addresses of arrays by name, which compiled code takes for doubles without gaps."""
+    assert all(x is None or (x.is_contiguous() and x.dtype == torch.float64) for x in arrays.values())
+    return {name: None if x is None else x.data_ptr() for name, x in arrays.items()}
 
 
 def varied_blocks(T: Topology, schedule: Schedule, lanes: int, n_b: int) -> Tensor:

@@ -8,7 +8,7 @@ Checked in tests/extensions/native/test_steps.py.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import torch
@@ -24,11 +24,12 @@ from torchmbd.extensions.native.simd_layout import (
 )
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.step import Model, Weights
-from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper, Record, check_intervals
+from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.progress import reach
+from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "prescribed", "first", "steps", "corrections", "most", "refresh")
@@ -78,7 +79,7 @@ class NativeStepper(EagerStepper):
         state = blocks(torch.cat([expanded(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = varied_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
         table = prescribed_blocks(self.dynamics.topology, self.weights, schedule)
-        for part in check_intervals(len(schedule), first, self.n_b):
+        for part in _between_checks(len(schedule), first, self.n_b):
             done = part.start
             if self.feedback is not None:
                 self.feedback.times = schedule.t[part]
@@ -92,31 +93,36 @@ class NativeStepper(EagerStepper):
         sizes = torch.empty(len(table), 3, self.lanes, dtype=torch.float64)
         errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
         check = int(first % CHECK == 0)
-        numbers = (self.lanes, self.n_b, self.values.shape[2], self.tangents.shape[2])
-        numbers += (
-            table.shape[1],
-            first,
-            len(table),
-            self.corrections,
-            int(self.passes.max()),
-            -1 if self.begins_uniformly else self.refresh,
-            check,
-            self.fresh,
-            moved.shape[3],
-            1,
-        )
-        row_mask, diagonal_shift = self.diagonal or (None, None)
-        arrays = [table, state, self.values, self.tangents, self.factors, row_mask, diagonal_shift]
-        arrays += [part[start:] for part in record.parts] + [sizes, errors, self.scratch, moved]
         assert self.scale is not None
-        scale = blocks(self.scale[None, None])
-        counted = blocks((self.counts * (1.0 + self.sound))[None, None].double())
-        arrays += [blocks(self.passes[None, None]), counted, scale]
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
-        *pointers, passes, counted_at, scale_at = addresses(arrays)
-        back = None if self.feedback is None else self.feedback.address
-        job = Job(*numbers, *pointers, self.library.address, passes, back, counted_at, scale_at)
+        scale = blocks(self.scale[None, None])
+        row_mask, diagonal_shift = self.diagonal or (None, None)
+        arrays = {"shared": table, "state": state, "values": self.values, "tangents": self.tangents, "moved": moved}
+        arrays |= {"factors": self.factors, "row_mask": row_mask, "diagonal_shift": diagonal_shift}
+        arrays |= {name: x[start:] for name, x in zip(("q", "v", "vd", "lam"), record.parts, strict=True)}
+        arrays |= {"sizes": sizes, "errors": errors, "scratch": self.scratch, "scale": scale}
+        arrays["passes"] = blocks(self.passes[None, None])
+        arrays["counted"] = blocks((self.counts * (1.0 + self.sound))[None, None].double())
+        job = Job(
+            lanes=self.lanes,
+            n_b=self.n_b,
+            data=self.values.shape[2],
+            data_tangents=self.tangents.shape[2],
+            prescribed=table.shape[1],
+            first=first,
+            steps=len(table),
+            corrections=self.corrections,
+            most=int(self.passes.max()),
+            refresh=-1 if self.begins_uniformly else self.refresh,
+            check=check,
+            fresh=self.fresh,
+            moving=moved.shape[3],
+            tables=1,
+            mechanism=self.library.address,
+            feedback=None if self.feedback is None else self.feedback.address,
+            **addresses(arrays),
+        )
         if self._called(partial(self.code.run_steps, ctypes.byref(job))):
             self.code = None
             return False
@@ -137,3 +143,16 @@ class NativeStepper(EagerStepper):
         T = self.dynamics.topology
         parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         return State(*(Pair(y) if self.n_b else y for y in parts))
+
+
+def _between_checks(count: int, first: int, tangents: int) -> Iterator[slice]:
+    """Steps, the first of number `first`, in runs without a check in between, each a call.
+
+    A check may call for more corrections from the next step on, so with tangents its step is a run of its own.
+    """
+    done = 0
+    while done < count:
+        since = (first + done) % CHECK
+        end = done + (1 if tangents and not since else min(CHECK - since, count - done))
+        yield slice(done, end)
+        done = end

@@ -45,7 +45,7 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     arrays["scratch"] = new(code.code.steps_scratch(code.address, 0) // 8, dtype=torch.float64)
     each = new(len(values), LANES, dtype=torch.float64)
     arrays |= {"passes": each, "counted": each + 2.0, "scale": each.clone()}
-    job = Job(mechanism=code.address, **numbers, **dict(zip(arrays, addresses(list(arrays.values())), strict=True)))
+    job = Job(mechanism=code.address, **numbers, **addresses(arrays))
     if code.code.run_steps(ctypes.byref(job)):
         return None
     _, _, vd, _, lam = lanes_out(state, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])

@@ -67,7 +67,7 @@ class LosingPart(Part, Protocol):
         """Whether one of them has."""
         ...
 
-    def loss_values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+    def loss_values(self, entries: Int[Tensor, " k"] | None) -> Float[Tensor, "*lanes nnz"]:
         """The derivative of `values` where the moduli of each ply grow by its loss factor."""
         ...
 

@@ -114,7 +114,7 @@ class Plates:
         """Whether a ply has a loss factor."""
         return any(laminate.loses for laminate in self.laminates)
 
-    def loss_values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+    def loss_values(self, entries: Int[Tensor, " k"] | None) -> Float[Tensor, "*lanes nnz"]:
         """The derivative of K where the moduli of each ply grow by its loss factor: those of complex moduli E (1 + i eta)."""
         laminate = self.laminate
 

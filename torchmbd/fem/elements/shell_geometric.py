@@ -35,7 +35,7 @@ def stressed_shells(
     matrices: PlateMatrices,
     entries: Float[Tensor, "*lanes 21"],
     motion: Float[Tensor, "*lanes n 6 k"],
-    mean: Float[Tensor, "*lanes 3"] | None = None,
+    mean: Float[Tensor, "*lanes 3"] | None,
 ) -> list[StressedCells]:
     """Return the cells of each kind under the membrane forces of k motions; entries and mean as of `PlateMatrices.values`."""
     numbers = entries if matrices.several else entries[..., None, :]

@@ -147,7 +147,7 @@ def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple
     """Return the n lowest eigenvalues [lane, n] and vectors [lane, N, n]; InputError for bad values or a cut cluster."""
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
-    check_positive_diagonal("M", pencil.M_form, M)
+    check_positive_diagonal(pencil.M_form, M)
     pencil.modes = modes = shared_modes(K, M, partial(_modes, pencil, n))
     values, vectors = modes.lowest()
     _check_gap(values, n, cluster, rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs()))

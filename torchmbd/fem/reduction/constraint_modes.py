@@ -118,7 +118,7 @@ class _ConstraintModes(torch.autograd.Function):
         pencil = split.pencil
         check("K", pencil.K_form, K)
         check("M", pencil.M_form, M)
-        check_positive_diagonal("M", pencil.M_form, M)
+        check_positive_diagonal(pencil.M_form, M)
         split.factorize(K)
         held = list(split.interface)
         unit = K.new_zeros(len(K), 1, pencil.K_form.size, len(held))

@@ -167,15 +167,15 @@ def check(name: str, form: Form, values: Tensor) -> None:
         )
 
 
-def check_positive_diagonal(name: str, form: Form, values: Tensor) -> None:
-    """Raise InputError where a diagonal entry is not positive: the matrix cannot be positive definite then."""
+def check_positive_diagonal(form: Form, values: Tensor) -> None:
+    """Raise InputError where a diagonal entry of M is not positive: it cannot be positive definite then."""
     diagonal = form.diagonal(values)
     wrong = diagonal <= 0
     if wrong.any():
         lane, row = (int(i) for i in wrong.nonzero()[0])
         value = diagonal[lane, row].item()
-        place = f"{name}[{row}, {row}]{lane_name(lane, len(values))}"
-        raise InputError(f"{place} = {value:.3g}: {name} is not positive definite; positive needed")
+        place = f"M[{row}, {row}]{lane_name(lane, len(values))}"
+        raise InputError(f"{place} = {value:.3g}: M is not positive definite; positive needed")
 
 
 def lane_name(lane: int, lanes: int) -> str:

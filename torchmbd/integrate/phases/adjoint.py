@@ -21,7 +21,7 @@ Checked in tests/sensitivity/test_phase_adjoint.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -32,6 +32,7 @@ from torchmbd.integrate.adjoint_solver import Grid, MotionCotangents
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.lanes import expanded, lane_numbers, lanes_of, pick_states
 from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
 from torchmbd.integrate.phases.phase_record import PhaseRecord
@@ -46,20 +47,6 @@ from torchmbd.results.history import History
 from torchmbd.results.state import State
 
 MARKED = tuple(ATTACHED)  # data that locks change
-
-
-@dataclass
-class PhaseCotangents:
-    """Cotangents of what a simulation through phases returns.
-
-    motion    of q, v, a, lam [times, n, rows, lanes]
-    data      of the data with all marks, by name [component..., rows, lanes]
-    switches  for each its time, and q, v, a, lam before and after it [n, rows, lanes]
-    """
-
-    motion: MotionCotangents
-    data: Mapping[str, Tensor | None]
-    switches: Sequence[Sequence[Tensor | None]]
 
 
 @dataclass
@@ -94,13 +81,13 @@ class _Cotangents:
 class PhaseAdjoint:
     """The adjoint of one multiphase run, of values only.
 
-    wanted   names of data by which gradients are wanted
+    names    of data by which gradients are wanted
     failed   lanes whose cotangents are zero
     error    estimated relative error of the gradients asked for so far [lanes]
     """
 
     multiphase: MultiphaseRun
-    wanted: Sequence[str]
+    names: Sequence[str]
     failed: Sequence[int]
 
     def __post_init__(self) -> None:
@@ -110,21 +97,24 @@ class PhaseAdjoint:
         self.error = torch.zeros(self.multiphase.whole.lanes, dtype=torch.float64)
         locks = any(segment.locks for segment in self.multiphase.segments)
         marks = [name for name in MARKED if locks and name in self.multiphase.data_without_marks]
-        self._leaf_names = [*self.wanted, *(name for name in marks if name not in self.wanted)]
+        self._leaf_names = [*self.names, *(name for name in marks if name not in self.names)]
 
     @torch.no_grad()
-    def __call__(self, cotangents: PhaseCotangents, rows: int) -> tuple[list[int], dict[Key, Tensor]]:
-        """Lanes, and their cotangents by data [rows, component..., 1, lanes], designs and mode shapes [rows, lanes, ...]."""
+    def __call__(self, bar: Outputs, rows: int) -> tuple[list[int], dict[Key, Tensor]]:
+        """Lanes, and their cotangents by data [rows, component..., 1, lanes], designs and mode shapes [rows, lanes, ...].
+
+        bar   cotangents of states at all steps, of data with all marks, and of switches (None: zero)
+        """
         so_far = _Cotangents([lane for lane in range(len(self.error)) if lane not in self.failed])
         if not so_far.lanes:
             return [], {}
-        for name, x in cotangents.data.items():
+        for name, x in bar.data.items():
             if x is not None:
                 so_far.by["data", name] = rows_first(x, so_far.lanes).clone()
         for record in reversed(self.multiphase.records):
             self._exit(record, so_far, rows)
-            self._steps(record, so_far, cotangents.motion, rows)
-            self._entry(record, so_far, cotangents, rows)
+            self._steps(record, so_far, bar.states, rows)
+            self._entry(record, so_far, bar, rows)
         warn_inaccurate(self.error)
         return so_far.lanes, so_far.by
 
@@ -272,7 +262,7 @@ class PhaseAdjoint:
             cuts=cuts,
         )
 
-    def _entry(self, record: PhaseRecord, so_far: _Cotangents, cotangents: PhaseCotangents, rows: int) -> None:
+    def _entry(self, record: PhaseRecord, so_far: _Cotangents, bar: Outputs, rows: int) -> None:
         """From the first points of the grid, and the states after the switch, to the states before it."""
         multiphase, number, lanes = self.multiphase, record.number, so_far.lanes
         data = multiphase.records[number - 1].dynamics.data if number else multiphase.data_without_marks
@@ -289,9 +279,9 @@ class PhaseAdjoint:
             data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, segment.locks)
             dynamics = lanes_of(record.dynamics, lanes).with_data(data)
             after = multiphase.after(number, leaves.views, every, dynamics, t, x)
-            outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, cotangents.motion)
+            outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, bar.states)
             if number:
-                by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in cotangents.switches[number - 1]]
+                by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in bar.switches[number - 1]]
                 outputs.append(t)
                 of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
                 for side, y, by_lam in ((number - 1, x, by_sides[3]), (number, after, by_sides[7])):

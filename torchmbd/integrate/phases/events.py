@@ -74,6 +74,10 @@ class Event:
             raise InputError(f"the function of an event returned {returned}; allowed: a tensor [lanes, times], {shape}")
         return g
 
+    def at_once(self, motion: Trajectory) -> Tensor:
+        """The function [1, lanes] of a motion of one time."""
+        return self.of(motion)[:, 0][None]
+
     def passed(self, before: Tensor, after: Tensor) -> Tensor:
         """Whether the function passed zero between two values [lanes]; not if the first one is a rounding error.
 
@@ -236,22 +240,27 @@ class Views:
 
     def value(self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> Tensor:
         """The function of some lanes [lanes], each at its own time."""
-        return self.evaluate(lambda m: event.of(m)[:, 0][None], lanes, dynamics.values(), value(t), x.values())[0, 0]
+        return self.evaluate(event.at_once, lanes, dynamics.values(), value(t), x.values())[0, 0]
 
     def of_lanes(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
         """The function of all lanes [lanes], each at its own time, in the graph of its arguments."""
-        return self.evaluate(lambda m: event.of(m)[:, 0][None], range(x.q.shape[-1]), dynamics, t, x)[0, 0]
+        return self.evaluate(event.at_once, range(x.q.shape[-1]), dynamics, t, x)[0, 0]
 
     def at(self, lanes: Sequence[int], dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
-        """The motion of some lanes at t [1, lanes], a function of all arguments."""
-        some = replace(
+        """The motion of some lanes at t [1 + n, lanes], or [1 + n, 1] of all, a function of all arguments."""
+        now = value(t)[0] if t.shape[-1] == 1 else torch.empty(0, dtype=torch.float64).as_subclass(_TimesOfLanes)
+        turns = self._turns_of(lanes)
+        return replace(
             self.whole,
             status=[OK] * len(lanes),
             designs={name: y[list(lanes)] for name, y in self.whole.designs.items()},
             shapes=SomeLanes(self.whole.shapes, lanes),
-            turns=self._turns_of(lanes),
+            t=now,
+            signals=Instant(dynamics, t, x),
+            dynamics=dynamics,
+            known=None,
+            turns=None if turns is None else turns.at(value(t)[0]),
         )
-        return self._motion(some, dynamics, t, x)
 
     def with_leaves(
         self, lanes: Sequence[int], design: Callable[[str, Tensor], Tensor], shape: Callable[[str, Tensor], Tensor]
@@ -302,7 +311,9 @@ class Views:
         with torch.enable_grad():
             views = self.with_leaves(
                 lanes,
-                lambda name, y: leaves.leaf(y, self._design_tangents(name, lanes)),
+                lambda name, y: leaves.leaf(
+                    y, self.directions[name][:, list(lanes)] if name in self.directions else None
+                ),
                 lambda name, y: leaves.leaf(y, self._tangents_of_shapes(name, lanes)),
             )
             data = {name: leaves.number(y) for name, y in dynamics.data.items()}
@@ -313,7 +324,7 @@ class Views:
 
     def slopes(self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> tuple[Tensor, Tensor]:
         """The function of some lanes [lanes] and its derivatives [n, lanes] in the directions of the pairs."""
-        g = self.evaluate(lambda motion: event.of(motion)[:, 0][None], lanes, dynamics, t, x)
+        g = self.evaluate(event.at_once, lanes, dynamics, t, x)
         return g.value[0, 0], g.tangent[0]
 
     def rates(
@@ -324,10 +335,6 @@ class Views:
         g, rate = self.slopes(event, lanes, dynamics, Pair.of(t, torch.ones_like(t)), moving)
         return g, rate[0]
 
-    def _design_tangents(self, name: str, lanes: Sequence[int]) -> Tensor | None:
-        """Tangents of a design [k, lanes, ...] of some lanes."""
-        return self.directions[name][:, list(lanes)] if name in self.directions else None
-
     def _tangents_of_shapes(self, name: str, lanes: Sequence[int]) -> Tensor | None:
         """Tangents of the mode shapes of a body [k, lanes, nodes, 6, modes] of some lanes."""
         if not self.directions:
@@ -335,13 +342,6 @@ class Views:
         if name not in self._shape_tangents:
             self._shape_tangents[name] = shape_tangents(self.whole.system, self.whole.designs, self.directions, name)
         return self._shape_tangents[name][:, list(lanes)]
-
-    @staticmethod
-    def _motion(base: Trajectory, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
-        """t [1 + n, lanes], or [1 + n, 1] of all lanes."""
-        now = value(t)[0] if t.shape[-1] == 1 else torch.empty(0, dtype=torch.float64).as_subclass(_TimesOfLanes)
-        turns = None if base.turns is None else base.turns.at(value(t)[0])
-        return replace(base, t=now, signals=Instant(dynamics, t, x), dynamics=dynamics, known=None, turns=turns)
 
 
 def _all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:

@@ -24,13 +24,13 @@ Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its na
 class LaneLeaves:
     """Data, designs and mode shapes of some lanes as leaves of a graph; shapes on demand.
 
-    dynamics   of these lanes
+    dynamics   of these lanes;  names: of the data that are leaves
     """
 
-    def __init__(self, views: Views, lanes: Sequence[int], dynamics: Dynamics, wanted: Sequence[str]):
+    def __init__(self, views: Views, lanes: Sequence[int], dynamics: Dynamics, names: Sequence[str]):
         self.leaves: dict[Key, Tensor] = {}
         data = {
-            name: self._leaf("data", name, expanded(x, len(lanes))) if name in wanted else x
+            name: self._leaf("data", name, expanded(x, len(lanes))) if name in names else x
             for name, x in dynamics.data.items()
         }
         self.dynamics = dynamics.with_data(data)

@@ -33,7 +33,6 @@ from torchmbd.integrate.lanes import (
     put_lanes,
     put_states,
 )
-from torchmbd.integrate.moving_steps import MovingSteps
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
@@ -41,7 +40,7 @@ from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch, near_zero
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.variable_step import shortly_after
+from torchmbd.integrate.variable_step import MovingSteps, shortly_after
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.expansion import Expansion
@@ -121,7 +120,8 @@ class _PhaseLoop:
             i = j
         for lane, reason in stepper.failed.items():
             self.multiphase.fail(lane, reason)
-        self.multiphase.never_left(self.segment, self.alive)
+        if bool(self.alive.any()):
+            self.multiphase.end(self.segment, lane_numbers(self.alive))
         if bool(record.has_exit.any()):
             self._leave(lane_numbers(record.has_exit))
         return record.exit, stepper.statistics()

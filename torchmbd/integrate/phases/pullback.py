@@ -16,7 +16,7 @@ from torch import Tensor
 from torchmbd.integrate.adjoint_solver import of_kept_states
 from torchmbd.integrate.initial_value import SeveralSegments
 from torchmbd.integrate.outputs import STATES, Outputs
-from torchmbd.integrate.phases.adjoint import PhaseAdjoint, PhaseCotangents
+from torchmbd.integrate.phases.adjoint import PhaseAdjoint
 from torchmbd.integrate.phases.lane_leaves import Key, pulled_back
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.retries import LaneResults
@@ -44,9 +44,15 @@ class _Lanes(NamedTuple):
         result[..., self.sources] = x[..., self.lanes] if x.shape[-1] > 1 else x
         return result
 
-    def of_states(self, at_times: Tensor | None, at_steps: Tensor | None) -> Tensor | None:
-        """Cotangents [times, n, rows, lanes] of the states of the run, from those at output times and at steps."""
-        return of_kept_states(self.of_batch(at_times), self.of_batch(at_steps), len(self.run.q), self.substeps)
+    def of_outputs(self, bar: Outputs) -> Outputs:
+        """Cotangents of the states at the steps of the run, its data and its switches, from those of the batch."""
+        pairs = zip(bar.states, list(bar.at_steps[:STATES]) or [None] * STATES, strict=True)
+        states = [(self.of_batch(at_times), self.of_batch(at_steps)) for at_times, at_steps in pairs]
+        return bar._replace(
+            states=[of_kept_states(*x, len(self.run.q), self.substeps) for x in states],
+            data={name: self.of_batch(x) for name, x in bar.data.items()},
+            switches=[[self.of_batch(x) for x in numbers] for numbers in bar.switches],
+        )
 
 
 @dataclass(eq=False)
@@ -61,13 +67,17 @@ class SegmentsPullback:
         lanes: list[int] = []
         parts: list[dict[Key, Tensor]] = []
         for part in self._parts():
-            sources, cotangents = self._of_run(part, bar, rows, names)
+            absent = [lane for lane in range(part.run.whole.lanes) if lane not in part.sources]
+            sources, cotangents = PhaseAdjoint(part.run, names, absent)(part.of_outputs(bar), rows)
             to_batch = dict(zip(part.sources, part.lanes, strict=True))
             lanes += [to_batch[source] for source in sources]
             parts.append(cotangents)
-        of_lanes = _joined(parts)
-        data = self.problem.dynamics.data
-        result = {name: self._of_data(lanes, of_lanes.get(("data", name)), data[name], rows) for name in names}
+        of_lanes, result = _joined(parts), {}
+        for name in names:
+            x = self.problem.dynamics.data[name]
+            result[name] = x.new_zeros(*x.shape[:-2], rows, len(self.results.status))
+            if ("data", name) in of_lanes:
+                result[name][..., lanes] = of_lanes["data", name][..., 0, :].movedim(0, -2)
         return result | (self._of_designs(lanes, of_lanes, rows) if by_designs else {})
 
     def _parts(self) -> list[_Lanes]:
@@ -82,24 +92,6 @@ class SegmentsPullback:
             part.lanes.append(lane)
             part.sources.append(source)
         return list(parts.values())
-
-    def _of_run(
-        self, part: _Lanes, bar: Outputs, rows: int, names: Sequence[str]
-    ) -> tuple[list[int], dict[Key, Tensor]]:
-        """Lanes of a run, and their cotangents."""
-        at_steps = list(bar.at_steps[:STATES]) or [None] * STATES
-        motion = [part.of_states(*x) for x in zip(bar.states, at_steps, strict=True)]
-        data = {name: part.of_batch(x) for name, x in bar.data.items()}
-        switches = [[part.of_batch(x) for x in numbers] for numbers in bar.switches]
-        rest = [lane for lane in range(part.run.whole.lanes) if lane not in part.sources]
-        adjoint = PhaseAdjoint(part.run, names, rest)
-        return adjoint(PhaseCotangents(motion, data, switches), rows)
-
-    def _of_data(self, lanes: list[int], by: Tensor | None, like: Tensor, rows: int) -> Tensor:
-        result = like.new_zeros(*like.shape[:-2], rows, len(self.results.status))
-        if by is not None:
-            result[..., lanes] = by[..., 0, :].movedim(0, -2)
-        return result
 
     def _of_designs(self, lanes: list[int], by: dict[Key, Tensor], rows: int) -> dict[str, Tensor]:
         """Their own, and those of the mode shapes through the structure stage."""

@@ -22,7 +22,6 @@ from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.switch import (
     InitialState,
-    accelerations,
     at_time,
     data_with_marks,
     entered,
@@ -128,15 +127,6 @@ class MultiphaseRun:
             lam = lam.index_put((times,), torch.where(in_phase[times][:, None], multipliers, lam[times]))
         return lam
 
-    def fail_where_not_finite(self, lanes: Tensor) -> Tensor:
-        """Fail those of some lanes (a mask) at the end of the motion that are not finite at some time; which these are."""
-        finite = [torch.isfinite(x).flatten(1, 2).all(1) for x in (self.q, self.v, self.vd)]
-        bad = ~(finite[0] & finite[1] & finite[2]) & lanes  # [times, lanes]
-        for lane in lane_numbers(bad.any(0)):
-            first = int(bad[:, lane].long().argmax())
-            self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first]):.6g} s on")
-        return bad.any(0)
-
     def start(self) -> PhaseExit:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
         q, v = (self._wide(x) for x in self.initial_coordinates(self.whole))
@@ -163,7 +153,7 @@ class MultiphaseRun:
         """A number with all lanes and tangents."""
         n, lanes = self.whole.tangents, self.whole.lanes
         if isinstance(x, Pair) or not n:
-            return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
+            return linear(lambda y: y.expand(*y.shape[:-1], lanes), x)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
 
     def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, Dynamics, State]:
@@ -176,7 +166,16 @@ class MultiphaseRun:
         self.least_norm.append(_least_norm(self.whole, self.segments[number], dynamics))
         state = self._state_after(number, dynamics, phase_exit)
         if number:
-            self.switches.append(self._switch(number, phase_exit, state))
+            t = phase_exit.t
+            self.switches.append(
+                Switch(
+                    self.segments[number].name,
+                    value(t)[0],
+                    _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
+                    _moment(state, self._multipliers(number, t, state)),
+                    t.tangent.T if isinstance(t, Pair) else None,
+                )
+            )
         return dynamics, of_steps, state
 
     def _dynamics_of(self, number: int) -> tuple[Dynamics, Dynamics]:
@@ -188,16 +187,6 @@ class MultiphaseRun:
         initial = replace(self.initial_state, condensed=segment.condensation)
         dynamics = replace(self.whole, topology=segment.topology, saddle=segment.saddle, initial=initial)
         return dynamics, dynamics.condensed() if self.integrator.condenses else dynamics
-
-    def _switch(self, number: int, phase_exit: PhaseExit, after: State) -> Switch:
-        t = phase_exit.t
-        return Switch(
-            self.segments[number].name,
-            value(t)[0],
-            _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
-            _moment(after, self._multipliers(number, t, after)),
-            t.tangent.T if isinstance(t, Pair) else None,
-        )
 
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
         """Multipliers of all rows [rows, ...] on one side of a switch, of redundant ones those of least norm."""
@@ -243,7 +232,7 @@ class MultiphaseRun:
             unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
             before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
             v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, before)
-            a, lam = at_time(accelerations, dynamics, t, x.q, v)
+            a, lam = at_time(Dynamics.accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 
     def _check_closed(self, number: int, lanes: Sequence[int], dynamics: Dynamics, t: Any, q: Any) -> None:
@@ -295,15 +284,6 @@ class MultiphaseRun:
             f"t = {t:.6g} s on; more steps help",
         )
 
-    def never_ends(self, segment: Segment, lane: int) -> None:
-        """Note that a lane stays in a phase until the simulation ends."""
-        if segment.phase.lasting is None:
-            reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
-        else:
-            reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
-        self.failed_for_good.add(lane)
-        self.fail(lane, f"phase {segment.name!r} never ends: {reason}")
-
     def record(self, number: int, first: int, counted: Tensor, states: Sequence[Tensor], rows: Sequence[int]) -> None:
         """Record states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
 
@@ -324,13 +304,19 @@ class MultiphaseRun:
         new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
         self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
 
-    def never_left(self, segment: Segment, staying: Tensor) -> None:
-        """Note lanes (a mask) that were in a phase when the simulation ended: an error, unless it is the last."""
-        if not bool(staying.any()):
-            return
-        finite = staying & ~self.fail_where_not_finite(staying)
-        for lane in lane_numbers(finite) if segment is not self.segments[-1] else ():
-            self.never_ends(segment, lane)
+    def end(self, segment: Segment, lanes: Sequence[int]) -> None:
+        """Note lanes that are in a phase when the simulation ends: an error, unless it is the last, and they are finite."""
+        finite = torch.stack([torch.isfinite(x).flatten(1, 2).all(1) for x in (self.q, self.v, self.vd)]).all(0)
+        for lane in lanes:
+            if not bool(finite[:, lane].all()):
+                first = int((~finite[:, lane]).long().argmax())
+                self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first]):.6g} s on")
+            elif segment is not self.segments[-1]:
+                reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
+                if segment.phase.lasting is None:
+                    reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
+                self.failed_for_good.add(lane)
+                self.fail(lane, f"phase {segment.name!r} never ends: {reason}")
 
 
 def _least_norm(whole: Dynamics, segment: Segment, dynamics: Dynamics) -> LeastNorm | None:

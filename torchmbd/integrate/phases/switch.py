@@ -124,11 +124,6 @@ def entered(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
     return v, *dynamics.accelerations(t, q, v, solver)
 
 
-def accelerations(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
-    """Accelerations [n_v, ...] and multipliers [rows, ...]."""
-    return dynamics.accelerations(t, q, v)
-
-
 def jump(dynamics: Dynamics, t: Tensor, q: Any, v: Any, solver: SaddleSolver | None = None) -> tuple:
     """Velocities v+ [n_v, ...] after the constraints begin to act on bodies that move with v."""
     if not dynamics.topology.rows:

@@ -116,7 +116,8 @@ class Dynamics:
         if self.known_rank is None:
             ranks = {} if self.shared_start is None else self.shared_start.ranks
             shared = self.topology in ranks
-            self.known_rank = ranks[self.topology] if shared else self.outside_transforms(Dynamics._rank)
+            rank: Rank = ranks[self.topology] if shared else self.outside_transforms(Dynamics._rank)
+            self.known_rank = rank
         return self.known_rank
 
     def share_rank(self, other: Dynamics) -> Dynamics:

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchmbd.optimization.curvature import perturb_stationary_start
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
-from torchmbd.optimization.stationary import perturb_stationary_start
 
 RUNS = 4
 SMALLEST_UNIT = 1e-9  # of the start's objective

@@ -18,12 +18,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, differential_evolution
 
 from torchmbd.errors import InputError
-from torchmbd.optimization.optimizer import (
-    Ending,
-    register,
-    require_count,
-    require_range,
-)
+from torchmbd.optimization.optimizer import Ending, register, require_count, require_range
 from torchmbd.optimization.search import Search
 
 WORST = 1e9  # violation of a design that fails

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class QuadraticSolution:
 def solve_quadratic(B: np.ndarray, c: np.ndarray, A: np.ndarray, b: np.ndarray) -> QuadraticSolution | None:
     """Return minimizer and multipliers; None if no s satisfies A s <= b; LinAlgError if B is not positive definite."""
     L = np.linalg.cholesky(B)
-    s = -_solve(L, c)
+    s = -cho_solve((L, True), c)
     normals = solve_triangular(L, A.T, lower=True).T  # rows of A in the metric of B
     length = np.sqrt((A * A).sum(axis=1))
     active: list[int] = []
@@ -89,7 +89,3 @@ def _refined(L: np.ndarray, A: np.ndarray, b: np.ndarray, normals: np.ndarray, s
         w = np.linalg.lstsq(normals, b - A @ s, rcond=None)[0]
         s = s + solve_triangular(L, w, lower=True, trans=1)
     return s
-
-
-def _solve(L: np.ndarray, c: np.ndarray) -> np.ndarray:
-    return solve_triangular(L, solve_triangular(L, c, lower=True), lower=True, trans=1)

@@ -43,10 +43,7 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     >>> mbd.sobol(4, seed=7).points(problem).shape
     (4, 2)
     """
-    require_count("count", count, 1, 2**20)
-    require_count("seed", seed, 0, 2**63)
-    include_initial = true_or_false("include_initial", include_initial)
-    return Starts("sobol", count, partial(_spread, partial(_sobol, seed), count, include_initial))
+    return _drawn("sobol", _sobol, count, seed, include_initial)
 
 
 @checked_signature
@@ -61,10 +58,15 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     >>> sorted(np.floor((points[:, 0] / np.pi + 0.5) * 4).astype(int).tolist())  # one in each quarter of the range
     [0, 1, 2, 3]
     """
+    return _drawn("latin_hypercube", _latin, count, seed, include_initial)
+
+
+def _drawn(name: str, sample: Callable[[int, int, int], np.ndarray], count: int, seed: int, include: bool) -> Starts:
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)
-    include_initial = true_or_false("include_initial", include_initial)
-    return Starts("latin_hypercube", count, partial(_spread, partial(_latin, seed), count, include_initial))
+    return Starts(
+        name, count, partial(_spread, partial(sample, seed), count, true_or_false("include_initial", include))
+    )
 
 
 def starts_at(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:

@@ -49,12 +49,24 @@ class ScalarizedSearches:
         self.feasibility, self.max_lanes, self.ended = feasibility, max_lanes, ended
         self.interrupted = False
 
-    def from_starts(self, scalarizations: list[Scalarization], starts: np.ndarray) -> list[OptimizationResult | None]:
-        """Return the best feasible result of each scalarization from all `starts` [count, n]."""
-        ends = self._run([(scalarization, x) for scalarization in scalarizations for x in starts])
-        groups = [ends[i * len(starts) : (i + 1) * len(starts)] for i in range(len(scalarizations))]
-        best = [min((r for r in group if r is not None), key=lambda r: r.value, default=None) for group in groups]
-        return self._restarted_from_better(scalarizations, best)
+    def from_starts(
+        self,
+        scalarizations: list[Scalarization],
+        starts: np.ndarray,
+        known: list[OptimizationResult | None] | None = None,
+    ) -> list[OptimizationResult | None]:
+        """Return the best feasible result of each scalarization, of those that are known and from all `starts` [count, n]."""
+        results: list[OptimizationResult | None] = known or [None for _ in scalarizations]
+        jobs = [(i, x) for i in range(len(scalarizations)) for x in starts]
+        self._run_and_keep_better(results, jobs, scalarizations)
+        for _ in range(RESTARTS):  # from a better design than the result, where one is known
+            jobs = []
+            for i, (scalarization, result) in enumerate(zip(scalarizations, results, strict=True)):
+                (infeasible, value), x = self._best_known(scalarization)
+                if not infeasible and (result is None or value < result.value - MIN_GAIN):
+                    jobs.append((i, x))
+            self._run_and_keep_better(results, jobs, scalarizations)
+        return results
 
     def in_waves(
         self,
@@ -80,9 +92,7 @@ class ScalarizedSearches:
                 results[i] = end
                 if end is not None:
                     designs[len(solved) + i] = end.x
-        again = [(i, x) for i in range(len(scalarizations)) for x in starts]
-        self._run_and_keep_better(results, again, scalarizations)
-        return self._restarted_from_better(scalarizations, results)
+        return self.from_starts(scalarizations, starts, results)
 
     def _run_and_keep_better(
         self,
@@ -96,20 +106,6 @@ class ScalarizedSearches:
             known = results[i]
             if end is not None and (known is None or end.value < known.value):
                 results[i] = end
-
-    def _restarted_from_better(
-        self, scalarizations: list[Scalarization], results: list[OptimizationResult | None]
-    ) -> list[OptimizationResult | None]:
-        """Search again those scalarizations for which a better design than their result is known, from that design."""
-        for _ in range(RESTARTS):
-            jobs = []
-            for i, scalarization in enumerate(scalarizations):
-                (infeasible, value), x = self._best_known(scalarization)
-                result = results[i]
-                if not infeasible and (result is None or value < result.value - MIN_GAIN):
-                    jobs.append((i, x))
-            self._run_and_keep_better(results, jobs, scalarizations)
-        return results
 
     def _best_known(self, scalarization: Scalarization) -> tuple[tuple[bool, float], np.ndarray]:
         """Return sort key (optimizer.rank) and design of the best evaluated design of a scalarization."""

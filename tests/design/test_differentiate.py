@@ -7,8 +7,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.design.differentiate import differentiate
-from torchmbd.design.push_forward import push_forward
+from torchmbd.design.differentiate import differentiate, push_forward
 from torchmbd.examples import two_link_arm
 
 RESPONSES = {
