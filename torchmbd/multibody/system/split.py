@@ -118,7 +118,7 @@ def _line(body: Any) -> BeamLine:
 def _piece(
     body: FlexibleBody, line: BeamLine, k: int, modes: int, ends: tuple[int, int], interface_nodes: set[int]
 ) -> FlexibleBody:
-    """Piece k: the elements between two end nodes as a body whose frame is fixed to the first; interface_nodes: numbers in the line."""
+    """Piece k: the elements between two end nodes as a body whose frame is fixed to the first; interface_nodes: of the line."""
     first, last = ends
     sets = {
         name: [i - first for i in members if first <= i <= last]
