@@ -11,6 +11,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import linked
 from torchmbd import registry
+from torchmbd import registry
 from torchmbd.errors import InputError
 from torchmbd.integrate import backend
 from torchmbd.integrate.backend import BACKENDS, Backend
@@ -41,8 +42,10 @@ def motion(system: mbd.System, name: str, **options) -> mbd.Trajectory:
 
 
 def without(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    entries = {key: kind for key, kind in BACKENDS.items() if key != name}
-    monkeypatch.setattr(BACKENDS, "_entries", entries)
+    """As where the extension of this name is taken away."""
+    monkeypatch.setattr(BACKENDS, "_entries", {key: kind for key, kind in BACKENDS.items() if key != name})
+    installed = registry.find_spec
+    monkeypatch.setattr(registry, "find_spec", lambda module: None if module.endswith(name) else installed(module))
 
 
 def test_another_backend_is_one_class_and_one_entry(monkeypatch):
