@@ -292,23 +292,6 @@ class Tracking(Section):
     uri: Store | None = None
 
 
-class Figures(Section):
-    """An experiment file that draws figures.
-
-    figures   the function that draws into a folder: path/to/file.py:function or package.module:function
-    options   arguments of this function; `folder` is given by the program
-    tracking  where MLflow keeps the runs
-    """
-
-    figures: Annotated[str, Field(pattern=FUNCTION)]
-    options: dict[str, Any] = Field(default={})
-    tracking: Tracking = Tracking()
-
-    def resolved(self) -> dict[str, Any]:
-        """Return the file with every default filled in."""
-        return self.model_dump(mode="json", exclude_none=True)
-
-
 class StudyFile(Section):
     """An experiment file that optimizes, or sweeps a variable.
 
