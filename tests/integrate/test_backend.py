@@ -11,7 +11,6 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import linked
 from torchmbd import registry
-from torchmbd import registry
 from torchmbd.errors import InputError
 from torchmbd.integrate import backend
 from torchmbd.integrate.backend import BACKENDS, Backend
