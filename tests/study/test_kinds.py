@@ -111,7 +111,10 @@ def test_another_kind_is_no_study(counted, file):
             r"line 2: weigh unknown key; allowed: .*; the extension scales_of_others is not installed",
             marks=pytest.mark.extensions,  # the folder is there, an extension is not
         ),
-        (SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {}}), r"line 2: weigh unknown key; allowed: .*{.on.: .scales.}\)$"),
+        (
+            SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {}}),
+            r"line 2: weigh unknown key; allowed: .*{.on.: .scales.}\)$",
+        ),
     ],
 )
 def test_a_section_of_a_missing_extension_is_said(file, monkeypatch, tables, text):
