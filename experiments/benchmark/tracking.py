@@ -117,7 +117,7 @@ def logging(file: Path, table: bool) -> None:
         journal = Journal(plan, tracker, Path(folder))
 
         def tell() -> None:
-            journal.begin("study")
+            journal.begin_study("study")
             x = np.full(n, 0.1)
             for k in range(STARTS):
                 journal.begin_start(k, x)

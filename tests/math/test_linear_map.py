@@ -1,4 +1,6 @@
-"""A linear map and its derivatives, beside the same product written with matrices."""
+"""A linear map and its derivatives, and sums of chosen numbers, beside the same products written with matrices."""
+
+from __future__ import annotations
 
 import pytest
 import torch
@@ -6,7 +8,7 @@ from torch.autograd import gradcheck, gradgradcheck
 from torch.func import jacfwd, jacrev, jvp, vmap
 from torch.testing import assert_close
 
-from torchmbd.math.linear_map import apply_linear
+from torchmbd.math.linear_map import Sums, apply_linear
 
 GENERATOR = torch.Generator().manual_seed(3)
 P, Q, X, Y = (
@@ -48,3 +50,26 @@ def test_lanes_of_lanes_where_only_one_of_the_two_has_them():
     assert_close(vmap(lambda x: cubes(x, Y))(several), torch.stack([plain(x, Y) for x in several]))
     pushed = vmap(lambda t: jvp(lambda x: cubes(x, Y), (X,), (t,))[1])(several)
     assert_close(pushed, torch.stack([jvp(lambda x: plain(x, Y), (X,), (t,))[1] for t in several]))
+
+
+ROWS, TERMS = torch.tensor([4, 0, 0, 2, 4, 4, 2]), torch.tensor([1, 3, 3, 0, 2, 1, 5])
+MATRIX = torch.zeros(6, 7, dtype=torch.float64).index_put((ROWS, TERMS), torch.ones(7).double(), accumulate=True)
+
+
+def random(*shape: int) -> torch.Tensor:
+    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(sum(shape)))
+
+
+@pytest.mark.usefixtures("products")
+def test_the_map_and_its_transpose() -> None:
+    sums, x, y = Sums.of(ROWS, TERMS, (6, 7)), random(3, 7), random(3, 6)
+    torch.testing.assert_close(sums(x), x @ MATRIX.T)
+    torch.testing.assert_close(sums.adjoint(y)[0], y @ MATRIX)
+
+
+@pytest.mark.usefixtures("products")
+def test_chosen_rows() -> None:
+    chosen = torch.tensor([2, 4, 1, 4])
+    sums, x, y = Sums.of(ROWS, TERMS, (6, 7)).selected(chosen), random(3, 7), random(3, 4)
+    torch.testing.assert_close(sums(x), x @ MATRIX[chosen].T)
+    torch.testing.assert_close(sums.adjoint(y)[0], y @ MATRIX[chosen])

@@ -11,8 +11,8 @@ from rich.console import Console
 
 from torchmbd.errors import InputError
 from torchmbd.study.compare import differences, print_best, print_comparison
-from torchmbd.study.journal import flat
 from torchmbd.study.listing import print_links_of
+from torchmbd.study.runs import flat
 from torchmbd.tracking.catalog import children, find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 

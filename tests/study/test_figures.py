@@ -66,7 +66,7 @@ def test_pictures_numbers_and_the_sentence_are_in_the_store(write, tmp_path, emp
     assert (run_.data.tags["word"], run_.data.tags["kind"]) == ("tag", "figures")
     root = tmp_path / "mlartifacts" / run_.info.run_id / "artifacts"
     files = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
-    assert files == {"config.yaml", "figures/one.pdf"}
+    assert files == {"config.yaml", "config_as_given.yaml", "figures/one.pdf"}
 
 
 def test_a_function_that_fails_leaves_a_failed_run(write, tmp_path, empty_store):

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from torchmbd.optimization import Evaluation, Iterate, MultistartResult, OptimizationResult
-from torchmbd.study.journal import PARENT, Journal, child
+from torchmbd.study.journal import Journal
 from torchmbd.study.run import _summarize
+from torchmbd.study.runs import PARENT, child
 
 X = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
 

@@ -235,16 +235,16 @@ def test_runs_beyond_one_page_are_found(uri, monkeypatch):
     """Studies, starts, and those of an earlier process of the same study."""
     monkeypatch.setattr("torchmbd.tracking.store._PAGE", 2)
     records = []
-    for study in ("a", "b", "c", "c"):
+    for study in ("x", "y", "z", "z"):  # no run id begins with these
         tracker = MlflowTracker("pages", uri, study)
         tracker.begin("study", study, tags={"kind": "study"})
         for k in range(5):
             tracker.begin(f"start_{k}", f"start {k}", parent="study", tags={"kind": "start"})
             tracker.metrics(f"start_{k}", {"objective": float(k)})
         records.append(tracker.close())
-    assert {entry.name for entry in studies(uri)} == {"a", "b", "c"}
-    assert find(uri, "a").run_id == records[0].runs["study"]
-    assert [child.name for child in children(uri, find(uri, "a"))] == [f"start {k}" for k in range(5)]
+    assert {entry.name for entry in studies(uri)} == {"x", "y", "z"}
+    assert find(uri, "x").run_id == records[0].runs["study"]
+    assert [child.name for child in children(uri, find(uri, "x"))] == [f"start {k}" for k in range(5)]
     assert records[2].runs == records[3].runs
 
 

@@ -78,7 +78,7 @@ def _table(kinds: int, derivative: int) -> list[list[float]]:
     """Coefficients, by powers of s, of the weights of value, value, slope, slope, ... at both ends."""
     rows = []
     for k, weights in enumerate(_LEFT[kinds]):
-        left = Polynomial(weights)
-        right = (-1.0) ** k * left(Polynomial([1.0, -1.0]))  # L(1 - s)
-        rows += [side.deriv(derivative).coef.tolist() for side in (left, right)]
+        start = Polynomial(weights)
+        end = (-1.0) ** k * start(Polynomial([1.0, -1.0]))  # L(1 - s)
+        rows += [x.deriv(derivative).coef.tolist() for x in (start, end)]
     return rows

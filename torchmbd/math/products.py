@@ -4,7 +4,7 @@
     lanczos                  steps of block Lanczos                                    fem/reduction/lanczos.py
     multiply_sparse          K X for many K of one pattern                             fem/reduction/forms.py
     products_at_pattern      Y X' at the entries of a pattern                          fem/reduction/forms.py
-    sums, transposed_sums    sums of selected numbers, and their transpose             sums.py
+    sums, transposed_sums    sums of selected numbers, and their transpose             linear_map.py
     conjugate_gradients      (1 - H / mu) y = c                                        fem/reduction/sparse_modes.py
     quadratic_forms          sums of d' L d over points, and their derivatives         quadratic_forms.py
 

@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from torchmbd.errors import InputError, nearest, unknown
-from torchmbd.math.checked_numbers import is_real
 from torchmbd.summary import Summary, few
 
 if TYPE_CHECKING:
@@ -271,7 +270,7 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
 
 def require_range(name: str, value: float, low: float, high: float) -> float:
     """Return `value` if it is a number in [low, high]; InputError otherwise."""
-    if not is_real(value) or not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
         raise InputError(f"{name} = {value!r}: must lie in [{low:g}, {high:g}]")
     return value
 

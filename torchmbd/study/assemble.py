@@ -20,7 +20,7 @@ from torchmbd.errors import InputError
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, latin_hypercube, sobol
 from torchmbd.study import schema
-from torchmbd.study.config_index import QUESTION_MISSING, question
+from torchmbd.study.config_index import question
 from torchmbd.study.model import find_phases, find_response, scenario_systems
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.schema import UNITS, Bounded, Combine, Optimizer, Range, StudyFile
@@ -45,7 +45,6 @@ def study_of(data: StudyFile, system: System, file: Path, overrides: tuple[str, 
             raise InputError(
                 f"{name} has no lower or no upper; allowed: two numbers, for entries that follow no others"
             )
-    text = question(file) if file.is_file() else QUESTION_MISSING
     searched: Any = problem
     if tolerance.any() and isinstance(problem, Problem):  # a Tradeoff has none, see StudyFile
         extra = np.zeros(len(problem.names) - len(space.names))
@@ -58,7 +57,7 @@ def study_of(data: StudyFile, system: System, file: Path, overrides: tuple[str, 
         max_iterations=optimizer.max_iterations,
         increments={name: float(step) for name, step in zip(space.names, steps, strict=True) if step},
         sweep=None if data.sweep is None else sweep_in_si(data.design, data.sweep),
-        question="" if text == QUESTION_MISSING else text,
+        question=question(file),
         units={name: data.design[name].unit for name in {label.rpartition("[")[0]: None for label in space.names}},
         experiment=data.tracking.experiment,
         uri=data.tracking.uri,

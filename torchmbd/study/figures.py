@@ -10,31 +10,46 @@ from __future__ import annotations
 
 import math
 import tempfile
-from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import yaml
+from pydantic import Field
 from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.study.file_errors import Fault
-from torchmbd.study.journal import PARENT, flat
 from torchmbd.study.kind import Kind, Source
 from torchmbd.study.model import find_function, option_faults, require_returns
 from torchmbd.study.paths import file_key
 from torchmbd.study.run_record import RunRecord
-from torchmbd.study.schema import Figures
-from torchmbd.study.unfinished import claim_study
+from torchmbd.study.runs import PARENT, Runs
+from torchmbd.study.schema import FUNCTION, Tracking
+from torchmbd.study.section import Section
 from torchmbd.tracking import MlflowTracker, Status
-from torchmbd.tracking.provenance import provenance
-from torchmbd.tracking.store import relative_to_store, store_uri
 from torchmbd.tracking.uri import StoreURI
 
 SENTENCE = "sentence"
 PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
+
+
+class Figures(Section):
+    """An experiment file that draws figures.
+
+    figures   the function that draws into a folder: path/to/file.py:function or package.module:function
+    options   arguments of this function; `folder` is given by the program
+    tracking  where MLflow keeps the runs
+    """
+
+    figures: Annotated[str, Field(pattern=FUNCTION)]
+    options: dict[str, Any] = Field(default={})
+    tracking: Tracking = Tracking()
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the file with every default filled in."""
+        return self.model_dump(mode="json", exclude_none=True)
 
 
 @dataclass(frozen=True)
@@ -90,53 +105,44 @@ def run_figures(
     """Draw and track the figures; return the exit code. Arguments as of run.run_study; figures are always drawn."""
     if workers != 1 or scheduler is not None:
         raise InputError("workers and scheduler: figures are drawn in one process; allowed: torchmbd run without them")
-    source = plan.source
-    with ExitStack() as stack:
-        if tracker is not None:
-            record = RunRecord(plan.name, "figures", console, lambda: tracker)
-        else:
-            store = store_uri(uri or plan.uri)
-            claim = claim_study(figures_key(plan, store), plan.name, source.path, source.overrides, store, fresh)
-            state = stack.enter_context(claim)
-            tracker = MlflowTracker(plan.data.tracking.experiment, store, state.id)
-            record = RunRecord(plan.name, "figures", console, lambda: tracker, state)
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
-        resolved = plan.data.resolved()
-        tags = {"kind": "figures", **provenance(source.folder)}
-        tags["mlflow.source.name"] = relative_to_store(tracker.uri, source.path)
-        tracker.begin(PARENT, plan.name, params=flat(resolved), tags=tags)
-        (folder / "config.yaml").write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
-        tracker.artifact(PARENT, folder / "config.yaml")
+    origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
+    key = partial(figures_key, plan)
+    with (
+        RunRecord.opened(plan.name, "figures", console, key, origin, where, tracker, fresh) as record,
+        tempfile.TemporaryDirectory(prefix="torchmbd-") as folder,
+    ):
+        runs = Runs(record.tracker, Path(folder))
+        runs.begin(plan.name, plan.data.resolved(), {"kind": "figures"}, *origin, plan.source.question)
         status: Status = "FAILED"
         try:
-            _draw(plan, folder, tracker, console)
+            _draw(plan, runs, console)
             status = "FINISHED"
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
-            tracker.end(PARENT, status)
+            runs.end_all(status)
             record.close()
         return record.tell_outcome(status)
 
 
-def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:
+def _draw(plan: FiguresPlan, runs: Runs, console: Console) -> None:
     draw = find_function(plan.data.figures, plan.source.folder)
     try:
-        shown = draw(folder=folder, **plan.data.options)
+        shown = draw(folder=runs.folder, **plan.data.options)
     except MbdError:
         raise
     except Exception as error:  # an error of the user's function, not of torchmbd
         raise MbdError(f"{plan.data.figures}: {type(error).__name__}: {error}") from error
     numbers = {key: float(value) for key, value in shown.items() if not isinstance(value, str)}
     words = {key: value for key, value in shown.items() if isinstance(value, str)}
-    tracker.metrics(PARENT, {key: value for key, value in numbers.items() if math.isfinite(value)})
+    runs.tracker.metrics(PARENT, {key: value for key, value in numbers.items() if math.isfinite(value)})
     if SENTENCE in words:
         words["mlflow.note.content"] = words[SENTENCE]
         console.print(escape(words[SENTENCE]), soft_wrap=True)
-    tracker.tags(PARENT, words)
-    for file in sorted(folder.rglob("*")):
+    runs.tracker.tags(PARENT, words)
+    for file in sorted(runs.folder.rglob("*")):
         if file.suffix in PICTURES:
-            tracker.artifact(PARENT, file, "figures")
+            runs.file(file, "figures")
 
 
 FIGURES = Kind("draws figures; allowed here: a study or a sweep", Figures, _read, figures_key, run_figures, _check)

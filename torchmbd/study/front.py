@@ -14,9 +14,10 @@ from rich.markup import escape
 from torchmbd.errors import InputError
 from torchmbd.optimization import Front
 from torchmbd.optimization.pareto import pareto_front
-from torchmbd.study.journal import Journal, child
+from torchmbd.study.journal import Journal
 from torchmbd.study.progress import SearchCounter, print_table, shown_rows, table_of
 from torchmbd.study.report import missing_picture_reported, save_figure
+from torchmbd.study.runs import child
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 
@@ -26,7 +27,7 @@ def run_front(
 ) -> tuple[Front | None, Status]:
     """Find the front, print it, and file every point."""
     options: dict[str, Any] = {"max_lanes": lanes} | study.options
-    journal.begin(study.kind)
+    journal.begin_study(study.kind)
     title = f"{study.name}: front of {', '.join(study.problem.criteria)}"
     try:
         with SearchCounter(title, console) as searches:

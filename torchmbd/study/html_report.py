@@ -16,7 +16,7 @@ from pathlib import Path
 
 from torchmbd.errors import InputError
 from torchmbd.study.answers import answers_page, stored_verification
-from torchmbd.study.config_index import QUESTION_MISSING, question
+from torchmbd.study.config_index import question
 from torchmbd.study.metric_names import (
     ANALYSES,
     CONVERGED,
@@ -80,10 +80,10 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
     original = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
     _require_files(store, entry)
-    text = entry.tags.get("question") or (question(original) if original else QUESTION_MISSING)
+    text = entry.tags.get("question") or (question(original) if original else "")
     took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
     parts = [
-        f"<h1>{escape(entry.name if text == QUESTION_MISSING else text)}</h1>",
+        f"<h1>{escape(text or entry.name)}</h1>",
         f'<p class="quiet">{escape(entry.name)}, {entry.began:%d %b %Y %H:%M}{took}, '
         f"{escape(entry.status.lower())}, run {escape(entry.run_id)}</p>",
     ]

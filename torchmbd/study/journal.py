@@ -37,51 +37,35 @@ from torchmbd.study.metric_names import (
     unique,
 )
 from torchmbd.study.paths import problem_key
+from torchmbd.study.runs import PARENT, Runs, child
 from torchmbd.study.settings import StudySettings
-from torchmbd.study.yaml_file import without_user
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, VERIFICATION
-from torchmbd.tracking.provenance import provenance
-from torchmbd.tracking.store import relative_to_store
-from torchmbd.tracking.uri import hidden
-
-PARENT = "study"
 
 
-class Journal:
+class Journal(Runs):
     """Tracks a study: translates iterates, evaluations and results into calls of a tracker.
 
     folder  of the files that become artifacts
     """
 
     def __init__(self, study: StudySettings, tracker: MlflowTracker, folder: Path) -> None:
-        self.study, self.tracker, self.folder = study, tracker, folder
+        super().__init__(tracker, folder)
+        self.study = study
         self.first: dict[int, float] = {}  # objective of the first iterate of each start
         self.evaluations = self.iterates = 0
-        self.trouble: str | None = None  # why a file could not be written
         self.failures: list[str] = []  # reason and design of each failed evaluation
         self._best = math.inf
-        self._open: list[str] = []
 
-    def begin(self, kind: str) -> None:
-        """Open the parent run, with the resolved study as an artifact."""
+    def begin_study(self, kind: str) -> None:
+        """Open the parent run, with the table of its children."""
         study, origin = self.study, self.study.origin
-        resolved = study.resolved()
-        tags = {"kind": kind, **provenance(Path() if origin is None else origin.file.parent)}
+        tags = {"kind": kind, "problem_key": problem_key(study.simulated)}
         tags |= {GOAL: MAXIMIZE} if study.sign < 0.0 else {}
-        tags["problem_key"] = problem_key(study.simulated)
-        if study.question:
-            tags["question"] = tags["mlflow.note.content"] = study.question  # the description of the run
-        if origin is not None:
-            tags["mlflow.source.name"] = relative_to_store(self.tracker.uri, origin.file)
-            tags |= {"overrides": hidden(" ".join(origin.overrides))} if origin.overrides else {}
-            tags |= {"seed": str(origin.data.starts.seed)} if origin.data.starts is not None else {}
-        self.tracker.begin(PARENT, study.name, params=flat(resolved), tags=tags)
-        self._open = [PARENT]
+        file, overrides = (None, ()) if origin is None else (origin.file, origin.overrides)
+        tags |= {"seed": str(origin.data.starts.seed)} if origin is not None and origin.data.starts is not None else {}
+        self.begin(study.name, study.resolved(), tags, file, overrides, study.question)
         self.tracker.view(PARENT, self._columns(kind), "metrics.objective", study.sign > 0.0)
-        self.text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
-        if origin is not None and origin.file.is_file():
-            self.text("config_as_given.yaml", without_user(origin.file.read_text(encoding="utf-8")))
 
     def _columns(self, kind: str) -> list[str]:
         """Return the columns of the table of the children in MLflow."""
@@ -103,11 +87,7 @@ class Journal:
     def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
         """Open the child of a start, or of a point of a sweep."""
         shown = self.study.columns.by_name(x)
-        run = child(index)
-        params = {f"start_{name}": f"{value:.6g}" for name, value in shown.items()}
-        name = f"{kind} {index}"
-        self.tracker.begin(run, name, parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
-        self._open.append(run)
+        self.begin_child(index, kind, {f"start_{name}": f"{value:.6g}" for name, value in shown.items()})
 
     def design_metrics(self, x: np.ndarray) -> dict[str, float]:
         """Return the metrics of a design [SI]."""
@@ -204,50 +184,10 @@ class Journal:
                 values.setdefault(label.rpartition("[")[0] or label, []).append(value)
         self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
 
-    def text(self, name: str, content: str) -> None:
-        """Write a text file as an artifact; a full disk loses the file, not the study."""
-        try:
-            (self.folder / name).write_text(content, encoding="utf-8")
-        except OSError as error:
-            self.trouble = f"{name} cannot be written: {error.strerror}"
-        else:
-            self.file(self.folder / name)
-
-    def file(self, path: Path, folder: str = "") -> None:
-        """Make a file an artifact of the parent."""
-        self.tracker.artifact(PARENT, path, folder)
-
-    def end(self, run: str, status: Status) -> None:
-        self.tracker.end(run, status)
-        self._open.remove(run)
-
-    def end_all(self, status: Status) -> None:
-        """Close every run that is open, children first."""
-        for run in reversed(list(self._open)):
-            self.end(run, status)
-
-
-def child(index: int) -> str:
-    """Return the tracker's key of a start."""
-    return f"start_{index}"
-
 
 def percent(first: float, last: float) -> float:
     """Return the reduction from `first` to `last` in percent; nan if `first` is zero."""
     return 100.0 * (first - last) / abs(first) if first else math.nan
-
-
-def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
-    """Flatten nested mappings, and lists of them, to dotted keys: `optimizer.name`, `subject_to.0.at_most`."""
-    result: dict[str, object] = {}
-    for key, value in data.items():
-        if isinstance(value, Mapping):
-            result |= flat(value, f"{prefix}{key}.")
-        elif isinstance(value, (list, tuple)) and any(isinstance(entry, Mapping) for entry in value):
-            result |= flat({str(k): entry for k, entry in enumerate(value)}, f"{prefix}{key}.")
-        else:
-            result[legal_key(f"{prefix}{key}")] = value
-    return result
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float]:

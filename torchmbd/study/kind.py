@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from torchmbd.study.config_index import question
 from torchmbd.study.file_errors import Fault
 from torchmbd.study.section import Section
 from torchmbd.study.yaml_file import Document
@@ -29,6 +30,11 @@ class Source:
     def folder(self) -> Path:
         """The folder of the file (absolute): names of other files in it are relative to it."""
         return self.path.absolute().parent
+
+    @property
+    def question(self) -> str:
+        """The question that the file opens with, "" if there is none."""
+        return question(self.path)
 
     @property
     def name(self) -> str:

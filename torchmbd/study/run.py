@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import tempfile
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -36,10 +37,9 @@ from torchmbd.study.report import print_results, save_pictures
 from torchmbd.study.run_record import UNVERIFIED, RunRecord
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
-from torchmbd.study.unfinished import StudyState, claim_study
+from torchmbd.study.unfinished import StudyState
 from torchmbd.study.verify import verify_best
 from torchmbd.tracking import MlflowTracker, Status
-from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI
 
 
@@ -78,20 +78,16 @@ def run_study(
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), key)
         stack.callback(store.close)
-        if tracker is not None:
-            record = RunRecord(study.name, study.kind, console, lambda: tracker)
-        else:
-            store_of_runs = store_uri(uri or study.uri)
-            file, overrides = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
-            claim = claim_study(study_key(study, store_of_runs), study.name, file, overrides, store_of_runs, fresh)
-            state = stack.enter_context(claim)
-            # The tracker is made later: `finished_run` may give the state another id.
-            record = RunRecord(
-                study.name, study.kind, console, lambda: MlflowTracker(study.experiment, store_of_runs, state.id), state
-            )
-            if not rerun_finished and (entry := record.finished_run(store_of_runs)):
-                again = state.command(workers=workers, scheduler=scheduler, fresh=True)
-                return record.tell_finished(store_of_runs, entry, again, f"torchmbd best {entry.run_id[:8]}")
+        origin = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
+        runs = (study.experiment, uri or study.uri)
+        key_of_study = partial(study_key, study)
+        record = stack.enter_context(
+            RunRecord.opened(study.name, study.kind, console, key_of_study, origin, runs, tracker, fresh)
+        )
+        if not rerun_finished:
+            code = record.tell_finished("torchmbd best {run}", workers=workers, scheduler=scheduler)
+            if code is not None:
+                return code
         if fresh:  # `claim_study` has refused a study that is running in another process
             store.forget()
         _print_stored_count(study.name, store.count(), record.state, console)
@@ -153,7 +149,7 @@ def _search(
 ) -> tuple[MultistartResult | DiscreteResult, Status, Verification | None]:
     """Optimize from every start, with `lanes` simulations in a batch; track and report the results."""
     points = study.points
-    journal.begin("study")
+    journal.begin_study("study")
     for index, point in enumerate(points):
         journal.begin_start(index, point)
     target = study.with_evaluator(cached)

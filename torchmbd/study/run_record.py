@@ -8,23 +8,24 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.errors import InputError
 from torchmbd.results.answer import NOT_VERIFIED
-from torchmbd.study.journal import PARENT
 from torchmbd.study.listing import print_links_of, study_links
-from torchmbd.study.unfinished import StudyState, unsent
+from torchmbd.study.runs import PARENT
+from torchmbd.study.unfinished import StudyState, claim_study, unsent
 from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
-from torchmbd.tracking.catalog import VERIFICATION, Entry, find
+from torchmbd.tracking.catalog import VERIFICATION, find
 from torchmbd.tracking.links import DEFAULT_BASE
-from torchmbd.tracking.store import own_files
+from torchmbd.tracking.store import own_files, store_uri
 from torchmbd.tracking.uri import StoreURI
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
@@ -32,20 +33,55 @@ UNVERIFIED = 3  # exit code of a study that is finished, and whose best design d
 
 
 class RunRecord:
-    """The runs of a study and its state.
+    """The runs of a study and its state; made by `opened`.
 
     name, kind   of the study
     console      where it says what is kept
     make         makes the tracker of the runs, when the first of them begins
-    state        on disk; None: the caller has made the tracker, and no other process continues its runs
+    state, store  on disk, and of the runs; None: the caller has made the tracker, and no other process continues its runs
     """
 
     def __init__(
-        self, name: str, kind: str, console: Console, make: Callable[[], MlflowTracker], state: StudyState | None = None
+        self,
+        name: str,
+        kind: str,
+        console: Console,
+        make: Callable[[], MlflowTracker],
+        state: StudyState | None = None,
+        store: StoreURI | None = None,
     ) -> None:
-        self.name, self.kind, self.console, self.state = name, kind, console, state
+        self.name, self.kind, self.console, self.state, self.store = name, kind, console, state, store
         self.stored: Record | None = None  # the runs in the store, when all are there
         self._make, self._began = make, time.monotonic()
+
+    @classmethod
+    @contextmanager
+    def opened(
+        cls,
+        name: str,
+        kind: str,
+        console: Console,
+        key: Callable[[StoreURI], str],
+        origin: tuple[Path | None, Sequence[str]],
+        runs: tuple[str, str | StoreURI | None],
+        tracker: MlflowTracker | None = None,
+        fresh: bool = False,
+    ) -> Iterator[Self]:
+        """The record of a study that this process runs: no other process can run it at the same time.
+
+        key      store -> hash by which the study is continued
+        origin   experiment file with its overrides; None: made in Python
+        runs     experiment of MLflow, and its store
+        tracker  of the runs; None: one for the store, in which the runs of an earlier process go on
+        fresh    begin other runs
+        """
+        if tracker is not None:
+            yield cls(name, kind, console, lambda: tracker)
+            return
+        experiment, store = runs[0], store_uri(runs[1])
+        with claim_study(key(store), name, *origin, store, fresh) as state:
+            # The tracker is made later: `finished_run` may give the state another id.
+            yield cls(name, kind, console, lambda: MlflowTracker(experiment, store, state.id), state, store)
 
     @cached_property
     def tracker(self) -> MlflowTracker:
@@ -56,31 +92,31 @@ class RunRecord:
         """The run of the whole study; None: it has not reached the store."""
         return None if self.stored is None else self.stored.runs.get(PARENT)
 
-    def finished_run(self, uri: StoreURI) -> Entry | None:
-        """Return the run in which the study has finished; None if it has not, or if its store has lost the run."""
-        if self.state is None or not self.state.run_id:
+    def tell_finished(self, designs: str, **options: Any) -> int | None:
+        """Print where the run of a study is that has finished earlier, and return the exit code.
+
+        None if it has not finished, or if its store has lost the run.
+
+        designs  where its designs are: a command, or a file; "{run}": the beginning of its run id
+        options  of the command that runs it anew
+        """
+        if self.state is None or self.store is None or not self.state.run_id:
             return None
         try:
-            return find(uri, self.state.run_id)
+            entry = find(self.store, self.state.run_id)
         except InputError:
             self.state.renew()
             return None
-
-    def tell_finished(self, uri: StoreURI, entry: Entry, again: str, designs: str) -> int:
-        """Print where the run of a finished study is, and return the exit code.
-
-        again    the command that runs it anew
-        designs  where its designs are: a command, or a file
-        """
-        ended = "" if self.state is None else self.state.ended
         best = entry.metrics.get("best_objective")
         outcome = "" if best is None else f", best objective {best:.6g}"
-        self.console.print(f"{escape(self.name)}: finished on {ended}{outcome}; nothing is run again", soft_wrap=True)
-        self._print_links(Record(uri, entry.experiment_id, {PARENT: entry.run_id}), entry.kind, "FINISHED")
+        say = partial(self.console.print, soft_wrap=True, highlight=False, markup=False)
+        say(f"{self.name}: finished on {self.state.ended}{outcome}; nothing is run again")
+        self._print_links(Record(self.store, entry.experiment_id, {PARENT: entry.run_id}), entry.kind, "FINISHED")
         verified = entry.tags.get(VERIFICATION, "")
         if verified:
-            self.console.print(verified, soft_wrap=True, highlight=False, markup=False)
-        self.console.print(f"its designs: {designs}; to run it anew: {again}", soft_wrap=True, highlight=False)
+            say(verified)
+        again = self.state.command(**options, fresh=True)
+        say(f"its designs: {designs.format(run=entry.run_id[:8])}; to run it anew: {again}")
         return UNVERIFIED if verified.startswith(NOT_VERIFIED) else EXIT["FINISHED"]
 
     def close(self, trouble: str | None = None) -> None:

@@ -292,23 +292,6 @@ class Tracking(Section):
     uri: Store | None = None
 
 
-class Figures(Section):
-    """An experiment file that draws figures.
-
-    figures   the function that draws into a folder: path/to/file.py:function or package.module:function
-    options   arguments of this function; `folder` is given by the program
-    tracking  where MLflow keeps the runs
-    """
-
-    figures: Annotated[str, Field(pattern=FUNCTION)]
-    options: dict[str, Any] = Field(default={})
-    tracking: Tracking = Tracking()
-
-    def resolved(self) -> dict[str, Any]:
-        """Return the file with every default filled in."""
-        return self.model_dump(mode="json", exclude_none=True)
-
-
 class StudyFile(Section):
     """An experiment file that optimizes, or sweeps a variable.
 
@@ -354,7 +337,7 @@ class StudyFile(Section):
         if not keys & {*OBJECTIVE_KEYS}:
             text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
             raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
-        for key in keys & _EXCLUSIVE.keys():
+        for key in (key for key in _EXCLUSIVE if key in keys):
             if others := [other for other in _EXCLUSIVE[key] if other in keys]:
                 raise fault(f"and {' and '.join(others)} are both given; allowed: one without the other", key)
         if "robust" in keys and "tolerance" not in keys:

@@ -21,10 +21,11 @@ from torchmbd.design.problem_parts import responses_of
 from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import largest_violation, rank
-from torchmbd.study.journal import Journal, child, percent
+from torchmbd.study.journal import Journal, percent
 from torchmbd.study.metric_names import gain_metric
 from torchmbd.study.progress import drop_order, print_table, shown_rows, table_of
 from torchmbd.study.report import missing_picture_reported, save_figure
+from torchmbd.study.runs import child
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
@@ -86,7 +87,7 @@ def run_sweep(
     values = swept / study.columns.factors[index]
     X = np.tile(problem.start, (len(swept), 1))
     X[:, index] = swept
-    journal.begin("sweep")
+    journal.begin_study("sweep")
     with console.status(f"{escape(study.name)}: {len(swept)} designs"):
         designs = np.vstack([problem.start, X])
         parts = np.array_split(designs, math.ceil(len(designs) / _PART))

@@ -14,9 +14,9 @@ PACKAGES = ("torch", "torchdiffeq", "numpy", "scipy", "nlopt", "pydantic", "mlfl
 
 def provenance(folder: str | Path = ".") -> dict[str, str]:
     """Return tags for a run: `version.torch`, `git_commit` (with "+changes" if files differ from it), machine, user."""
-    tags = {f"version.{name}": version for name in PACKAGES if (version := _version(name))}
+    tags = {f"version.{name}": version for name in PACKAGES if (version := version_of(name))}
     tags["version.python"] = platform.python_version()
-    tags["version.torchmbd"] = _version("torchmbd") or "source"
+    tags["version.torchmbd"] = version_of("torchmbd") or "source"
     tags["machine"] = f"{platform.node()} ({platform.machine()}, {os.cpu_count()} cores)"
     tags["mlflow.user"] = _user()
     commit = _git(folder, "rev-parse", "HEAD")
@@ -35,7 +35,7 @@ def _user() -> str:
         return str(os.getuid())
 
 
-def _version(package: str) -> str | None:
+def version_of(package: str) -> str | None:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Failure criteria: a published example, the uniaxial limits, and derivatives against differences."""
+"""Failure criteria: a published example, the uniaxial limits, derivatives against differences, forms of few coordinates."""
 
 import math
 
@@ -7,7 +7,7 @@ import torch
 from torch.testing import assert_close
 
 from torchmbd.errors import InputError
-from torchmbd.fem.materials import CRITERIA, Ply, Strength, tsai_wu, tsai_wu_irf
+from torchmbd.fem.materials import CRITERIA, FailureForms, Ply, Strength, tsai_wu, tsai_wu_irf
 from torchmbd.fem.materials.laminate import strain_rotations
 
 GRAPHITE_EPOXY = Strength(Xt=1500e6, Xc=1500e6, Yt=40e6, Yc=246e6, S12=68e6)
@@ -90,3 +90,22 @@ def test_bad_strengths_are_named(given, words):
 def test_a_ply_takes_a_strength_only():
     with pytest.raises(InputError, match=r"strength = 3\.0; allowed: a Strength"):
         Ply.isotropic(1.0, 0.3, 1.0, strength=3.0)
+
+
+STRENGTHS = torch.stack(
+    [
+        Strength(1500e6, 1200e6, 50e6, 250e6, 70e6).numbers(),
+        Strength(900e6, 700e6, 40e6, 180e6, 60e6, 55e6, 30e6, interaction=-0.2).numbers(),
+    ]
+)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_forms_are_the_indices_of_the_stresses(criterion):
+    make = torch.Generator().manual_seed(5)
+    basis = 1e8 * torch.randn(7, 5, 3, generator=make, dtype=torch.float64)
+    strength = STRENGTHS[torch.tensor([0, 1, 1, 0, 0, 1, 0])]
+    w = torch.randn(11, 3, generator=make, dtype=torch.float64)
+    w[4] = 0.0
+    stress = torch.einsum("pck,nk->npc", basis, w)
+    assert_close(FailureForms(criterion, basis, strength)(w), CRITERIA[criterion](stress, strength))

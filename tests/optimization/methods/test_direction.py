@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.methods.direction import find_direction
-from torchmbd.optimization.methods.metric import VariableMetric
+from torchmbd.optimization.methods.direction import VariableMetric, find_direction
 
 FREE = np.full(2, -np.inf), np.full(2, np.inf)
 

@@ -39,7 +39,6 @@ from torchmbd.math.variable import variable
 from torchmbd.multibody.system import System
 from torchmbd.study.assemble import in_si, links_in_si, starts_of
 from torchmbd.study.check import Faults, built_system, motion_faults
-from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.file_errors import Fault
 from torchmbd.study.file_errors import Path as FaultPath
 from torchmbd.study.kind import Source
@@ -75,13 +74,6 @@ class IdentificationPlan:
     @property
     def uri(self) -> StoreURI | None:
         return self.data.tracking.uri
-
-    @property
-    def question(self) -> str:
-        """The question that the file opens with, "" if there is none."""
-        file = self.source.path
-        asked = question(file) if file.is_file() else QUESTION_MISSING
-        return "" if asked == QUESTION_MISSING else asked
 
     def unit(self, entry: str) -> str:
         """The unit of an unknown, `hinge.damping[0]`, in the file."""

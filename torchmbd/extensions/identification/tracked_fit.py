@@ -16,6 +16,7 @@ import json
 import re
 import tempfile
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,18 +36,15 @@ from torchmbd.extensions.identification.statistics import quantile
 from torchmbd.extensions.identification.stored_fit import StoredFit, fit_key
 from torchmbd.math.units import units_of
 from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.journal import PARENT, child, flat
 from torchmbd.study.metric_names import DESIGN, legal_key
 from torchmbd.study.paths import evaluations_file, file_key, numbers_key
 from torchmbd.study.progress import print_table, table_of
 from torchmbd.study.run_record import RunRecord
-from torchmbd.study.unfinished import claim_study
-from torchmbd.study.yaml_file import without_user
+from torchmbd.study.runs import PARENT, Runs, child
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import TABLES
-from torchmbd.tracking.provenance import provenance
-from torchmbd.tracking.store import relative_to_store, store_uri
-from torchmbd.tracking.uri import StoreURI, hidden
+from torchmbd.tracking.provenance import version_of
+from torchmbd.tracking.uri import StoreURI
 from torchmbd.viz.figures import save, titled
 
 KIND = "identification"
@@ -74,36 +72,36 @@ def run_identification(
     """Fit the model and track it; return the exit code. Arguments as of run.run_study."""
     if workers != 1 or scheduler is not None:
         raise InputError("workers and scheduler: a fit is one process; allowed: torchmbd run without them")
+    origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
+    key = partial(identification_key, plan)
     with ExitStack() as stack:
-        if tracker is not None:
-            record = RunRecord(plan.name, KIND, console, lambda: tracker)
-        else:
-            store = store_uri(uri or plan.uri)
-            key = identification_key(plan, store)
-            source = plan.source
-            state = stack.enter_context(claim_study(key, plan.name, source.path, source.overrides, store, fresh))
-            experiment = plan.data.tracking.experiment
-            record = RunRecord(plan.name, KIND, console, lambda: MlflowTracker(experiment, store, state.id), state)
-            if entry := record.finished_run(store):
-                return record.tell_finished(store, entry, state.command(fresh=True), f"{FITTED} in its files")
+        record = stack.enter_context(RunRecord.opened(plan.name, KIND, console, key, origin, where, tracker, fresh))
+        if (code := record.tell_finished(f"{FITTED} in its files")) is not None:
+            return code
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         fit = _Fit(plan, record.tracker, folder, console, stack, fresh, offline)
         status: Status = "FAILED"
         try:
-            fit.begin()
-            status = fit.run()
+            fit.begin(
+                plan.name,
+                plan.data.resolved(),
+                {"kind": KIND, TABLES: json.dumps(_TABLES)},
+                *origin,
+                plan.source.question,
+            )
+            status = fit.fit()
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
-            fit.end(status)
+            fit.end_all(status)
             record.close(next((x.trouble for x in fit.stores if x.trouble), None))
         hits, computed = fit.counts["hits"], fit.counts["computed"]
         known = f", {hits} of {hits + computed} evaluations known" if hits else ""
         return record.tell_outcome(status, known)
 
 
-class _Fit:
-    """One run of an identification."""
+class _Fit(Runs):
+    """The runs of an identification: one for the whole, one for each start."""
 
     def __init__(
         self,
@@ -115,29 +113,12 @@ class _Fit:
         fresh: bool,
         offline: bool,
     ) -> None:
-        self.plan, self.tracker, self.folder, self.console, self.stack = plan, tracker, folder, console, stack
-        self.fresh, self.offline = fresh, offline
+        super().__init__(tracker, folder)
+        self.plan, self.console, self.stack, self.fresh, self.offline = plan, console, stack, fresh, offline
         self.counts = {"hits": 0, "computed": 0}
         self.stores: list[Evaluations] = []
-        self._open: list[str] = []
 
-    def begin(self) -> None:
-        """Open the run, with the resolved file as an artifact."""
-        plan, resolved, source = self.plan, self.plan.data.resolved(), self.plan.source
-        origin = provenance(source.folder)
-        self._version = origin["version.torchmbd"]
-        tags = {"kind": KIND, TABLES: json.dumps(_TABLES), **origin}
-        tags["mlflow.source.name"] = relative_to_store(self.tracker.uri, source.path)
-        tags |= {"overrides": hidden(" ".join(source.overrides))} if source.overrides else {}
-        if plan.question:
-            tags["question"] = tags["mlflow.note.content"] = plan.question
-        self.tracker.begin(PARENT, plan.name, params=flat(resolved), tags=tags)
-        self._open.append(PARENT)
-        self._text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
-        if source.path.is_file():
-            self._text("config_as_given.yaml", without_user(source.path.read_text(encoding="utf-8")))
-
-    def run(self) -> Status:
+    def fit(self) -> Status:
         """Fit, print and file the result."""
         plan, starts = self.plan, self.plan.arguments["starts"]
         count = 1 if starts is None else getattr(starts, "count", None) or len(starts)
@@ -198,18 +179,12 @@ class _Fit:
         """File a design that lowered the cost, in the run of its start."""
         run = child(step.start)
         if run not in self._open:
-            self.tracker.begin(run, f"start {step.start}", parent=PARENT, tags={"kind": "start"})
-            self._open.append(run)
+            self.begin_child(step.start, "start")
         self.tracker.metrics(run, {"cost": step.cost, "evaluations": float(step.evaluations)}, step.iteration)
         if not self.console.is_terminal:
             self.console.out(
                 f"start {step.start:<3d} evaluations {step.evaluations:<4d} cost {step.cost:.6g}", highlight=False
             )
-
-    def end(self, status: Status) -> None:
-        """Close every run that is open, children first."""
-        for run in reversed(self._open):
-            self.tracker.end(run, status)
 
     def _heading(self, entry: str, form: str = " [{}]") -> str:
         """The name of an unknown without the index of a single entry, and its unit."""
@@ -250,13 +225,14 @@ class _Fit:
 
     def _frame(self, name: str, frame: Any) -> None:
         frame.to_csv(self.folder / name)
-        self.tracker.artifact(PARENT, self.folder / name)
+        self.file(self.folder / name)
 
     def _write_model(self, result: Identification) -> None:
         """Write the parameters of the fitted model, and the numbers of sensors, which no model has, as comments."""
         of_model: dict[str, Any] = {}
         comments = [
-            f"Fitted by {self.plan.source.path.name}, torchmbd {self._version}; parameters: {FITTED} in an experiment file"
+            f"Fitted by {self.plan.source.path.name}, torchmbd {version_of('torchmbd') or ''}; "
+            f"parameters: {FITTED} in an experiment file"
         ]
         systems = {name for x in self.plan.experiments.values() for name, _ in x.system.named_parameters()}
         for name, x in result.designs.items():
@@ -268,7 +244,7 @@ class _Fit:
             else:
                 comments.append(f"{name}: {value} {'' if unit == 'none' else unit}".rstrip())
         text = "".join(f"# {line}\n" for line in comments)
-        self._text(FITTED, text + yaml.safe_dump(of_model, sort_keys=False, default_flow_style=None))
+        self.text(FITTED, text + yaml.safe_dump(of_model, sort_keys=False, default_flow_style=None))
 
     def _draw(self, name: str, problem: FitProblem, values: np.ndarray, before: np.ndarray | None) -> None:
         shown = problem.predictions(values)
@@ -277,8 +253,8 @@ class _Fit:
         ]
         start = None if before is None else [before[r.rows] for r in problem.rows]
         try:
-            figure = titled(data_and_model(panels, start), self.plan.question or self.plan.name)
-            self.tracker.artifact(PARENT, save(figure, self.folder / f"{name}.png"), "figures")
+            figure = titled(data_and_model(panels, start), self.plan.source.question or self.plan.name)
+            self.file(save(figure, self.folder / f"{name}.png"), "figures")
         except (MbdError, OSError, ValueError) as error:  # the fit goes on without the picture
             self.console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)
 
@@ -296,11 +272,7 @@ class _Fit:
                 writer = csv.writer(out)
                 writer.writerow(columns)
                 writer.writerows(zip(*(x.tolist() for x in columns.values()), strict=True))
-            self.tracker.artifact(PARENT, file)
-
-    def _text(self, name: str, content: str) -> None:
-        (self.folder / name).write_text(content, encoding="utf-8")
-        self.tracker.artifact(PARENT, self.folder / name)
+            self.file(file)
 
 
 def start_predictions(problem: FitProblem) -> np.ndarray | None:

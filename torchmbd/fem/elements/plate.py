@@ -34,9 +34,8 @@ from torchmbd.fem.elements.strains import ShearRecovery, Strains
 from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness, ply_maps, present_mean
 from torchmbd.fem.mesh import Mesh, directed_area
 from torchmbd.math.gradients import in_transform, is_differentiated, untransformed
-from torchmbd.math.linear_map import apply_linear
+from torchmbd.math.linear_map import Sums, apply_linear
 from torchmbd.math.sparse import Pattern, SparseMatrix
-from torchmbd.math.sums import Sums
 
 _SAME = 1e-9  # of constants: what rounding makes of a mean
 

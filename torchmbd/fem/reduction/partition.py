@@ -18,8 +18,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from torch import Tensor
 
 from torchmbd.fem.reduction.forms import Dense, Form, Sparse
+from torchmbd.math.linear_map import Sums
 from torchmbd.math.sparse import Pattern
-from torchmbd.math.sums import Sums
 
 SMALLEST_BLOCK = 24  # smaller ones cost more in calls than they save in arithmetic
 

@@ -35,9 +35,8 @@ from torchmbd.multibody.system.linearized import Linearization, Vibrations
 
 _NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
 LARGEST = 300  # most rates of a system whose vibrations are compared, as the methods are dense
-_CHECKED: WeakSet[Any] = (
-    WeakSet()
-)  # bodies that were checked; not in a System, whose attributes are hashed (math/digest.py)
+# Bodies that were checked; not in a System, whose attributes are hashed (math/digest.py).
+_CHECKED: WeakSet[Any] = WeakSet()
 _REGULAR = 1e-12  # share of the largest flexibility in the joints that is added, so that redundant rows are determined
 _SHOWN = 4  # nodes in a message
 _ELASTIC = 0.2  # least share of the energy of a vibration in the modal coordinates that makes it elastic

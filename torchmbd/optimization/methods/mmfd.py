@@ -12,7 +12,7 @@ the first iterations and shrinks with the promised gain down to the problem's fe
 becomes feasible first, with the weight Phi on the violation. A failed evaluation shortens the step. Saddle points are left:
 the end must be a minimum, not only a Kuhn-Tucker point (curvature.py).
 
-Options have the names of DOT. Differences from DOT: the metric of a direction is updated by every step (metric.py), all
+Options have the names of DOT. Differences from DOT: the metric of a direction is updated by every step (direction.py), all
 constraints are linearized and not only the active ones, an exact penalty decides in the line search, the tolerances are
 tighter (DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the first step is longer (DOT: DOBJ1 0.1).
 
@@ -31,9 +31,8 @@ import numpy as np
 from torchmbd.errors import true_or_false
 from torchmbd.optimization.curvature import perturb_stationary_start, reduced_hessian, tangent_basis
 from torchmbd.optimization.kkt import KuhnTucker
-from torchmbd.optimization.methods.direction import Direction, find_direction
+from torchmbd.optimization.methods.direction import Direction, VariableMetric, find_direction
 from torchmbd.optimization.methods.line_search import LineSearch, Trial
-from torchmbd.optimization.methods.metric import VariableMetric
 from torchmbd.optimization.optimizer import Ending, Evaluation, register, require_count, require_range
 from torchmbd.optimization.search import Search
 
