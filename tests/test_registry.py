@@ -34,12 +34,11 @@ def test_a_name_of_a_missing_extension_tells_which(tables):
     tables(
         SimpleNamespace(
             NAMES={"robots_of_others": "read_robot"},
+            NEEDS={},
             ENTRIES={"responses": {}, "combinators": {}, "of_design": {"wear": "robots_of_others:Wear"}},
         )
     )
-    with pytest.raises(
-        AttributeError, match=r"mbd\.read_robot is of the extension robots_of_others, which is not installed"
-    ):
+    with pytest.raises(AttributeError, match=r"mbd\.read_robot: the extension robots_of_others is not installed"):
         mbd.read_robot  # noqa: B018
     assert "read_robot" not in mbd.__all__
     assert "wear" not in registry.Registry("of_design", {"mass": mbd.Mass})
@@ -67,6 +66,43 @@ def test_frequencies_of_an_equilibrium_tell_what_is_not_installed(tables, monkey
     assert rest.stable
     with pytest.raises(InputError, match=r"eigenvalues of an equilibrium are not known; torchmbd\.extensions is not"):
         rest.frequencies  # noqa: B018
+
+
+@pytest.mark.extensions
+def test_extensions_need_those_that_they_import(tables):
+    from torchmbd import extensions
+
+    needs = {}
+    for name in {name.partition(".")[0] for name in extensions.NAMES}:
+        files = [FOLDER / f"{name}.py"] if (FOLDER / f"{name}.py").exists() else (FOLDER / name).rglob("*.py")
+        text = "".join(file.read_text() for file in files)
+        needs[name] = sorted({*re.findall(rf"from {registry.EXTENSIONS}\.(\w+)", text)} - {name})
+    assert {name: tuple(x) for name, x in needs.items() if x} == extensions.NEEDS
+
+
+@pytest.mark.extensions
+def test_an_extension_is_not_there_without_those_that_it_needs(tables):
+    absent = SimpleNamespace(
+        NAMES={"lamination": "LaminationRegion"},
+        NEEDS={"lamination": ("fibers_of_others",)},
+        ENTRIES={"of_design": {"lamination_region": "lamination:LaminationRegion"}},
+    )
+    tables(absent)
+    text = "the extension lamination needs the extension fibers_of_others, which is not installed"
+    with pytest.raises(AttributeError, match=rf"mbd\.LaminationRegion: {text}"):
+        mbd.LaminationRegion  # noqa: B018
+    entries = registry.Registry("of_design", {})
+    assert (*entries,) == ()
+    assert entries.missing("lamination_region") == text
+
+
+@pytest.mark.extensions
+def test_what_is_only_asked_for_is_not_imported(tables):
+    tables(SimpleNamespace(NEEDS={}, ENTRIES={"of_design": {"wear": "matrices:Wear"}}))  # a file that has no such class
+    entries = registry.Registry("of_design", {"mass": mbd.Mass})
+    assert "wear" in entries
+    assert entries.name_of(mbd.Mass) == "mass"
+    assert entries.name_of(mbd.Position) is None
 
 
 def test_a_registry_is_a_mapping():

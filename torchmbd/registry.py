@@ -8,6 +8,7 @@ Checked in tests/test_registry.py, tests/integrate/test_backend.py.
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Iterator, Mapping, MutableMapping
 from importlib import import_module
 from importlib.util import find_spec
@@ -34,6 +35,9 @@ class Registry(MutableMapping[str, T]):
             entry = self._entries[name] = getattr(import_module(f"{EXTENSIONS}.{module}"), kind)
         return entry
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
     def missing(self, name: str) -> str | None:
         """Why a name of extensions is not there; None if it is, or if no extension has it."""
         if name in self._entries:
@@ -42,7 +46,18 @@ class Registry(MutableMapping[str, T]):
         if tables is None:
             return f"{EXTENSIONS} is not installed"
         entry = tables.ENTRIES[self._name].get(name)
-        return None if entry is None else f"the extension {_extension(entry)} is not installed"
+        return None if entry is None else _absence(entry)
+
+    def name_of(self, kind: object) -> str | None:
+        """The name of an entry; None if it is none. An extension that has not been imported has none of its objects about."""
+        return next((name for name, entry in self._entries.items() if self._loaded(entry) is kind), None)
+
+    @staticmethod
+    def _loaded(entry: Any) -> Any:
+        if not isinstance(entry, str):
+            return entry
+        module, kind = entry.split(":")
+        return getattr(sys.modules.get(f"{EXTENSIONS}.{module}"), kind, None)
 
     def __setitem__(self, name: str, kind: T) -> None:
         self._entries[name] = kind
@@ -64,27 +79,27 @@ def public(name: str) -> Any:
     """What has a public name in an extension, such as "read_urdf"; AttributeError where nothing has, or it is not installed."""
     tables = _tables()
     if tables is None:
-        raise AttributeError(f"module 'torchmbd' has no attribute {name!r}; {EXTENSIONS} is not installed")
+        raise AttributeError(f"{_no_attribute(name)}; {EXTENSIONS} is not installed")
     for module, names in tables.NAMES.items():
         if name in names.split():
-            if not _is_installed(module):
-                raise AttributeError(f"mbd.{name} is of the extension {_extension(module)}, which is not installed")
+            if absence := _absence(module):
+                raise AttributeError(f"mbd.{name}: {absence}")
             return getattr(import_module(f"{EXTENSIONS}.{module}"), name.rpartition(".")[2])
-    raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
+    raise AttributeError(_no_attribute(name))
 
 
 def public_names() -> list[str]:
     """Names at `mbd.` of the extensions that are installed."""
     tables = _tables()
     named = {} if tables is None else tables.NAMES
-    return [name for module, names in named.items() if _is_installed(module) for name in names.split()]
+    return [name for module, names in named.items() if not _absence(module) for name in names.split()]
 
 
 def _entries(name: str) -> dict[str, str]:
     """Names of a registry -> "module:class", of the extensions that are installed."""
     tables = _tables()
     entries = {} if tables is None else tables.ENTRIES[name]
-    return {key: entry for key, entry in entries.items() if _is_installed(entry)}
+    return {key: entry for key, entry in entries.items() if not _absence(entry)}
 
 
 @functools.cache
@@ -99,11 +114,18 @@ def _tables() -> Any:
     return tables if tables.__file__ else None  # else a folder that has lost its files
 
 
-def _extension(place: str) -> str:
-    """The extension of a module "extension", "extension.file" or of an entry "extension.file:class"."""
-    return place.partition(":")[0].partition(".")[0]
+def _absence(place: str) -> str:
+    """What is not installed of the extension of a module or of an entry, or of those that it needs; "" if all is there."""
+    extension = place.partition(":")[0].partition(".")[0]
+    for needed in (extension, *_tables().NEEDS.get(extension, ())):
+        spec = find_spec(f"{EXTENSIONS}.{needed}")
+        if spec is None or spec.origin is None:
+            if needed == extension:
+                return f"the extension {extension} is not installed"
+            return f"the extension {extension} needs the extension {needed}, which is not installed"
+    return ""
 
 
-def _is_installed(place: str) -> bool:
-    spec = find_spec(f"{EXTENSIONS}.{_extension(place)}")
-    return spec is not None and spec.origin is not None
+def _no_attribute(name: str) -> str:
+    module, _, attribute = f"torchmbd.{name}".rpartition(".")
+    return f"module {module!r} has no attribute {attribute!r}"

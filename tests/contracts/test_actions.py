@@ -22,6 +22,7 @@ from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces import FORCES, Gap, Pieces, Spring, Table
 from torchmbd.multibody.forces.action import KINDS, Action
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.saddle_blocks import Slopes
 
 COUNT, LANES, TANGENTS = 3, 2, 2
 
@@ -189,7 +190,7 @@ def test_the_iteration_matrix_knows_the_slopes_of_the_law(name):
     q, v, a = random_state(system, 7)
     at = equations.placement(T, data, q, T.prescribed(tensor(0.3)[0]))
     lam = q.new_zeros(0, 1, 1)
-    with_rates = system._saddle.matrix(data, at, 0.0, 1.0, v, a, lam)[0]
+    with_rates = system._saddle.matrix(data, at, Slopes(0.0, 1.0, v, a, lam))[0]
     plain = system._saddle.matrix(data, at)[0]
 
     def residual(rates: Tensor) -> Tensor:

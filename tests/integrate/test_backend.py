@@ -41,8 +41,10 @@ def motion(system: mbd.System, name: str, **options) -> mbd.Trajectory:
 
 
 def without(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    entries = {key: kind for key, kind in BACKENDS.items() if key != name}
-    monkeypatch.setattr(BACKENDS, "_entries", entries)
+    """As where the extension of this name is taken away."""
+    monkeypatch.setattr(BACKENDS, "_entries", {key: kind for key, kind in BACKENDS.items() if key != name})
+    installed = registry.find_spec
+    monkeypatch.setattr(registry, "find_spec", lambda module: None if module.endswith(name) else installed(module))
 
 
 def test_another_backend_is_one_class_and_one_entry(monkeypatch):

@@ -105,13 +105,16 @@ def test_another_kind_is_no_study(counted, file):
 @pytest.mark.parametrize(
     ("tables", "text"),
     [
-        (None, r"1 error\n  line 2: weigh unknown section; torchmbd\.extensions is not installed"),
+        (None, r"line 2: weigh unknown key; allowed: .*; torchmbd\.extensions is not installed"),
         pytest.param(
-            SimpleNamespace(ENTRIES={"experiments": {"weigh": "scales_of_others:WEIGH"}}),
-            r"1 error\n  line 2: weigh unknown section; the extension scales_of_others is not installed",
+            SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {"weigh": "scales_of_others:WEIGH"}}),
+            r"line 2: weigh unknown key; allowed: .*; the extension scales_of_others is not installed",
             marks=pytest.mark.extensions,  # the folder is there, an extension is not
         ),
-        (SimpleNamespace(ENTRIES={"experiments": {}}), r"line 2: weigh unknown key; allowed"),
+        (
+            SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {}}),
+            r"line 2: weigh unknown key; allowed: .*{.on.: .scales.}\)$",
+        ),
     ],
 )
 def test_a_section_of_a_missing_extension_is_said(file, monkeypatch, tables, text):
@@ -120,3 +123,14 @@ def test_a_section_of_a_missing_extension_is_said(file, monkeypatch, tables, tex
     file.write_text("model: model.py:build\nweigh: {on: scales}\n", encoding="utf-8")
     with pytest.raises(StudyError, match=text):
         load(file)
+
+
+def test_a_misspelt_section_is_told_beside_other_faults_without_extensions(file, monkeypatch):
+    monkeypatch.setattr(registry, "_tables", lambda: None)
+    file.write_text("model: model.py:build\nminimise: {mass: rod}\n", encoding="utf-8")
+    with pytest.raises(StudyError) as refusal:
+        load(file)
+    text = str(refusal.value)
+    assert "minimise unknown key" in text
+    assert "did you mean 'minimize'?" in text
+    assert "design is missing" in text

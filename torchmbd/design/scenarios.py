@@ -190,12 +190,13 @@ class Scenarios(Problem):
         farthest beyond it.
         """
         motions = self.motions_by_system(x)
+        # [scenarios, rows].
         objective, *constraints = (
             self.in_scenario_order(
                 [m.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
             )[0]
             for m in self.reference.measures
-        )  # [scenarios, rows]
+        )
         excesses = self._excesses(constraints)
         statuses = self.in_scenario_order([np.array([motion.status]) for motion in motions])[0]
         objectives = np.where(statuses == OK, objective.max(1), -np.inf)

@@ -103,11 +103,9 @@ def unit(response: Response) -> str | None:
 
 def _name(response: Response) -> str:
     """The name in experiment files; of a class that these do not know that of the class, in the same form."""
-    for registry in (RESPONSES, COMBINATORS, OF_DESIGN):
-        for name, kind in registry.items():
-            if kind is type(response):
-                return name
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(response).__name__).lower()
+    kind = type(response)
+    names = (registry.name_of(kind) for registry in (RESPONSES, COMBINATORS, OF_DESIGN))
+    return next(filter(None, names), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower())
 
 
 def heading(response: Response) -> str:

@@ -48,6 +48,8 @@ NAMES = {
     "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
     "windio": "read_windio",
 }
+#: Extension -> those that it imports: without them it is not there either.
+NEEDS = {"identification": ("vibrations",), "lamination": ("fibers",), "matrices": ("nastran",)}
 #: Registry (Registry(name, ...) in the core: responses, backends, kinds of experiment files, ...) -> name -> "module:object".
 ENTRIES: dict[str, dict[str, str]] = {
     "backends": {"native": "native:NativeBackend"},

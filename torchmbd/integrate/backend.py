@@ -73,7 +73,9 @@ BACKENDS: Registry[type[Backend]] = Registry("backends", {"eager": Backend})
 
 
 def backend_of(dynamics: Dynamics) -> Backend:
-    """The backend whose name dynamics carry."""
+    """The backend whose name dynamics carry; InputError where it is not installed, such as of a motion of another machine."""
+    if dynamics.backend not in BACKENDS:
+        raise InputError(f"steps were made by the backend {dynamics.backend!r}; {BACKENDS.missing(dynamics.backend)}")
     return BACKENDS[dynamics.backend]()
 
 

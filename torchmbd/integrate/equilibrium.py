@@ -152,10 +152,18 @@ class StaticIntegration:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
-            options = self.follow, self.rotation, self.unstable, self.sweep
-            self._balances.append(find_equilibria(self.dynamics, q, t, *options))
-            self._require_balance(t, self._balances[-1])
-            q = equilibrium_coordinates(self.dynamics, self._balances[-1], t, self.rotation)
+            balances = find_equilibria(
+                self.dynamics,
+                q,
+                t,
+                follow=self.follow,
+                rotation=self.rotation,
+                unstable=self.unstable,
+                sweep=self.sweep,
+            )
+            self._require_balance(t, balances)
+            self._balances.append(balances)
+            q = equilibrium_coordinates(self.dynamics, balances, t, self.rotation)
         self.status = [OK] * self.dynamics.lanes
         q, v, a, lam = self._states(self.dynamics)
         self.history = History(q, v, a, lam, times=self.times)

@@ -27,7 +27,7 @@ from torchmbd.integrate.segment import segments_of
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.design_tangents import unit_directions
+from torchmbd.multibody.system.design_variables import unit_directions
 
 
 @dataclass(eq=False, kw_only=True)

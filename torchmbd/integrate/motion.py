@@ -51,9 +51,8 @@ class Motion(torch.autograd.Function):
     @staticmethod
     def forward(integration: Integration, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         outputs = integration.values([x.detach() for x in inputs])
-        return tuple(
-            x.detach() for x in outputs
-        )  # torch attaches its graph to these, not to what the integration keeps
+        # Torch attaches its graph to these, not to what the integration keeps.
+        return tuple(x.detach() for x in outputs)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, ...]) -> None:

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.step import Model, Step, apply
-from torchmbd.math.pair import value
+from torchmbd.integrate.step import Model, Step
+from torchmbd.math.pair import apply, value
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.state import State
 

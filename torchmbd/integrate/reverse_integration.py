@@ -106,9 +106,8 @@ class ReverseIntegration(IntegratedMotion):
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
-            products = [
-                torch.where(y != 0.0, y * dx, 0.0) for y, dx in pairs
-            ]  # no number is asked of a motion without one
+            # No number is asked of a motion without one.
+            products = [torch.where(y != 0.0, y * dx, 0.0) for y, dx in pairs]
             result[DURATION] = torch.stack([x.flatten(0, -3).sum(0) for x in products]).sum(0)
         return [result.get(name) for name in (*self.names, *self.designs)]
 

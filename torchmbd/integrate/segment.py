@@ -7,7 +7,7 @@
     exit     a last step, whose size is solved for (phases/loop.py); the last segment has none
 
 Bodies, structure stage and attached vectors are those of one whole system with all joints and all locks; a segment has some
-of its constraint rows (multibody/system/selection.py). Multipliers are those of all rows of the whole.
+of its constraint rows (`Topology.selected`). Multipliers are those of all rows of the whole.
 Segments are made once for a system and a list of phases.
 Checked in tests/integrate/phases/test_phase.py, tests/contracts/test_segments.py.
 """
@@ -32,7 +32,6 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.condensation import Condensation, condense
 from torchmbd.multibody.system.initial import InitialConditions
 from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.selection import selected
 from torchmbd.multibody.system.topology import Topology
 
 DURATION = "duration of the motion"  # among the data [1, 1], where the motion has a gradient by it
@@ -151,11 +150,11 @@ def _segment(
         return Segment.of(model, phase, number)
     rows = _rows(T, acting | {lock.name for lock in locks})
     actions = _actions_of_phase(whole, name, phase.laws)
-    topology = replace(selected(T, rows), actions=actions)
+    topology = replace(T.selected(rows), actions=actions)
     saddle = Saddle(topology)
     closing = topology, saddle
     if locks:
-        of_joints = replace(selected(T, closing_rows), actions=actions)
+        of_joints = replace(T.selected(closing_rows), actions=actions)
         closing = of_joints, Saddle(of_joints)
     always = set(rows).intersection(*(segment.rows for segment in before))
     constant = [i for i, row in enumerate(rows) if row in always]

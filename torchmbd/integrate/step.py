@@ -22,11 +22,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.elementwise import reciprocal
-from torchmbd.math.pair import Pair, cat, combine, value
+from torchmbd.math.pair import Pair, apply, cat, combine, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Eliminated, Factored
 from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.saddle_blocks import Slopes
 from torchmbd.multibody.system.topology import Prescribed, Topology
 from torchmbd.results.state import State
 
@@ -148,7 +149,7 @@ class Step:
         step = combine(predicted.q, w.scale, vd)
         at = equations.placement(T, data, equations.advance(T, q0, step), prescribed)
         turn, v = equations.split_v(T, step)[1], combine(predicted.v, w.rate, vd)
-        return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
+        return self.model.saddle.matrix(data, at, Slopes(w.scale, w.rate, v, vd, lam, turn))
 
     def tangent(self, H: Factored | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected design tangents [n, n_b, lanes] of the unknowns, and their correction."""
@@ -199,8 +200,3 @@ def algorithmic(w: Weights, a: Any, vd: Tensor) -> Any:
     of_vd[:-1] += w.a_from_vd * powers[1:]
     total = torch.tensordot(of_vd, vd, 1)
     return combine(Pair(total) if vd.shape[-2] > 1 else total, float(powers[0]), a)
-
-
-def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:
-    """Multiply right-hand sides [n, pair, lanes] by the inverses of matrices."""
-    return (H @ R.permute(2, 0, 1)).permute(1, 2, 0)

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.integrator import Stepper
-from torchmbd.integrate.step import Model, Step, Weights, algorithmic, apply
-from torchmbd.math.pair import Pair, value
+from torchmbd.integrate.step import Model, Step, Weights, algorithmic
+from torchmbd.math.pair import Pair, apply, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Factored, factored

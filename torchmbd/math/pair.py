@@ -273,3 +273,8 @@ def matmul(A: Any, B: Any) -> Any:
 def constant_map(C: Tensor, x: Any) -> Any:
     """Contract a constant matrix [m, k] with the first axis of x [k, ...]: one BLAS call, any number of lanes."""
     return linear(lambda y: (C @ y.flatten(1)).unflatten(1, y.shape[1:]), x)
+
+
+def apply(A: Any, x: Tensor) -> Tensor:
+    """A x [n, pair, lanes] of matrices A [lanes, n, m], or of what multiplies by @ as they do, and x [m, pair, lanes]."""
+    return (A @ x.permute(2, 0, 1)).permute(1, 2, 0)

@@ -87,6 +87,15 @@ def exponential(delta):
     return cat([cosine[None], delta * (0.5 * sinc)])
 
 
+def increment_torque(th, torque):
+    """(1 + ~th/2 + ~th~th/6) torque, to third order what a torque does on changes of an increment th [3, ...].
+
+    A change d of th turns a body by (1 - ~th/2 + ~th~th/6) d, to third order.
+    """
+    once = cross(th, torque)
+    return torque + 0.5 * once + (1.0 / 6.0) * cross(th, once)
+
+
 def _half_angle(square: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """cos n, sin(n) / n and d(sin(n) / n)/d(n^2) of n^2.
 

@@ -105,7 +105,7 @@ class BodyMotion(Summary):
     def stiffness(self) -> tuple[Tensor, Tensor | None]:
         """Reduced stiffness Kr [lanes, m, m] and its design tangent [lanes, m, m, n_b]."""
         Kr = self.motion.dynamics.data["Kr"]
-        m, f = self._T.own_modes[self._flexible()], self._index
+        m, f = self._T.mode_counts[self._flexible()], self._index
         lanes = self.motion.lanes
         K = value(Kr)[:m, :m, f, 0].movedim(-1, 0).expand(lanes, m, m)
         if not isinstance(Kr, Pair):
@@ -119,7 +119,7 @@ class BodyMotion(Summary):
         K2 = self.motion.dynamics.data.get("K2")
         if K2 is None:
             return None
-        m = self._T.own_modes[self._flexible()]
+        m = self._T.mode_counts[self._flexible()]
         block = value(K2)[:m, :m, :m, self._index, 0].movedim(-1, 0)
         return torch.einsum("labc,ltc->ltab", block.expand(self.motion.lanes, m, m, m), self.w)
 

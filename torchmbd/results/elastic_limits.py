@@ -123,10 +123,6 @@ def warn_of_spin(motion: Trajectory) -> None:
             )
 
 
-if TYPE_CHECKING:
-    from torchmbd.results.trajectory import Trajectory
-
-
 def load_shares(motion: Trajectory) -> dict[str, float]:
     """Largest share of every flexible body of plates and beams without stiffening; none where there are controllers."""
     T, shares = motion.dynamics.topology, {}

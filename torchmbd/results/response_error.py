@@ -2,8 +2,8 @@
 
     by_steps = (v_half - v) 4/3     of methods of second order: v = true + c h^2 + ..., v_half = true + c h^2/4 + ...
     by_steps = v_tight - v          of adaptive methods: tolerances a hundredth, twice the outputs
-    by_modes = v_richer - v         flexible bodies with half as many vibration modes again (bodies/richer_reduction.py)
-    by_mesh = (v_finer - v) 4/3     flexible bodies with twice as many cells in each direction (bodies/finer_mesh.py)
+    by_modes = v_richer - v         flexible bodies with half as many vibration modes again (bodies/refinement.py)
+    by_mesh = (v_finer - v) 4/3     flexible bodies with twice as many cells in each direction (bodies/refinement.py)
 
 Two coarse motions may agree by chance. Where they differ by more than a thousandth, a motion with twice the step must agree
 with them to a tenth, or show that the error falls as it should: by four, accepted from two to eight; of tolerances, at least
@@ -23,8 +23,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure
-from torchmbd.multibody.bodies.finer_mesh import obstacle
-from torchmbd.multibody.bodies.richer_reduction import has_reduction
+from torchmbd.multibody.bodies.refinement import has_reduction, obstacle
 from torchmbd.results.motion_data import OK, has_failed
 
 _LARGE = 0.1  # of the value: differences that need a motion with a quarter of the step

@@ -64,10 +64,11 @@ _PATIENCE = 60.0  # s: where a batch takes longer, the start design is not simul
 _FINER = 7.0  # motions of the steps of the problem that its errors take: the same, of half the steps and a quarter
 _FASTER = 0.9  # of the time of the mode that is chosen
 _OTHER_MODE = {"forward": ("reverse",), "reverse": ("forward",)}
+# Of RobustProblem.
 _TOLERANCE_WORDS = {
     "expected": ", mean over the tolerances",
     "worst": ", worst case over the tolerances",
-}  # of RobustProblem
+}
 
 
 @dataclass(frozen=True)

@@ -76,9 +76,8 @@ def json_schema() -> dict[str, Any]:
         if name := part.pop(BESIDE, None):
             part["properties"] |= responses[name]["properties"]
     limits = parts["Constraint"]["properties"]
-    limits |= {
-        key: limits[key] | {"anyOf": limits[key]["anyOf"][:-1]} for key in (*LIMIT_KINDS, "scale", "unit")
-    }  # no null
+    # No null.
+    limits |= {key: limits[key] | {"anyOf": limits[key]["anyOf"][:-1]} for key in (*LIMIT_KINDS, "scale", "unit")}
     parts["Constraint"]["oneOf"] = [{"required": [key]} for key in LIMIT_KINDS]
     study, measure = files[StudyFile.__name__], {"$ref": "#/$defs/Measure"}
     study["properties"] |= {"minimize": measure, "maximize": measure}

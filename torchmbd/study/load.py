@@ -6,6 +6,7 @@ Checked in tests/study/test_load.py, tests/study/test_kinds.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from torchmbd.study.overrides import override
 from torchmbd.study.parameter_values import with_values_of_file
 from torchmbd.study.paths import study_key
 from torchmbd.study.run import UNVERIFIED, run_study
-from torchmbd.study.schema import OBJECTIVE_KEYS, StudyFile
+from torchmbd.study.schema import StudyFile
 from torchmbd.study.settings import StudySettings
 from torchmbd.study.validation import validate
 from torchmbd.study.yaml_file import read_yaml
@@ -33,9 +34,8 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Kind, Any]:
     """Return what a file asks for, with its kind; StudyError with every fault, each with its line."""
     document = read_yaml(path)
     with_values_of_file(document, Path(path).absolute().parent)
-    override(
-        document, overrides, kind_of(document.data).named_by_parameters
-    )  # of single values, or of the name of the file
+    # Of single values, or of the name of the file.
+    override(document, overrides, kind_of(document.data).named_by_parameters)
     with_values_of_file(document, Path(path).absolute().parent)
     return read_experiment(Source(document, Path(path), tuple(overrides)))
 
@@ -44,8 +44,8 @@ def read_experiment(source: Source) -> tuple[Kind, Any]:
     """Return what the contents of a file ask for, with its kind."""
     document = source.document
     kind = kind_of(document.data)
-    faults = _absent_sections(document.data) if kind is STUDY else []
-    experiment: Any = faults or kind.read(source, *validate(document.data, kind.sections))
+    sections, faults = validate(document.data, kind.sections)
+    experiment: Any = kind.read(source, sections, [_with_absence(fault) for fault in faults])
     if isinstance(experiment, list):
         raise StudyError(document.source, located(experiment, document.lines))
     return kind, experiment
@@ -57,13 +57,11 @@ def kind_of(data: Any) -> Kind:
     return next((KINDS[section] for section in KINDS if section in keys), STUDY)
 
 
-def _absent_sections(data: Any) -> list[Fault]:
-    """Return the sections that extensions would know which are not installed; of a file with an objective they are unknown."""
-    if not isinstance(data, dict) or data.keys() & {*OBJECTIVE_KEYS}:
-        return []
-    sections = [str(key) for key in data if key not in StudyFile.model_fields]
-    absent = {section: text for section in sections if (text := KINDS.missing(section))}
-    return [Fault((section,), f"unknown section; {text}") for section, text in absent.items()]
+def _with_absence(fault: Fault) -> Fault:
+    """The fault of an unknown section, with the extension that may know it where this is not installed."""
+    unknown = len(fault.path) == 1 and fault.text.startswith("unknown key")
+    absence = KINDS.missing(str(fault.path[0])) if unknown else None
+    return replace(fault, text=f"{fault.text}; {absence}") if absence else fault
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = ()) -> StudySettings:

@@ -137,9 +137,8 @@ def save_figure(
             return
         for name in files:
             journal.file(save(drawn, journal.folder / name), "figures")
-            drawn.set_layout_engine(
-                "none"
-            )  # further files have the layout of the first, which takes a third of the time
+            # Further files have the layout of the first, which takes a third of the time.
+            drawn.set_layout_engine("none")
     except Exception as error:  # of matplotlib or the disk: the study goes on without the picture
         console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red", soft_wrap=True)
 

@@ -337,7 +337,7 @@ class StudyFile(Section):
         if not keys & {*OBJECTIVE_KEYS}:
             text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
             raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
-        for key in keys & _EXCLUSIVE.keys():
+        for key in (key for key in _EXCLUSIVE if key in keys):
             if others := [other for other in _EXCLUSIVE[key] if other in keys]:
                 raise fault(f"and {' and '.join(others)} are both given; allowed: one without the other", key)
         if "robust" in keys and "tolerance" not in keys:

@@ -39,16 +39,8 @@ _TYPES: dict[Any, tuple[Any, str]] = {
     int: (numbers.Integral, "an integer"),
     bool: ((bool, np.bool_), "true or false"),
 }
-_NO_OPTIONS = {
-    "problem",
-    "method",
-    "starts",
-    "callback",
-    "ended",
-    "max_iterations",
-    "options",
-    "progress",
-}  # of searches
+# Arguments of searches that are no options of a method.
+_NO_OPTIONS = {"problem", "method", "starts", "callback", "ended", "max_iterations", "options", "progress"}
 
 
 @dataclass(frozen=True)

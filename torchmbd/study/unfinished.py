@@ -31,11 +31,12 @@ from torchmbd.study.paths import make_studies_folder, private, relative_store, s
 from torchmbd.tracking.uri import StoreURI, hidden
 
 _FILE, _LOCK = "study.json", "study.lock"
+# Of `torchmbd run`, with their defaults.
 RUN_OPTIONS: dict[str, Any] = {
     "workers": 1,
     "scheduler": None,
     "fresh": False,
-}  # of `torchmbd run`, with their defaults
+}
 
 
 @dataclass

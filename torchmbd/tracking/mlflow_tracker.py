@@ -44,10 +44,11 @@ from torchmbd.tracking.uri import StoreURI
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
 _INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that writing takes at most
+# Seconds until a store that is away is tried again, while the study computes and after it.
 _RETRY, _LAST_RETRY = (
     5.0,
     0.5,
-)  # seconds until a store that is away is tried again, while the study computes and after it
+)
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
 
 

@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 _METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
+# Other errors: no answer of the store.
 _REFUSALS = (
     "INVALID_PARAMETER_VALUE",
     "RESOURCE_DOES_NOT_EXIST",
     "BAD_REQUEST",
-)  # other errors: no answer of the store
+)
 
 
 class Point(NamedTuple):

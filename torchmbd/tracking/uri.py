@@ -18,9 +18,8 @@ from urllib.parse import unquote
 from torchmbd.process import file_of
 
 MASK = "***"
-_USER = re.compile(
-    r"(?<![\w+.-])(?!(?:sqlite|file):)([A-Za-z][\w+.-]*://)\S*@"
-)  # up to the last @: a password may hold one
+# Up to the last @: a password may hold one.
+_USER = re.compile(r"(?<![\w+.-])(?!(?:sqlite|file):)([A-Za-z][\w+.-]*://)\S*@")
 _QUERY = re.compile(
     r"(?<![\w+.-])((?!sqlite)(?:https?|databricks|postgresql|mysql|mssql)[\w+.-]*://[^\s?]*\?)(?!\*)[^\s'\"]+"
 )

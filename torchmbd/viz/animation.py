@@ -135,9 +135,8 @@ def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
         entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
         if state.mesh is None:
             ends = [_array(side.point).tolist() for side in own_frames]
-            points = np.array(list({tuple(np.round(end, 12)): end for end in ends}.values())).reshape(
-                -1, 3
-            )  # each once
+            # Each once.
+            points = np.array(list({tuple(np.round(end, 12)): end for end in ends}.values())).reshape(-1, 3)
             center = _array(body.center.detach()).reshape(1, 3)
             entry |= {"points": points.tolist(), "center": center[0].tolist()}
             local = (points if len(points) > 1 else np.concatenate([points, center]))[None]

@@ -10,7 +10,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.fem.elements import Plates
-from torchmbd.multibody.bodies.finer_mesh import obstacle, refine
+from torchmbd.multibody.bodies.refinement import obstacle, refine
 
 ROD = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=4e-5, Iyy=4e-11, Izz=9e-11, J=1e-10)
 TUBE = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([40.0, -30.0]), thickness=1e-3, cells=(12, 1))

@@ -10,6 +10,7 @@ import torchmbd as mbd
 from torchmbd.math.pair import Pair
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.system import beams, equations
+from torchmbd.multibody.system.saddle_blocks import Slopes
 
 SECTION = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=2e-9, J=2e-9)
 TURN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
@@ -75,15 +76,15 @@ def test_matrix_is_the_derivative_of_the_residual(damping):
     unit = Pair.of(still, torch.eye(T.n_v, dtype=torch.float64)[..., None])
     moved = equations.placement(T, data, equations.advance(T, q, unit), given)
     wanted = equations.dynamic_residual(T, data, moved, still, still, none).tangent[..., 0]
-    mass = dynamics.saddle.matrix(data, at, v=still, lam=none)[0]
-    found = dynamics.saddle.matrix(data, at, 1.0, 0.0, still, still, none)[0] - mass
+    mass = dynamics.saddle.matrix(data, at, Slopes(v=still, lam=none))[0]
+    found = dynamics.saddle.matrix(data, at, Slopes(1.0, 0.0, still, still, none))[0] - mass
     assert_close(found, wanted, rtol=1e-9, atol=1e-9 * float(wanted.abs().max()))
     wanted = equations.dynamic_residual(T, data, moved, v, still, none).tangent[..., 0]
-    found = dynamics.saddle.matrix(data, at, 1.0, 0.0, v, still, none)[0] - mass
+    found = dynamics.saddle.matrix(data, at, Slopes(1.0, 0.0, v, still, none))[0] - mass
     assert_close(found, wanted, rtol=1e-9, atol=1e-9 * float(wanted.abs().max()))
     rate = Pair.of(v, torch.eye(T.n_v, dtype=torch.float64)[..., None])
     wanted = equations.dynamic_residual(T, data, at, rate, still, none).tangent[..., 0]
-    found = dynamics.saddle.matrix(data, at, 0.0, 1.0, v, still, none)[0] - mass
+    found = dynamics.saddle.matrix(data, at, Slopes(0.0, 1.0, v, still, none))[0] - mass
     assert_close(found, wanted, rtol=1e-9, atol=1e-9 * max(1.0, float(wanted.abs().max())))
 
 

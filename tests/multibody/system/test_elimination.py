@@ -10,6 +10,7 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, pendulum, plate, random_state, rigid_pendulum
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.elimination import Elimination, factored, pays
+from torchmbd.multibody.system.saddle_blocks import Slopes
 
 
 def chain(links: int) -> mbd.System:
@@ -26,7 +27,7 @@ def matrix(system: mbd.System) -> torch.Tensor:
     q, v, a = random_state(system, 4)
     at = equations.placement(T, data, q, T.prescribed(q.new_tensor(0.2)))
     lam = torch.linspace(-1.0, 1.0, T.rows, dtype=torch.float64)[:, None, None]
-    return system._saddle.matrix(data, at, 1e-6, 1e-4, v, a, lam).detach()
+    return system._saddle.matrix(data, at, Slopes(1e-6, 1e-4, v, a, lam)).detach()
 
 
 def formed(system: mbd.System, A: torch.Tensor) -> torch.Tensor:

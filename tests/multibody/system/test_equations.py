@@ -25,6 +25,7 @@ from tests.mechanisms import (
 )
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.saddle_blocks import Slopes
 from torchmbd.multibody.system.topology import Topology
 
 
@@ -48,7 +49,7 @@ def parts(T: Topology, x: Tensor, index: int, rotation_rows: int) -> tuple[Tenso
     r = y[: 3 * n].reshape(3, n)[:, index]
     p = y[3 * n : (3 + rotation_rows) * n].reshape(rotation_rows, n)[:, index]
     w = y[(3 + rotation_rows) * n :].reshape(T.modes, T.flexible)
-    return r, p, w[: T.own_modes[index], index] if index < T.flexible else y[:0]
+    return r, p, w[: T.mode_counts[index], index] if index < T.flexible else y[:0]
 
 
 def matrix_of(p: Tensor) -> Tensor:
@@ -178,7 +179,8 @@ def test_saddle_matrix_is_the_derivative_of_the_index_1_residual(linearized):
     both = torch.cat([x, moved], -1)
     wide = {name: y.expand(*y.shape[:-1], n + 1) for name, y in data.items()}
     at_all = equations.placement(T, wide, q.expand(-1, 1, n + 1), T.prescribed(t))
-    R = dynamics._residual(wide, at_all, v.expand(-1, 1, n + 1), both[: T.n_v], both[T.n_v :], T.law_jets(t))[:, 0]
+    unknowns, alpha = (v.expand(-1, 1, n + 1), both[: T.n_v], both[T.n_v :]), 1.0 / dynamics.stabilization
+    R = equations.stabilized_residual(T, wide, at_all, *unknowns, T.law_jets(t), alpha)[:, 0]
     columns = R[:, 1:] - R[:, :1]
     scale = float(R.abs().max())
     assert_close(dynamics.saddle.matrix(data, at)[0], columns, rtol=1e-12, atol=1e-14 * scale)
@@ -200,14 +202,14 @@ def test_iteration_matrix_is_the_derivative_of_the_forces(linearized):
         return equations.dynamic_residual(T, data, at, v, torch.zeros_like(v), quiet)[:, 0, 0]
 
     D = torch.func.jacfwd(forces)(v)[:, :, 0, 0]
-    found = system.dynamics().saddle.matrix(data, at, 0.0, 1.0, v)[0] - bare
+    found = system.dynamics().saddle.matrix(data, at, Slopes(0.0, 1.0, v))[0] - bare
     scale = float(D.abs().max())
     assert_close(found[:n_v, :n_v], D, rtol=0, atol=1e-12 * scale)
     assert_close(found[n_v:], torch.zeros_like(found[n_v:]))
 
     w = 7 * T.bodies
     K = torch.func.jacfwd(lambda x: _spring(T, data, q, x, v, quiet, drives))(q[w:])[:, :, 0, 0]
-    found = system.dynamics().saddle.matrix(data, at, 1.0, 0.0)[0] - bare
+    found = system.dynamics().saddle.matrix(data, at, Slopes(1.0, 0.0))[0] - bare
     assert_close(
         found[6 * T.bodies : n_v, 6 * T.bodies : n_v],
         K,
@@ -241,7 +243,7 @@ def test_geometric_stiffness_is_the_derivative_of_the_constraint_forces(lineariz
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix = system.dynamics().saddle.matrix
-    found = matrix(data, at, 1.0, lam=lam)[0] - matrix(data, at, 1.0)[0]
+    found = matrix(data, at, Slopes(1.0, lam=lam))[0] - matrix(data, at, Slopes(1.0))[0]
     assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
     assert not found[n_v:].any()
 
@@ -260,7 +262,7 @@ def test_inertial_stiffness_is_the_derivative_of_the_inertia_forces_by_the_coord
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix, at = system.dynamics().saddle.matrix, equations.placement(T, data, q, drives)
-    found = matrix(data, at, 1.0, 0.0, v, a)[0] - matrix(data, at)[0]
+    found = matrix(data, at, Slopes(1.0, 0.0, v, a))[0] - matrix(data, at)[0]
     assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
     assert not found[n_v:].any()
 
@@ -278,9 +280,9 @@ def test_residual_carries_design_tangents(linearized):
     }
 
     def residual(x):
-        own = {name: x[name] for name in data}
-        at = equations.placement(T, own, x["q"], T.prescribed(t))
-        return dynamics._residual(own, at, x["v"], x["a"], x["lam"], T.law_jets(t))
+        parts, alpha = {name: x[name] for name in data}, 1.0 / dynamics.stabilization
+        at = equations.placement(T, parts, x["q"], T.prescribed(t))
+        return equations.stabilized_residual(T, parts, at, x["v"], x["a"], x["lam"], T.law_jets(t), alpha)
 
     value, slope = torch.func.jvp(residual, (arguments,), (moves,))
     result = residual({name: Pair.of(x, moves[name]) for name, x in arguments.items()})

@@ -27,9 +27,8 @@ from torchmbd.math.digest import digest
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
 
-_CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = (
-    WeakKeyDictionary()
-)  # body -> digest of loads and supports
+# Body -> digest of loads and supports.
+_CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = WeakKeyDictionary()
 
 
 @checked_signature

@@ -3,7 +3,7 @@
     Max(BucklingIndex("rod", supports)) <= 0.5         half of what makes it buckle, at most
 
 The index is 1 / buckling factor of the stress at that time: of the retained modes as they move, and of the static
-displacements that inertia, gravity, joints and forces make besides (multibody/statics/unit_loads.py). Where it is one, the body
+displacements that inertia, gravity, joints and forces make besides (unit_loads.py). Where it is one, the body
 buckles on its supports under loads that stay as they are.
 Assumed: as of `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the undeformed.
 Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling_index.py.
@@ -71,9 +71,8 @@ class BucklingIndex(History):
         unit = outside_transforms(lambda: UnitLoads(body, interpolations(system, body)))
         parameters = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
         designs = {f"system.{name}": x for name, x in parameters.items()}
-        c = torch.cat(
-            [view.w, loads.inertia, loads.concentrated.flatten(2)], -1
-        )  # amplitudes of modes and static displacements
+        # Amplitudes of modes and static displacements.
+        c = torch.cat([view.w, loads.inertia, loads.concentrated.flatten(2)], -1)
         index = call_module(_Index(system, series, unit, self.number), designs, view.psi, view.stiffness[0], c)
         return index[..., -1]
 

@@ -35,12 +35,13 @@ DIRECTIONS = 12
 CONDITIONS = 4 + 5 * (DIRECTIONS * (DIRECTIONS + 1) // 2)
 _ROUNDING = 1e-9
 _NAMES = ("membrane", "coupling", "bending")
+# Which parameters the first conditions are about, and the others.
 _ALONE = (
     "membrane",
     "membrane",
     "bending",
     "bending",
-)  # which parameters the first conditions are about, and the others
+)
 _TOGETHER = ("membrane", "bending, membrane", "bending, membrane", "coupling, membrane", "coupling, membrane")
 
 

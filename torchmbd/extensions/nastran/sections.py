@@ -81,9 +81,8 @@ def _named_bar(card: Card) -> tuple[SectionNumbers, float]:
     kind = _kind(card, set(SHAPES) - {"L"})
     count = SHAPES[kind]
     numbers = _shape(card, kind, [card.real(9 + k, f"DIM{k + 1}") for k in range(count)])
-    return numbers._replace(center=(0.0, 0.0)), card.real(
-        9 + count, "NSM", 0.0
-    )  # the line of a CBAR is its neutral axis
+    # The line of a CBAR is its neutral axis.
+    return numbers._replace(center=(0.0, 0.0)), card.real(9 + count, "NSM", 0.0)
 
 
 def _named_beam(card: Card) -> tuple[SectionNumbers, float]:

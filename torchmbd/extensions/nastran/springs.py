@@ -3,7 +3,7 @@
     CROD, CTUBE, CONROD    E A / l along, G J / l about the line of its grids; half of the mass at each
     CELAS1, CELAS2  K (u_1 - u_2) between two components, in the systems CD of the grids
     CBUSH           K1 to K6 at the place S between its grids (0.5), in the system CID, or x along its line and X1 to X3 or G0
-    solids          fem/elements/solids.py, of MAT1 or MAT9 in the system CORDM of the property
+    solids          solids.py, of MAT1 or MAT9 in the system CORDM of the property
 
 A body has one part for each kind of card: "crod", "celas2", "cbush", "solids".
 Checked in tests/extensions/nastran/test_elements.py.

@@ -38,6 +38,7 @@ from torchmbd.integrate.step import Model, Weights
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, separate_tangents, value
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.saddle_blocks import Slopes
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.state import State
 
@@ -277,15 +278,13 @@ class _Saddle:
     def __init__(self, blocks: SymbolicBlocks):
         self.blocks = blocks
 
-    def matrix(
-        self, data: Any, placed: Any, stiffness: Any = 0.0, damping: Any = 0.0, v: Any = None, *rest: Any
-    ) -> Any:
+    def matrix(self, data: Any, placed: Any, slopes: Slopes) -> Any:
         """Blocks by name, and the slopes of the actions or None."""
-        blocks = self.blocks(data, placed, stiffness, damping, v, *rest)
-        if v is None or not self.blocks.T.actions:
+        blocks = self.blocks(data, placed, slopes)
+        if not self.blocks.T.actions:
             return blocks, None
-        states = equations.action_states(self.blocks.T, data, placed, v)
-        return blocks, self.blocks.action_slopes(data, placed, states, stiffness, damping)
+        states = equations.action_states(self.blocks.T, data, placed, slopes.v)
+        return blocks, self.blocks.action_slopes(data, placed, states, slopes)
 
 
 def _step(kind: Kind) -> str:

@@ -37,10 +37,11 @@ from torchmbd.results.trajectory import Trajectory
 
 _PORTS = "inputs and outputs"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
+# Of a motion: violation of joints [m], [m/s]; share of the accelerations that steps may be off.
 _KEPT, _SAME = (
     1e-3,
     0.05,
-)  # of a motion: violation of joints [m], [m/s]; share of the accelerations that steps may be off
+)
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
 

@@ -70,9 +70,8 @@ def assembled_geometric_stiffness(pattern: Pattern, cells: Sequence[StressedCell
         rows, sums = part.rows.unsqueeze(-6), []  # [*lanes, 1, m, p, r, s, f]
         for law in part.law.split(some, -4):
             forces = matrices(law, rows.shape[-3]) @ rows.flatten(-2)
-            K = rows.flatten(-4, -2).mT @ forces.unflatten(-1, part.rows.shape[-2:]).flatten(
-                -4, -2
-            )  # [*lanes, k, m, f, f]
+            # [*lanes, k, m, f, f].
+            K = rows.flatten(-4, -2).mT @ forces.unflatten(-1, part.rows.shape[-2:]).flatten(-4, -2)
             K = 0.5 * (K + K.mT)
             sums.append(K.new_zeros(*K.shape[:-3], pattern.nnz).index_add(-1, position, K.flatten(-3)))
         values = torch.cat(sums, -2)

@@ -143,9 +143,8 @@ def _quadratic_weight(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 4"]:
 
 def _twist(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 3 3"]:
     """The part of a curvature that is twist of two medians: kappa_ab = a . kappa . b, times the dual vectors of a and b."""
-    twist = dyad(*medians.unbind(1)) * medians.new_tensor(
-        [1.0, 1.0, 0.5]
-    )  # of a curvature, whose third number is 2 kappa_xy
+    # Of a curvature, whose third number is 2 kappa_xy.
+    twist = dyad(*medians.unbind(1)) * medians.new_tensor([1.0, 1.0, 0.5])
     dual = 2.0 * dyad(*torch.linalg.inv(medians).unbind(-1))
     return dual[..., :, None] * twist[..., None, :]
 

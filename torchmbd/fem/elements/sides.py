@@ -16,9 +16,8 @@ gap       mean shear strain of a side with linear rotations,  g_k = (w_j - w_i) 
           Delta_k: the quadratic part of the rotation along the side (triangle.py)
 size_k    1 / size^2 = 1 / L_k^2 + (L_k / cell)^2 of quadrilaterals: a gap is closed by bending along the side, or by twist
           across the cell (cell: mean area at this side [m2])   [m]
-Source: C. A. Felippa (2003), see triangle.py; I. Katili (1993), see triangle.py.
-Checked in tests/fem/elements/test_triangle.py, tests/fem/elements/test_triangle.py,
-tests/fem/elements/test_plate_patch.py.
+Source: C. A. Felippa (2003), I. Katili (1993), see triangle.py.
+Checked in tests/fem/elements/test_triangle.py, tests/fem/elements/test_plate_patch.py.
 """
 
 from __future__ import annotations

@@ -21,9 +21,8 @@ from torchmbd.fem.exact_beam.sections import ElementProperties, SpanSections
 def half_element_masses(line: BeamLine, sections: SpanSections, elements: ElementProperties) -> NodalMass:
     """Masses, first and second moments of the nodes, about them, in mesh axes."""
     ends = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    W = (
-        elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
-    )  # in the axes of the line
+    # In the axes of the line.
+    W = elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
     Q = elements.matrices.frames(ends).mT
     m, b = W[..., 0, 0], 0.5 * elements.matrices.length[..., None].expand(W.shape[:-2])
     S = (Q @ torch.stack([W[..., 1, 5], W[..., 2, 3], W[..., 0, 4]], -1)[..., None])[..., 0]

@@ -122,9 +122,8 @@ def element_properties(
     offset = offset.expand(len(matrices.elements), 2)[:, None]
     t = matrices.stations
     at = ends[..., :1] + t * (ends[..., 1:] - ends[..., :1])
-    force_map = block(_turn(at)).mT @ line_transform(
-        offset, at
-    )  # forces of the section about the line, in the section's axes
+    # Forces of the section about the line, in the section's axes.
+    force_map = block(_turn(at)).mT @ line_transform(offset, at)
     stiffness = force_map @ sections.stiffness(matrices.length, t) @ force_map.mT
     compliance = matrices.average(balanced_inverse(stiffness))
     turn = _turn(ends)

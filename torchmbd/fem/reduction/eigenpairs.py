@@ -133,9 +133,8 @@ def _choice(stiffness: Tensor, accuracy: Tensor) -> Tensor:
         spread = 4.0 * C.abs().sum((-2, -1), keepdim=True) + 1.0  # keeps the blocks apart and in their order
         first = repeated.to(C.dtype).argmax(-1).to(C.dtype)
         return torch.linalg.eigh(C + torch.diag_embed(first) * spread).eigenvectors
-    v = 0.2 + torch.frac(
-        torch.arange(1, len(eye) + 1, dtype=values.dtype) * 0.6180339887
-    )  # golden ratio: no two are equal
+    # Golden ratio: no two are equal.
+    v = 0.2 + torch.frac(torch.arange(1, len(eye) + 1, dtype=values.dtype) * 0.6180339887)
     mirror = torch.where(repeated, v[:, None] * v, 0.0)
     size = repeated.to(v.dtype) @ v.square()[:, None]
     single = repeated.sum(-1, keepdim=True) == 1

@@ -30,9 +30,8 @@ class StaticLoads:
 
     def __init__(self, pattern: Pattern) -> None:
         self.form = Sparse(pattern, symmetric=True)
-        self.layout = partition(
-            self.form, Diagonal(pattern.size)
-        )  # here, for a transform of torch.func hides its numbers
+        # Here, for a transform of torch.func hides its numbers.
+        self.layout = partition(self.form, Diagonal(pattern.size))
 
     def __call__(self, K: SparseMatrix, F: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes N k"]:
         """K^-1 F. Raises InputError where K is not positive definite."""

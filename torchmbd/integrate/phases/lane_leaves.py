@@ -52,9 +52,8 @@ def pulled_back(
     if not used or not inputs:
         return zeros(rows, inputs)
     of = [y for y, _ in used]
-    by_row = [
-        pull_back(of, inputs, [x[row : row + 1] for _, x in used]) for row in range(rows)
-    ]  # steps are not for vmap
+    # Steps are not for vmap.
+    by_row = [pull_back(of, inputs, [x[row : row + 1] for _, x in used]) for row in range(rows)]
     return [torch.cat(x) for x in zip(*by_row, strict=True)]
 
 

@@ -38,7 +38,6 @@ from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.math.sparse import SparseMatrix
-from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
 from torchmbd.multibody.bodies.frame import (
@@ -51,12 +50,11 @@ from torchmbd.multibody.bodies.frame import (
     vector,
 )
 from torchmbd.multibody.bodies.interfaces import Interface, Interfaces
-from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, reference_nodes, rigid_links
 from torchmbd.multibody.bodies.matrix_methods import MatrixMethods
 from torchmbd.multibody.bodies.mesh_quality import warn_mesh
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
 from torchmbd.multibody.bodies.reduced import matrices, reduced
-from torchmbd.multibody.bodies.reference import reference_nodes
 from torchmbd.multibody.bodies.stiffening import Stiffening
 from torchmbd.multibody.bodies.unit_checks import warn_slender
 
@@ -122,7 +120,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
             )
         set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
-        self.arguments = reduction, interface, links, rigid  # for finer_mesh.py
+        self.arguments = reduction, interface, links, rigid  # for refinement.py
         self.links = links = [*links, *rigid_links(mesh, rigid), *interfaces.links]
         self.parts = dict(parts)
         joined = merge_plates(self.parts)
@@ -247,7 +245,16 @@ class FlexibleBody(MatrixMethods, nn.Module):
                         twist also at the start and the end of each element [m, 2]
         Others as in `plate`. The inertia of the sections is on rigid arms at the nodes (and middles, if consistent).
         """
-        parts = beam_parts(name, line, section, orientation, offset, twist, mass)
+        if not isinstance(line, BeamLine):
+            raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
+        sections: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
+        if len(sections) != len(line.elements):
+            wrong = f"{len(sections)} sections for {len(line.elements)} elements of {name!r}"
+            raise InputError(f"{wrong}; allowed: one, or one for each")
+        parts: dict[str, Part] = {}  # elements that share a section are one part
+        for k, cross_section in enumerate(dict.fromkeys(sections)):
+            members = [e for e, s in enumerate(sections) if s is cross_section]
+            parts[f"section{k}"] = Beams(line, cross_section, orientation, offset, twist, members, mass)
         options = (position, axes, reference, damping, reduction, interface, updated, (), (), stiffening)
         return cls(name, line, parts, modes, *options)
 

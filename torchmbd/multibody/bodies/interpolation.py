@@ -15,7 +15,7 @@ Checked in tests/multibody/bodies/test_interpolation.py.
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import RigidLink
+from torchmbd.fem.elements import BeamLine, Follower, Part, RigidLink
+from torchmbd.fem.mesh import Mesh
 from torchmbd.math.checked_numbers import scalar
 
 _FLAT = 1e-10  # share of the largest eigenvalue of T that counts as zero
@@ -117,3 +118,24 @@ def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLin
             raise InputError(f"rigid has the set {node_set!r} of one node; allowed: sets of two nodes at least")
         links += [RigidLink(node, leader) for node in others]
     return links
+
+
+def reference_nodes(
+    mesh: Mesh | BeamLine,
+    parts: Mapping[str, Part],
+    reference: str | int | Sequence[int] | None,
+    links: Sequence[Follower],
+) -> list[int]:
+    """Indices of the given nodes; None: the node nearest to the center of mass that is free to be held."""
+    if reference is None:
+        points = [part.masses() for part in parts.values()]
+        x = torch.cat([mesh.nodes[p.ends].mean(1) + (0.0 if p.arm is None else p.arm.detach()) for p in points])
+        m = torch.cat([p.mass for p in points]).detach()
+        center = (m[:, None] * x).sum(0) / m.sum()
+        distance = ((mesh.nodes - center) ** 2).sum(1)
+        distance[[link.node for link in links]] = torch.inf  # a node that follows cannot be held
+        return [int(distance.argmin())]
+    nodes = node_indices(mesh, reference)
+    if not nodes:
+        raise InputError(f"reference is {reference!r}; allowed: a node, a node set or a list of at least one node")
+    return nodes

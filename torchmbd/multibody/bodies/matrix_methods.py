@@ -9,15 +9,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+import scipy.io
+import scipy.sparse
 import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.multibody.bodies.export import assembled, save_matrices
+from torchmbd.fem.elements import Assembly
+from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.frame import identifier, set_modal_start, set_start
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices
 from torchmbd.multibody.bodies.matrix_structure import MatrixStructure
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
+from torchmbd.multibody.bodies.reduced import matrices
 from torchmbd.multibody.bodies.reduced_structure import ReducedStructure, read_reduced, save_reduced
 
 
@@ -126,12 +130,34 @@ class MatrixMethods:
         return body
 
     def mass_and_stiffness(self) -> tuple[Any, Any]:
-        """M and K of all six freedoms of all nodes, without supports, as SciPy sparse matrices (multibody/bodies/export.py)."""
-        return assembled(self)
+        """M and K [6 n, 6 n] of the present design, without supports, as SciPy sparse matrices; rows 6 * node + i.
+
+        InputError for bodies without matrices of their nodes.
+        """
+        body: Any = self
+        with torch.no_grad():
+            if self.given_structure is not None:
+                if not isinstance(self.given_structure, MatrixStructure):
+                    raise InputError(f"{body.name!r} was reduced elsewhere; allowed: a body of elements or matrices")
+                M, K = self.given_structure.matrices.now()
+            else:
+                if not body.assembly.freedoms.plain:
+                    raise InputError(
+                        f"nodes of {body.name!r} are linked; allowed: a body without links, or save_reduced"
+                    )
+                K, M = matrices(Assembly(self.mesh, body.assembly.parts))
+        if K.values.dim() > 1:
+            raise InputError(f"{body.name!r} has {K.values.shape[0]} designs at once; allowed: one")
+        mass = M.pattern.to_scipy(M.values) if isinstance(M, SparseMatrix) else scipy.sparse.diags_array(M.numpy())
+        return scipy.sparse.csr_array(mass), scipy.sparse.csr_array(K.pattern.to_scipy(K.values))
 
     def save_matrices(self, path: str | Path) -> tuple[Path, Path]:
         """Write these as Matrix Market files path_M.mtx and path_K.mtx; mbd.read_matrix reads them."""
-        return save_matrices(self, path)
+        files = Path(f"{path}_M.mtx"), Path(f"{path}_K.mtx")
+        for file, matrix in zip(files, self.mass_and_stiffness(), strict=True):
+            with file.open("wb") as handle:
+                scipy.io.mmwrite(handle, scipy.sparse.coo_array(matrix), precision=17, symmetry="symmetric")
+        return files
 
     def save_reduced(self, path: str | Path) -> Path:
         """Write nodes, modes, Kr and invariants of the present design as .npz; from_reduced reads the same digits."""

@@ -42,18 +42,24 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     vector_order = sorted(range(len(on_flexible)), key=lambda i: not on_flexible[i])
     position = {old: new for new, old in enumerate(vector_order)}
     attached = tuple(attachments.vectors[i] for i in vector_order)
-    body_of = [number.get(id(x.body), ground) for x in attached]
-    own_modes = tuple(body.modes for body in order[:flexible])
-    primitives, rows, row_joints = _group(equations, position)
-    actions = _group_actions(applied, position)
-    beams = [position[pair[k]] for k in range(2) for pair in ends]
-    names = [body.name for body in order]
-    return assemble(names, own_modes, attached, body_of, primitives, rows, row_joints, actions, beams=beams)
+    primitives, row_names, row_joints = _group(equations, position)
+    return assemble(
+        names=[body.name for body in order],
+        mode_counts=tuple(body.modes for body in order[:flexible]),
+        attached=attached,
+        body_of=[number.get(id(x.body), ground) for x in attached],
+        primitives=primitives,
+        row_names=row_names,
+        row_joints=row_joints,
+        actions=_group_actions(applied, position),
+        beams=[position[pair[k]] for k in range(2) for pair in ends],
+    )
 
 
 def assemble(
+    *,
     names: Sequence[str],
-    own_modes: tuple[int, ...],
+    mode_counts: tuple[int, ...],
     attached: tuple[Attached, ...],
     body_of: list[int],
     primitives: tuple[Primitive, ...],
@@ -70,7 +76,7 @@ def assemble(
     beams     attached points of the starts of all beam elements, then of their ends
     Others as of `Topology`.
     """
-    n, flexible, ground = len(names), len(own_modes), len(names) + len(prescribed_bodies)
+    n, flexible, ground = len(names), len(mode_counts), len(names) + len(prescribed_bodies)
     argument_vectors, action_vectors = (
         [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
     )
@@ -80,8 +86,8 @@ def assemble(
     return Topology(
         names=tuple(names),
         flexible=flexible,
-        modes=max(own_modes, default=0),
-        own_modes=own_modes,
+        modes=max(mode_counts, default=0),
+        mode_counts=mode_counts,
         attached=attached,
         attached_flexible=len(vector_flexible),
         vector_body=torch.tensor(body_of, dtype=torch.long),

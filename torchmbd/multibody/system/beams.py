@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import cat, cross, dot, matmul, matvec, matvec_t
-from torchmbd.math.rotation import skew
+from torchmbd.math.rotation import increment_torque, skew
 from torchmbd.math.screw import rate_slopes, screw, screw_rate, wrench_slopes, wrenches
 from torchmbd.multibody.system.index_maps import SegmentSum
 
@@ -160,15 +160,14 @@ def _screw_rate_slopes(e: Elements, unit_wrenches: tuple[Any, Any], C: Any) -> A
 
 
 def _by_increment(T: Any, K: Any, turn: Any) -> Any:
-    """K [12, 12, n, ...] by the rotation vectors th of a step: a change d of th turns a body by (1 - ~th/2 + ~th~th/6) d."""
+    """K [12, 12, n, ...] by the rotation vectors of a step."""
     if turn is None:
         return K
     turns, rows = T.beams.select(turn, 1), K.transpose(0, 1)
     parts = []
     for k in range(2):
-        slopes, th = rows[6 * k + 3 : 6 * k + 6], turns[k].unsqueeze(1)
-        once = cross(th, slopes)
-        parts += [rows[6 * k : 6 * k + 3], slopes + 0.5 * once + (1.0 / 6.0) * cross(th, once)]
+        slopes = rows[6 * k + 3 : 6 * k + 6]
+        parts += [rows[6 * k : 6 * k + 3], increment_torque(turns[k].unsqueeze(1), slopes)]
     return cat(parts).transpose(0, 1)
 
 

@@ -330,39 +330,34 @@ def _condensation(
     number = {b: i for i, b in enumerate(bodies)}
     number |= {b: len(bodies) + i for i, b in enumerate([*prescribed_bodies, T.bodies])}
     rows = [i for i in range(T.rows) if i not in removed]
-    parts, used = [], set()
-    for primitive, slice_ in T.row_slices():
-        n = len(primitive.members[0])
-        kept = [j for j in range(n) if slice_.start + j not in removed]
-        if kept:
-            parts.append((primitive, kept))
-            used |= {int(m[j]) for m in primitive.members for j in kept}
+    parts = T.members_of(set(rows))
+    used = {int(m[j]) for primitive, numbers in parts for m in primitive.members for j in numbers}
     used |= {int(i) for action in T.actions for member in action.members for i in member}
     beams = [] if T.beams is None else T.beams.ends.tolist()
     vectors = sorted(used.union(beams))
     position = {old: new for new, old in enumerate(vectors)}
     primitives = tuple(
         type(p)(
-            tuple(torch.tensor([position[int(m[j])] for j in kept]) for m in p.members),
-            tuple(p.data[j] for j in kept),
+            tuple(torch.tensor([position[int(m[j])] for j in numbers]) for m in p.members),
+            tuple(p.data[j] for j in numbers),
         )
-        for p, kept in parts
+        for p, numbers in parts
     )
     rates, independent = _rates(T, bodies, guided)
     topology = assemble(
-        [T.names[b] for b in bodies],
-        T.own_modes,
-        tuple(T.attached[i] for i in vectors),
-        [number[b] for b in T.vector_body[vectors].tolist()],
-        primitives,
-        tuple(T.row_names[i] for i in rows),
-        tuple(T.row_joints[i] for i in rows),
-        tuple(
+        names=[T.names[b] for b in bodies],
+        mode_counts=T.mode_counts,
+        attached=tuple(T.attached[i] for i in vectors),
+        body_of=[number[b] for b in T.vector_body[vectors].tolist()],
+        primitives=primitives,
+        row_names=tuple(T.row_names[i] for i in rows),
+        row_joints=tuple(T.row_joints[i] for i in rows),
+        actions=tuple(
             replace(a, members=tuple(torch.tensor([position[int(i)] for i in m]) for m in a.members)) for a in T.actions
         ),
-        tuple(prescribed_bodies.values()),
-        rates,
-        [position[i] for i in beams],
+        prescribed_bodies=tuple(prescribed_bodies.values()),
+        rates=rates,
+        beams=[position[i] for i in beams],
     )
     return Condensation(
         T, topology, Saddle(topology), bodies, vectors, torch.tensor(rows, dtype=torch.long), independent
@@ -386,5 +381,5 @@ def _rates(T: Topology, bodies: list[int], guided: dict[int, Tensor]) -> tuple[T
         if unit:  # a body that is held has none
             N[columns[:, None], columns[unit]] = free
         dependent += columns[[k for k in range(6) if k not in unit]].tolist()
-    kept = [i for i in range(len(rows)) if i not in dependent]
-    return N[:, kept], rows[kept]
+    independent = [i for i in range(len(rows)) if i not in dependent]
+    return N[:, independent], rows[independent]

@@ -70,7 +70,7 @@ def _freedoms(T: Any, body: int) -> list[int]:
 def _groups(T: Any) -> list[set[int]]:
     """Bodies that a joint, an action, a beam element or a controller couples."""
     of_actions = [group for action in T.actions for group in _members(T, action.members)]
-    groups = _joined_once(T) + of_actions
+    groups = [group for primitive in T.primitives for group in _members(T, primitive.members)] + of_actions
     for link in T.links.each:
         touched = (link.coordinates != 0.0).any(0) | (link.writes != 0.0).any(1)
         groups.append(set().union(*(of_actions[i] for i in touched.nonzero()[:, 0].tolist())))
@@ -87,10 +87,6 @@ def _members(T: Any, members: Any) -> list[set[int]]:
     return [{body for body in group if body < T.bodies} for group in zip(*bodies, strict=True)]
 
 
-def _joined_once(T: Any) -> list[set[int]]:
-    return [group for primitive in T.primitives for group in _members(T, primitive.members)]
-
-
 def _joined(T: Any) -> list[set[int]]:
     """Bodies of each constraint row."""
     return [group for kind in T.primitives for _ in range(kind.rows) for group in _members(T, kind.members)]
@@ -100,6 +96,6 @@ def _colors(near: list[set[int]]) -> list[int]:
     """Colors of bodies; those that are near one body differ."""
     color: list[int] = []
     for body, others in enumerate(near):
-        taken = {color[x] for other in others for x in near[other] if x < body}
-        color.append(next(c for c in range(len(near) + 1) if c not in taken))
+        of_neighbors = {color[x] for other in others for x in near[other] if x < body}
+        color.append(next(c for c in range(len(near) + 1) if c not in of_neighbors))
     return color

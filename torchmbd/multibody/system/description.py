@@ -88,7 +88,7 @@ def describe(system: Any) -> Description:
     rank = rank_of(T, J) if T.rows else Rank(0, ())
     rigid = rank_of(T, J[:, : 6 * T.bodies]).rank if T.rows else 0
     mass = dict(zip(T.names, value(dynamics.data["mass"])[:, 0, 0].tolist(), strict=True))
-    freedoms = 6 * T.bodies + sum(T.own_modes) - rank.rank
+    freedoms = 6 * T.bodies + sum(T.mode_counts) - rank.rank
     return Description(
         bodies=tuple(_body(body, mass[body.name]) for body in system.bodies),
         joints=tuple(_joint(joint, T.row_joints) for joint in system.joints),
@@ -115,11 +115,8 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
         raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
     frames = [frame for joint in joints for frame in (joint.a, joint.b)] + [x for force in forces for x in force.frames]
     connected = {id(frame.body) for frame in frames}
-
-    def is_connected(body: Any) -> bool:
-        return any(id(x) in connected for x in getattr(body, "node_bodies", [body]))
-
-    loose = [body.name for body in bodies if not is_connected(body) and body.name not in free]
+    apart = [body for body in bodies if not any(id(x) in connected for x in getattr(body, "node_bodies", [body]))]
+    loose = [body.name for body in apart if body.name not in free]
     if joints and loose:
         raise InputError(
             f"no joint and no force holds {', '.join(map(repr, loose))}; "

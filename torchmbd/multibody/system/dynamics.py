@@ -114,19 +114,16 @@ class Dynamics:
         """Rank of the constraints at the initial position of the first lane whose data are finite; also under torch.func, whose
         tensors have no values to decide by."""
         if self.known_rank is None:
-            self.known_rank = self._found_rank()
+            ranks = {} if self.shared_start is None else self.shared_start.ranks
+            shared = self.topology in ranks
+            rank: Rank = ranks[self.topology] if shared else self.outside_transforms(Dynamics._rank)
+            self.known_rank = rank
         return self.known_rank
 
     def share_rank(self, other: Dynamics) -> Dynamics:
         """Itself, with the rank of the same equations of other data: transforms of torch.func have no values to find it by."""
         self.known_rank = other.rank
         return self
-
-    def _found_rank(self) -> Rank:
-        ranks = {} if self.shared_start is None else self.shared_start.ranks
-        if self.topology in ranks:
-            return ranks[self.topology]
-        return self.outside_transforms(Dynamics._rank)
 
     def outside_transforms(self, f: Callable[..., Any], *tensors: Tensor) -> Any:
         """f(dynamics, *tensors) of plain values, also under torch.func; tensors [..., lanes], a batch of vmap is more lanes."""
@@ -272,13 +269,11 @@ class Dynamics:
         T = self.topology
 
         def residual(data: Data, at: equations.Placement, q: Any, v: Any, x: Tensor) -> Any:
-            return self._residual(data, at, v, x[: T.n_v], x[T.n_v :], T.law_jets(t, data) if T.rows else [])
+            drives, alpha = T.law_jets(t, data) if T.rows else [], 1.0 / self.stabilization
+            return equations.stabilized_residual(T, data, at, v, x[: T.n_v], x[T.n_v :], drives, alpha)
 
         x = (solver or SaddleSolver(self, t, q))(residual, v)
         return x[: T.n_v], x[T.n_v :]
-
-    def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
-        return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
     def solve_linear(self, residual: Callable[..., Any], t: Tensor, q: Any, *arguments: Any) -> Any:
         """As `SaddleSolver`, of one residual."""

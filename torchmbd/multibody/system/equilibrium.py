@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import cat, dot, linear, value
+from torchmbd.math.pair import apply, cat, dot, linear, value
 from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import NEGATIVE_MASS, Linearization, Vibrations
@@ -155,11 +155,7 @@ def equilibrium_coordinates(
     residual = equations.dynamic_residual(T, data, at, *rates, lam)
     if T.rows:
         residual = cat([residual, equations.constraints(T, at)])
-
-    def step(x: Tensor) -> Tensor:
-        return -(inverse @ x.permute(2, 0, 1)).permute(1, 2, 0)
-
-    return equations.advance(T, q, linear(step, residual))
+    return equations.advance(T, q, linear(lambda x: -apply(inverse, x), residual))
 
 
 def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None = None) -> Any:
@@ -241,7 +237,9 @@ def _balance(
     """
     T, canceling = dynamics.topology, _canceling(dynamics, rest, q, t)
     small = _FORCE * largest + _ROUNDING * canceling
-    if not _balanced(rest, small):
+    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
+    along_freedoms = rest.N.T @ rest.unbalanced
+    if not closed or (along_freedoms.numel() and not float(along_freedoms.abs().max()) <= small):
         return None, small
     if _mirrored(T, dynamics.values().data, q, t):
         return _failed(T, q, _MIRRORED), small
@@ -268,13 +266,6 @@ def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
 
 def _failed(T: Any, start: Tensor, failure: str) -> Balance:
     return Balance(start, start.new_zeros(T.rows), start.new_zeros(T.n_v, T.n_v + T.rows), failure, "")
-
-
-def _balanced(rest: Linearization, small: float) -> bool:
-    """Whether joints are closed, and the forces along all freedoms are at most `small`."""
-    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
-    free = rest.N.T @ rest.unbalanced
-    return closed and (not free.numel() or float(free.abs().max()) <= small)
 
 
 def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> float:
@@ -334,8 +325,8 @@ def _inverse(rest: Linearization) -> Tensor:
 def _flexibility(K: Tensor) -> Tensor:
     """Inverse of a stiffness; freedoms without stiffness do not move."""
     inverse, singular = torch.linalg.inv_ex(K)
-    held = not int(singular) and float(K.norm() * inverse.norm()) < 1.0 / _NO_STIFFNESS
-    return inverse if held else torch.linalg.pinv(K, rtol=_NO_STIFFNESS)
+    is_regular = not int(singular) and float(K.norm() * inverse.norm()) < 1.0 / _NO_STIFFNESS
+    return inverse if is_regular else torch.linalg.pinv(K, rtol=_NO_STIFFNESS)
 
 
 def _instability(T: Any, rest: Linearization) -> str:

@@ -39,7 +39,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.math.gradients import untransformed, wraps
 from torchmbd.math.module_call import outside_transforms
-from torchmbd.math.pair import Pair, cat, linear, value
+from torchmbd.math.pair import Pair, apply, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.system import equations
@@ -315,17 +315,17 @@ class _Joints:
         """K x [n_v, ...] of x [rows, ...]; modal rows zero."""
 
         def product(y: Tensor) -> Tensor:
-            s = _times(self.C, y)
-            return self._all_rates(s + _times(self.F_inverse, y - _times(self.G, s)))
+            s = apply(self.C, y)
+            return self._all_rates(s + apply(self.F_inverse, y - apply(self.G, s)))
 
         return linear(product, x)
 
     def jacobian_part(self, s: Tensor):
         """The terms of ds with u and w [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s."""
         rigid = self.G.shape[2]
-        ds = linear(lambda f: self._u_terms(f), self._constraint_forces(_times(self.C.mT, s[:rigid])))
+        ds = linear(lambda f: self._u_terms(f), self._constraint_forces(apply(self.C.mT, s[:rigid])))
         if bool(untransformed(self.F).any()):
-            forces = self._constraint_forces(_times(self.F_inverse.mT, s[:rigid]))
+            forces = self._constraint_forces(apply(self.F_inverse.mT, s[:rigid]))
             ds = ds + linear(lambda f: self._w_terms(f), forces)
         return ds
 
@@ -337,14 +337,14 @@ class _Joints:
     def _u_terms(self, f: Tensor) -> Tensor:
         """(1 - F+ G) (u - C G u) of f = dJ' y."""
         f_G = f * self.rate_mask
-        u = f_G - _times(self.G.mT, _times(self.F_inverse.mT, f - f_G))
-        u = u - _times(self.C, _times(self.G, u))
-        return self._all_rates(u - _times(self.F_inverse, _times(self.G, u)))
+        u = f_G - apply(self.G.mT, apply(self.F_inverse.mT, f - f_G))
+        u = u - apply(self.C, apply(self.G, u))
+        return self._all_rates(u - apply(self.F_inverse, apply(self.G, u)))
 
     def _w_terms(self, f: Tensor) -> Tensor:
         """w - F+ F w of f = dJ' z."""
         w = f * ~self.rate_mask
-        return self._all_rates(w - _times(self.F_inverse, _times(self.F, w)))
+        return self._all_rates(w - apply(self.F_inverse, apply(self.F, w)))
 
     def _all_rates(self, rigid: Tensor) -> Tensor:
         """Rigid rates with zeros for the modes [n_v, ...]."""
@@ -357,8 +357,3 @@ def _pseudo_inverse(J: Tensor) -> tuple[Tensor, Tensor]:
     small = _RANK * s[:, 0]
     inverse = torch.where(s > small[:, None], 1.0 / s, 0.0)
     return V.mT @ (inverse[..., None] * U.mT), small
-
-
-def _times(A: Tensor, x: Tensor) -> Tensor:
-    """Matrices [lanes, n, k] times numbers [k, pair, lanes]."""
-    return (A @ x.permute(2, 0, 1)).permute(1, 2, 0)

@@ -20,13 +20,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import Pair, cat, value, variation
+from torchmbd.math.pair import Pair, apply, cat, value, variation
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
-from torchmbd.multibody.system.reactions import flatten_times, in_chunks, repeat_over_times, values_of_jacobian
 from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.times_as_lanes import as_lanes, at_own_times
+from torchmbd.multibody.system.times_as_lanes import at_own_times, over_times
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 _APART = 1e-4  # share of the largest singular value above which rows that depended at the start are independent
@@ -61,14 +60,7 @@ class LeastNorm:
 
     def at_times(self, data: Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
         """Multipliers of least norm with the forces of lam [times, rows, pair, lanes], along q [times, n_q, pair, lanes]."""
-        return in_chunks(lambda *x: self._chunk(data, *x), times, q, lam)
-
-    def _chunk(self, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
-        n, lanes = len(times), motion[0].shape[-1]
-        wide = {name: repeat_over_times(x, n, lanes) for name, x in data.items()}
-        lam = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(flatten_times(x) for x in motion))
-        full = lam.full if isinstance(lam, Pair) else lam
-        return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
+        return over_times(self, self.T, data, times, q, lam)
 
     def __call__(self, data: Data, excitation: Prescribed, q: Any, lam: Any) -> Any:
         """Multipliers [rows, ...] of least norm with the forces of `lam` at the coordinates q [n_q, ...].
@@ -79,13 +71,13 @@ class LeastNorm:
         with torch.no_grad():
             inverse, P = self._inverses(data, at)
             values = value(lam).detach()
-            least = _times(P, values)
-            mu, nu = _times(inverse, values), acting * (values - least)
+            least = apply(P, values)
+            mu, nu = apply(inverse, values), acting * (values - least)
         if not isinstance(lam, Pair) and not torch.is_grad_enabled():
             return least
         # dJ mu and dJ' nu of the module header
         dJ_mu, dJt_nu = variation(acting * _rates(self.T, data, at, mu)), variation(_forces(self.T, data, at, nu))
-        slopes = _times(P, variation(lam) - dJ_mu) + dJ_mu + _times(inverse.mT, dJt_nu)
+        slopes = apply(P, variation(lam) - dJ_mu) + dJ_mu + apply(inverse.mT, dJt_nu)
         return Pair.of(least, slopes) if isinstance(lam, Pair) else least + slopes
 
     def at_varying_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:
@@ -94,14 +86,14 @@ class LeastNorm:
 
     def _inverses(self, data: Data, at: Placement) -> tuple[Tensor, Tensor]:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
-        J = values_of_jacobian(self.saddle, data, at) * self.acting[:, None]
+        J = self.saddle.values_of_jacobian(data, at) * self.acting[:, None]
         failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes whose multipliers become nan
         U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)
-        kept = s > _APART * s[:, :1]
-        kept[:, : self.rank] |= s[:, : self.rank] > 0.0
-        U = U * kept[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
+        independent = s > _APART * s[:, :1]
+        independent[:, : self.rank] |= s[:, : self.rank] > 0.0
+        U = U * independent[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
         U = torch.where(failed, torch.nan, U)
-        return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
+        return (Vh.mT * torch.where(independent, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
 
 
 def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:
@@ -113,8 +105,3 @@ def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:
 def _forces(T: Topology, data: Data, at: Placement, nu: Tensor) -> Tensor:
     """Phi_q' nu [n_v, ...], nu [rows, 1, lanes] held fixed."""
     return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, at, nu)])
-
-
-def _times(matrices: Tensor, x: Tensor) -> Tensor:
-    """Matrices [lanes, n, m] times numbers [m, pair, lanes]."""
-    return (matrices @ x.permute(2, 0, 1)).permute(1, 2, 0)

@@ -129,8 +129,8 @@ class Linearization:
             data = data | {"beam_rest": unstrained}
             balanced = residual(at, rates, none)[:, 0]
             balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0]
-        held = zip(Phi_q, balanced.unbind(-1), strict=True)
-        lam = torch.stack([-torch.linalg.pinv(J[:, active].T, rtol=RELATIVE) @ f[active] for J, f in held], -1)
+        constrained = zip(Phi_q, balanced.unbind(-1), strict=True)
+        lam = torch.stack([-torch.linalg.pinv(J[:, active].T, rtol=RELATIVE) @ f[active] for J, f in constrained], -1)
         force = residual(moved, rates_moved, lam[:, None])
         stiffness = _tangents(force if subtracted is None else force - subtracted)
 
@@ -270,10 +270,10 @@ class Vibrations:
         whirl = _poles(M, 0.5 * (C - C.T), K)
         w = whirl.imag.abs().sort().values[::2]
         w = torch.where(w > _AT_REST * w[-1], w, 0.0)
-        made = cls(w / (2.0 * math.pi), shapes, rest)
-        if _grow(whirl if rest.gyroscopic else made.poles, w[-1]):
-            made.frequencies[0] = torch.nan
-        return made
+        vibrations = cls(w / (2.0 * math.pi), shapes, rest)
+        if _grow(whirl if rest.gyroscopic else vibrations.poles, w[-1]):
+            vibrations.frequencies[0] = torch.nan
+        return vibrations
 
 
 def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:

@@ -69,24 +69,25 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
     rank, dependent = _dependent(J[others])
     total, _ = _dependent(np.concatenate([J[others], J[driven]]))
     if total < rank + len(driven):
-        held = [T.row_names[i] for i in driven if _dependent(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
-        which = held or [T.row_names[i] for i in driven]
+        alone = [T.row_names[i] for i in driven if _dependent(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
+        which = alone or [T.row_names[i] for i in driven]
         raise InputError(
             f"{', '.join(repr(name) for name in which)}: the other joints leave no freedom for this at the initial position; "
             "allowed: a drive along a motion that the joints leave free"
         )
     dependent = sorted(int(others[i]) for i in dependent)
-    left_out, names = _left_out(T, J, dependent), tuple(T.row_names[i] for i in dependent)
-    return Rank(total, names, left_out, *_weak(T, J, left_out), _undetermined(T, J, dependent))
-
-
-def _undetermined(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[str, ...]:
-    """`Rank.undetermined`: joints with rows in combinations that are zero."""
     if not dependent:
-        return ()
-    free = np.setdiff1d(np.arange(T.rows), dependent)
-    share = np.abs(np.linalg.lstsq(J[free].T, J[dependent].T, rcond=RELATIVE)[0]).max(1) > _INVOLVED
-    return tuple(dict.fromkeys(T.row_joints[i] for i in sorted([*dependent, *free[share].tolist()])))
+        return Rank(total, (), (), *_weak(T, J, ()))
+    independent = np.setdiff1d(np.arange(T.rows), dependent)
+    shares = np.abs(np.linalg.lstsq(J[independent].T, J[dependent].T, rcond=RELATIVE)[0])
+    elastic = _elastic(T)  # rows that are so, or depend on a row that is, are left out
+    of_elastic = [
+        elastic[i] or elastic[independent[x > RELATIVE]].any() for i, x in zip(dependent, shares.T, strict=True)
+    ]
+    left_out = tuple(i for i, is_elastic in zip(dependent, of_elastic, strict=True) if is_elastic)
+    involved = sorted([*dependent, *independent[shares.max(1) > _INVOLVED].tolist()])
+    joints = tuple(dict.fromkeys(T.row_joints[i] for i in involved))
+    return Rank(total, tuple(T.row_names[i] for i in dependent), left_out, *_weak(T, J, left_out), joints)
 
 
 def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[str, ...], float]:
@@ -94,10 +95,10 @@ def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[st
     n, f = 6 * T.bodies, T.flexible
     if J.shape[1] != T.n_v or T.rates is not None or not f:
         return (), 1.0  # unknown from rigid columns alone, and from condensed rates
-    kept = np.setdiff1d(np.arange(len(J)), left_out)
-    rigid, elastic = J[kept, :n], J[kept, n:].reshape(len(kept), T.modes, f)
+    acting = np.setdiff1d(np.arange(len(J)), left_out)
+    rigid, elastic = J[acting, :n], J[acting, n:].reshape(len(acting), T.modes, f)
     size = np.linalg.norm(elastic, axis=1).max(0, initial=0.0)
-    elastic = (elastic / np.where(size > 0.0, size, 1.0)).reshape(len(kept), -1)
+    elastic = (elastic / np.where(size > 0.0, size, 1.0)).reshape(len(acting), -1)
     U, s, _ = np.linalg.svd(rigid)
     alike = U[:, int((s > RELATIVE * s.max(initial=0.0)).sum()) :]  # combinations without a rigid part
     W, share, _ = np.linalg.svd(alike.T @ elastic, full_matrices=False)
@@ -105,23 +106,13 @@ def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[st
     if not weak.any():
         return (), 1.0
     involved = np.abs(alike @ W[:, weak]).max(1)
-    rows = kept[np.argsort(-involved, kind="stable")][: int((involved > _SHARE * involved.max()).sum())]
+    rows = acting[np.argsort(-involved, kind="stable")][: int((involved > _SHARE * involved.max()).sum())]
     return tuple(T.row_names[i] for i in rows), float(share[weak].max())
 
 
 def _driven(T: Topology) -> np.ndarray:
     """Indices of the rows with a law."""
     return np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
-
-
-def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ...]:
-    """Dependent rows that are attached to a flexible body, or depend on a row that is."""
-    elastic = _elastic(T)
-    if not dependent or not elastic.any():
-        return ()
-    free = np.setdiff1d(np.arange(T.rows), dependent)
-    share = np.abs(np.linalg.lstsq(J[free].T, J[dependent].T, rcond=RELATIVE)[0]) > RELATIVE
-    return tuple(i for k, i in enumerate(dependent) if elastic[i] or elastic[free[share[:, k]]].any())
 
 
 def confirm_left_out(dynamics: Any, q: Tensor, rank: Rank) -> Rank:

@@ -1,4 +1,4 @@
-"""Copies of a system whose flexible bodies have more modes (bodies/richer_reduction.py) or finer meshes (bodies/finer_mesh.py).
+"""Copies of a system whose flexible bodies have more modes or finer meshes (bodies/refinement.py).
 
 Bodies and parameters are copies too.
 Checked in tests/multibody/system/test_richer.py.
@@ -10,8 +10,7 @@ import copy
 from collections.abc import Callable
 from typing import Any
 
-from torchmbd.multibody.bodies.finer_mesh import obstacle, refine
-from torchmbd.multibody.bodies.richer_reduction import enrich, has_reduction
+from torchmbd.multibody.bodies.refinement import enrich, has_reduction, obstacle, refine
 
 
 def richer_system(system: Any) -> tuple[Any, list[str]]:

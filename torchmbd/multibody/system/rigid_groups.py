@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.gradients import untransformed
-from torchmbd.math.pair import cat, cross, linear, matvec, matvec_t, value
+from torchmbd.math.pair import apply, cat, cross, linear, matvec, matvec_t, value
 from torchmbd.math.rotation import exponential, quaternion_product, rotation_matrix
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.topology import Topology
@@ -45,11 +45,11 @@ class RigidGroups:
         for first, second in zip(T.beams.bodies[:n], T.beams.bodies[n:], strict=True):
             first, second = (group[min(k, T.bodies)] for k in (first, second))
             group = [min(first, second) if k in (first, second) else k for k in group]
-        held = group.pop()
+        of_ground = group.pop()
         names = sorted(set(group))
         of = torch.tensor([names.index(k) for k in group])
         members = torch.nn.functional.one_hot(of, len(names)).T.double()
-        free = torch.tensor([float(k != held) for k in names], dtype=torch.float64)
+        free = torch.tensor([float(k != of_ground) for k in names], dtype=torch.float64)
         return cls(T, of, members / members.sum(1, keepdim=True), free)
 
     def closed(self, dynamics: Any, q: Any, t: Tensor, small: float) -> Any:
@@ -75,15 +75,15 @@ class RigidGroups:
         U, s, Vh = torch.linalg.svd(J, full_matrices=False)
         inverse = Vh.mT @ (torch.where(s > _RANK * s[:, :1], 1.0 / s, 0.0)[..., None] * U.mT)
         phi = equations.constraints(T, at)
-        y = -_times(inverse, value(phi).detach())
+        y = -apply(inverse, value(phi).detach())
         still = torch.zeros_like(value(self._rates(q, y)))
         of_y, of_zero = (
             equations.constraint_jets(T, at, data, v, still, t).velocity for v in (self._rates(q, y), still)
         )
         residual = phi + of_y - of_zero
-        forces = self._forces(q, equations.constraint_forces(T, data, at, _times(inverse.mT, y)))
-        turned = linear(lambda u: u - _times(inverse, _times(J, u)), forces)
-        y = y + turned - linear(lambda x: _times(inverse, x), residual)
+        forces = self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y)))
+        turned = linear(lambda u: u - apply(inverse, apply(J, u)), forces)
+        y = y + turned - linear(lambda x: apply(inverse, x), residual)
         return self._moved(q, y), float(untransformed(value(phi)).abs().max())
 
     def _arms(self, q: Any) -> tuple[Any, Any, Any]:
@@ -121,8 +121,3 @@ class RigidGroups:
         turn = exponential(th)
         r = center + V + matvec(rotation_matrix(turn), arm)
         return cat([r.flatten(0, 1), quaternion_product(turn, p).flatten(0, 1), q[7 * self.topology.bodies :]])
-
-
-def _times(A: Tensor, x: Tensor) -> Tensor:
-    """Matrices [lanes, n, k] times numbers [k, pair, lanes]."""
-    return (A @ x.permute(2, 0, 1)).permute(1, 2, 0)

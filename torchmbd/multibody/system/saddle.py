@@ -12,16 +12,15 @@ Checked in tests/multibody/system/test_equations.py: every column is the differe
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torchmbd.math.pair import value
 from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.equations import Data, Placement, action_states
-from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
+from torchmbd.multibody.system.saddle_blocks import MASSES, SaddleBlocks, Slopes
 from torchmbd.multibody.system.saddle_factors import LARGE, ColumnPattern, Diagonal, Factors
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import Block, unit_multipliers, unit_strengths
@@ -52,32 +51,22 @@ class Saddle:
         direction[rate, action] = entry
         self._directions, self._direction = torch.from_numpy(direction.reshape(-1)), direction.shape
 
-    def matrix(
-        self,
-        data: Data,
-        at: Placement,
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        v: Tensor | None = None,
-        a: Tensor | None = None,
-        lam: Tensor | None = None,
-        turn: Tensor | None = None,
-    ) -> Tensor:
-        """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]; arguments as of `SaddleBlocks`."""
-        flat = self._entries(data, at, stiffness, damping, v, a, lam, turn)
+    def matrix(self, data: Data, at: Placement, slopes: Slopes = MASSES) -> Tensor:
+        """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]."""
+        flat = self._entries(data, at, slopes)
         size = self.T.n_v + self.T.rows
         entries = flat.index_select(0, self._index) if self._project is None else self._project(flat)
         K = entries.reshape(size, size, -1).permute(2, 0, 1)
-        if v is not None and self._beams is not None:
+        if slopes.v is not None and self._beams is not None:
             K = K + pad(self._beams(flat), (0, self.T.rows, 0, self.T.rows))
-        if v is not None and self.T.actions:
-            K = K + pad(self._action_slopes(data, at, v, stiffness, damping), (0, self.T.rows, 0, self.T.rows))
+        if slopes.v is not None and self.T.actions:
+            K = K + pad(self._action_slopes(data, at, slopes), (0, self.T.rows, 0, self.T.rows))
         return K
 
-    def _entries(self, data: Data, at: Placement, *arguments: Any) -> Tensor:
+    def _entries(self, data: Data, at: Placement, slopes: Slopes = MASSES) -> Tensor:
         """Entries of all blocks [n + 1, lanes]; the last one is zero."""
         lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
-        return _flat(self.blocks(data, at, *arguments), self.names, lanes)
+        return _flat(self.blocks(data, at, slopes), self.names, lanes)
 
     def factors(self, data: Data, at: Placement, diagonal: Diagonal | None) -> Factors:
         """Factors of the matrix of the accelerations; diagonal as of `Dynamics.diagonal`."""
@@ -85,21 +74,27 @@ class Saddle:
             return Factors(self.matrix(data, at), diagonal, None)
         return Factors(self._entries(data, at)[self.columns.entry].T, diagonal, self.columns)
 
-    def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:
+    def _action_slopes(self, data: Data, at: Placement, slopes: Slopes) -> Tensor:
         """Derivatives of the applied forces through their laws [lanes, n_v, n_v]."""
         T = self.T
-        states = action_states(T, data, at, v)
-        blocks, weights = self.blocks.action_slopes(data, at, states, stiffness, damping)
+        states = action_states(T, data, at, slopes.v)
+        blocks, weights = self.blocks.action_slopes(data, at, states, slopes)
         flat = _flat(blocks, self.action_names, weights.shape[-1]).index_select(0, self._directions)
         D = flat.reshape(*self._direction, -1)
         D = (D if T.gather is None else T.gather(D)).permute(2, 0, 1)
         K = (D * weights[:, 0].T[:, None]) @ D.transpose(1, 2)
-        coupled = T.links.slopes(states, at.t, data, stiffness, damping)
+        coupled = T.links.slopes(states, at.t, data, slopes.stiffness, slopes.damping)
         return K if coupled is None else K - D @ coupled @ D.transpose(1, 2)
 
     def jacobian(self, data: Data, at: Placement) -> Tensor:
         """Phi_q [lanes, rows, n_v]."""
         return self.matrix(data, at)[:, self.T.n_v :, : self.T.n_v]
+
+    def values_of_jacobian(self, data: Data, at: Placement) -> Tensor:
+        """The same without a graph of torch, of all lanes of a placement."""
+        data = {name: value(x).detach() for name, x in data.items()}
+        J = self.jacobian(data, at.map(lambda y: value(y).detach()))
+        return J.expand(value(at.g).shape[-1], -1, -1)
 
 
 class _BeamEntries:

@@ -6,21 +6,21 @@
     row_force, row_torque, row_modal    Phi_q' by pairs (row, body);  row_turn: torques in Phi_q
     beam                                forces and torques of beam elements by both ends; of an iteration matrix only
 
-`stiffness`, `damping`: factors of Kr and D added to the modal mass, and derivatives of all other forces by coordinates
-and rates, make the iteration matrix of an implicit integrator out of the same text.
+With `Slopes`, the derivatives of all other forces by coordinates and rates, the same text makes the iteration matrix of an
+implicit integrator.
 Over 300 lines: one block for each term of equations.py.
 Checked in tests/multibody/system/test_equations.py: every column is the difference of the residual that it stands for.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
-from torchmbd.math.rotation import axial, skew
+from torchmbd.math.rotation import axial, increment_torque, skew
 from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.equations import (
     Placement,
@@ -36,6 +36,26 @@ from torchmbd.multibody.system.unit_forces import Block, UnitForces
 
 # Blocks below the diagonal that are, without rates and accelerations, those above it.
 MIRRORED = {"r_om": "om_r", "r_w": "w_r", "om_w": "w_om"}
+
+
+class Slopes(NamedTuple):
+    """What an iteration matrix has beside the masses: derivatives of the other forces by coordinates and rates.
+
+    stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`, `stiffness` that
+                        of the inertia forces of the rates and accelerations `a`, and the geometric stiffness of the
+                        multipliers `lam`, if they are given [n, 1, lanes]
+    turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
+    """
+
+    stiffness: Any = 0.0
+    damping: Any = 0.0
+    v: Any = None
+    a: Any = None
+    lam: Any = None
+    turn: Any = None
+
+
+MASSES = Slopes()  # none: the matrix of the accelerations
 
 
 class SaddleBlocks:
@@ -64,32 +84,16 @@ class SaddleBlocks:
         return shapes + rows + self._beam_shapes()
 
     def _beam_shapes(self) -> list[Block]:
-        T = self.T
-        return [] if T.beams is None else [("beam", (12, 12, len(T.beams.ends) // 2))]
+        beams = self.T.beams
+        return [] if beams is None else [("beam", (12, 12, len(beams.ends) // 2))]
 
     def action_shapes(self) -> list[Block]:
         """Of the directions of the actions."""
         return self.actions.shapes(self.T.modes, "action")
 
-    def __call__(
-        self,
-        data: Data,
-        at: Placement,
-        stiffness: Any = 0.0,
-        damping: Any = 0.0,
-        v: Any = None,
-        a: Any = None,
-        lam: Any = None,
-        turn: Any = None,
-    ) -> dict[str, Any]:
-        """The blocks [component..., 1, lanes] by name.
-
-        stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`,
-                            `stiffness` that of the inertia forces of the rates and accelerations `a`, and the geometric
-                            stiffness of the multipliers `lam`, if they are given
-        turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
-        """
-        T = self.T
+    def __call__(self, data: Data, at: Placement, slopes: Slopes = MASSES) -> dict[str, Any]:
+        """The blocks [component..., 1, lanes] by name."""
+        T, (stiffness, damping, v, a, lam, turn) = self.T, slopes
         body = moments(T, data, at.w)
         blocks = self._mass_blocks(data, at, body, stiffness, damping)
         blocks |= {mirrored: blocks[name] for name, mirrored in MIRRORED.items() if name in blocks}
@@ -100,7 +104,7 @@ class SaddleBlocks:
             if a is not None:
                 self._add_inertial(blocks, data, at, body, stiffness, (wd, spin), split_v(T, a))
         if body.V is not None:
-            self._add_second_order(blocks, data, at, body.V, stiffness, damping, v, a)
+            self._add_second_order(blocks, data, at, body.V, slopes)
         if lam is not None:
             pulls = total_on_vectors(T, data, at, v, lam)
             if pulls is not None:
@@ -110,17 +114,14 @@ class SaddleBlocks:
             blocks["beam"] = beams.stiffness(T, data, at, beam_rates(T, data, at, v), stiffness, damping, turned)
         if T.rows:
             blocks |= self._row_blocks(data, at)
-            blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)
-        return self._complete(blocks)
-
-    def _complete(self, blocks: dict[str, Any]) -> dict[str, Any]:
-        """With those that a system without flexible bodies does not have."""
-        missing = {name: shape for name, shape in self.shapes() if name not in blocks}
-        like = blocks["mass"]
+            torque, pair_body = blocks["row_torque"], self.rows.pair_body
+            blocks["row_turn"] = torque if turn is None else increment_torque(turn.index_select(1, pair_body), torque)
+        # A system without flexible bodies has no modal blocks yet.
+        missing, like = {name: shape for name, shape in self.shapes() if name not in blocks}, blocks["mass"]
         return blocks | {name: like.new_zeros(*shape, *like.shape[-2:]) for name, shape in missing.items()}
 
     def action_slopes(
-        self, data: Data, at: Placement, states: list[tuple], stiffness: Any, damping: Any
+        self, data: Data, at: Placement, states: list[tuple], slopes: Slopes
     ) -> tuple[dict[str, Any], Any]:
         """Directions of the actions, as blocks, and what their laws add to the matrix along them [actions, 1, lanes].
 
@@ -130,19 +131,11 @@ class SaddleBlocks:
         for action, (s, rate, direction) in zip(self.T.actions, states, strict=True):
             forces += direction
             by_s, by_rate = action.slopes(s, rate, at.t, data)
-            weights.append(-(stiffness * by_s + damping * by_rate))
+            weights.append(-(slopes.stiffness * by_s + slopes.damping * by_rate))
         blocks = self.actions.blocks(data, at, cat(forces, 1), "action")
         if "action_modal" not in blocks:
             blocks["action_modal"] = blocks["action_force"].new_zeros(0, 1, 1)
         return blocks, cat(weights)
-
-    def _by_increment(self, torque: Tensor, turn: Tensor | None) -> Tensor:
-        """A change d of the increment th turns a body by (1 - ~th/2 + ~th~th/6) d, here to the third order."""
-        if turn is None:
-            return torque
-        th = turn.index_select(1, self.rows.pair_body)
-        half = cross(th, torque)
-        return torque + 0.5 * half + (1.0 / 6.0) * cross(th, half)
 
     def _mass_blocks(self, data: Data, at: Placement, body: Moments, stiffness: Any, damping: Any) -> dict[str, Tensor]:
         T = self.T
@@ -237,17 +230,10 @@ class SaddleBlocks:
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
 
     def _add_second_order(
-        self,
-        blocks: dict[str, Tensor],
-        data: Data,
-        at: Placement,
-        V: Tensor,
-        stiffness: Any,
-        damping: Any,
-        v: Any,
-        a: Any,
+        self, blocks: dict[str, Tensor], data: Data, at: Placement, V: Tensor, slopes: Slopes
     ) -> None:
         """Add the mass of V, and the derivatives by w' and w of the terms with F1, axial F2 and V (equations.py)."""
+        stiffness, damping, v, a, *_ = slopes
         T, f, V0, V1, root = self.T, self.T.flexible, data["V0"], data["V1"], data["L"][0, 0]
         modal = -(V0[:, :, None] * V0[:, None]).sum(0)
         moved = V  # with what w'' and w' add to it

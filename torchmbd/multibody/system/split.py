@@ -87,8 +87,8 @@ def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Seq
         raise InputError(f"modes is {modes!r}; allowed: 0, 1, 2, ...")
     bounds = [round(k * count / n) for k in range(n + 1)]
     nodes = interface if isinstance(interface, (list, tuple)) else [interface]
-    kept = {k for node in nodes for k in node_indices(line, node)}
-    pieces = tuple(_piece(body, line, k, modes, ends, kept) for k, ends in enumerate(pairwise(bounds)))
+    interface_nodes = {k for node in nodes for k in node_indices(line, node)}
+    pieces = tuple(_piece(body, line, k, modes, ends, interface_nodes) for k, ends in enumerate(pairwise(bounds)))
     joints = tuple(Fixed(a.at("end"), b.at("start")) for a, b in pairwise(pieces))
     return Chain(pieces, joints, tuple(bounds[:-1]), line)
 
@@ -116,9 +116,9 @@ def _line(body: Any) -> BeamLine:
 
 
 def _piece(
-    body: FlexibleBody, line: BeamLine, k: int, modes: int, ends: tuple[int, int], kept: set[int]
+    body: FlexibleBody, line: BeamLine, k: int, modes: int, ends: tuple[int, int], interface_nodes: set[int]
 ) -> FlexibleBody:
-    """Piece k: the elements between two end nodes as a body whose frame is fixed to the first; kept: interface nodes."""
+    """Piece k: the elements between two end nodes as a body whose frame is fixed to the first; interface_nodes: of the line."""
     first, last = ends
     sets = {
         name: [i - first for i in members if first <= i <= last]
@@ -131,7 +131,7 @@ def _piece(
     mesh = BeamLine(line.nodes[first : last + 1], pairs, sets, middles)
     parts = {key: part.on_line(mesh, range(first, last)) for key, part in body.beams.items()}
     position = body.position + body.axes @ (line.nodes[first] - body.origin)
-    inner = sorted(i - first for i in kept if first < i < last)
+    inner = sorted(i - first for i in interface_nodes if first < i < last)
     free = 6 * (last - first - 1 - len(inner))
     modes, reduction = (
         (min(modes, free), {"reduction": "craig-bampton", "interface": (*inner, "end")})

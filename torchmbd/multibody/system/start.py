@@ -137,7 +137,8 @@ class Start:
                 x = self.numbers.get(f"{body.name}.{name}")
                 if x is None:
                     continue
-                x = _parameters_of(x) if name == "axes" else x
+                if name == "axes":
+                    x = euler_parameters(x) if x.dim() == 2 else torch.stack([euler_parameters(A) for A in x])
                 rows, is_rate = _rows(T, i, name), name in (*VELOCITIES, MODAL[1])
                 q, v = (q, _replace_rows(v, rows, x)) if is_rate else (_replace_rows(q, rows, x), v)
         return dict(zip(START_DATA, (q, v), strict=True))
@@ -154,11 +155,6 @@ def _rows(T: Topology, body: int, name: str) -> list[int]:
         first = 3 * T.bodies * VELOCITIES.index(name)
         return [first + i * T.bodies + body for i in range(3)]
     return [row - (T.bodies if name == MODAL[1] else 0) for row in T.w_slice(body)]
-
-
-def _parameters_of(A: Tensor) -> Tensor:
-    """Euler parameters [4] or [lanes, 4] of rotations."""
-    return euler_parameters(A) if A.dim() == 2 else torch.stack([euler_parameters(x) for x in A])
 
 
 def _replace_rows(x: Tensor, rows: list[int], y: Tensor) -> Tensor:

@@ -31,12 +31,11 @@ from torchmbd.multibody.joints.joint import AttachmentTable, Joint
 from torchmbd.multibody.system import arrangement
 from torchmbd.multibody.system.beams import beam_data
 from torchmbd.multibody.system.description import Description, check_connected, describe
-from torchmbd.multibody.system.design_tangents import tangents_of
+from torchmbd.multibody.system.design_variables import refuse_lost_constants, refuse_lost_laws, tangents_of
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import start_of_bodies
-from torchmbd.multibody.system.lost_gradients import refuse_lost_constants, refuse_lost_laws
 from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
 from torchmbd.multibody.system.modal_start import in_moving_basis
 from torchmbd.multibody.system.saddle import Saddle
@@ -227,7 +226,7 @@ class System(nn.Module):
         """
         if part is None:
             system = self._with_present_numbers()
-            equation = StateEquation(dict(system.named_children()), system._parameters, system._own_dynamics)
+            equation = StateEquation(dict(system.named_children()), system._parameters, system._present_dynamics)
             equation.register_load_state_dict_post_hook(functools.partial(_rebuild_topology_of, system))
             return equation
         if part not in ("data", "stages"):
@@ -253,7 +252,7 @@ class System(nn.Module):
         return dict(self.named_parameters()) | dict(self.named_buffers())
 
     @exclusive
-    def _own_dynamics(self, numbers: Mapping[str, Tensor]) -> Dynamics:
+    def _present_dynamics(self, numbers: Mapping[str, Tensor]) -> Dynamics:
         """Structure stage of the present parameters, one design; numbers: in the place of parameters of the system itself."""
         self._check()
         return self._dynamics(call_module(self, numbers, "data"))
@@ -317,7 +316,7 @@ class System(nn.Module):
         return self._dynamics(data)
 
     def _check(self) -> None:
-        """Join again where that is due; InputError for what is differentiated and cannot be (lost_gradients.py)."""
+        """Join again where that is due; InputError for what is differentiated and cannot be (design_variables.py)."""
         refuse_lost_constants(self)
         self.join_again()
         refuse_lost_laws(self)

@@ -1,6 +1,6 @@
 """Prescribed quantities of several times in one object: its lanes are the times, or each lane has a time of its own.
 
-`as_lanes`: a whole motion is evaluated at once; for systems without prescribed bodies.
+`as_lanes`: a whole motion is evaluated at once; for systems without prescribed bodies. `over_times` evaluates it in parts.
 `at_own_times`: lanes that pass a switch at different times; these may move with the design.
 Checked in tests/physics/test_energies.py, tests/results/test_reaction.py, tests/multibody/system/test_condensation.py,
 tests/sensitivity/test_events.py.
@@ -8,15 +8,17 @@ tests/sensitivity/test_events.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import Pair, value
+from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system.topology import Prescribed, Schedule, Topology
+
+_CHUNK = 2048  # times x lanes in one evaluation
 
 
 def at_own_times(T: Topology, t: Any, data: Mapping[str, Any]) -> Prescribed:
@@ -55,3 +57,27 @@ def as_lanes(schedule: Schedule, lanes: int = 1, lanes_first: bool = False) -> P
     for law in schedule.laws:
         laws.append(law and tuple(Pair(wide(x.full)) if isinstance(x, Pair) else wide(x) for x in law))
     return Prescribed(laws, schedule.A[0], schedule.r[0], schedule.t)
+
+
+def over_times(f: Callable[..., Any], T: Topology, data: Mapping[str, Any], times: Tensor, *motion: Tensor) -> Tensor:
+    """f along a motion [times, component, pair, lanes]: [times, rows, pair, lanes].
+
+    f   of data, prescribed quantities and numbers [component, pair, lanes], all with times x lanes as lanes
+    """
+    lanes, results = motion[0].shape[-1], []
+    for start in range(0, len(times), count := max(1, _CHUNK // lanes)):
+        t = times[start : start + count]
+        wide = {name: _repeated(x, len(t), lanes) for name, x in data.items()}
+        numbers = (x[start : start + count].permute(1, 2, 0, 3).flatten(2) for x in motion)
+        pairs = (Pair(x) if x.shape[1] > 1 else x for x in numbers)
+        y = f(wide, as_lanes(T.schedule(t, data), lanes), *pairs)
+        full = y.full if isinstance(y, Pair) else y
+        results.append(full.unflatten(2, (len(t), lanes)).permute(2, 0, 1, 3))
+    return torch.cat(results)
+
+
+def _repeated(x: Any, times: int, lanes: int) -> Any:
+    """Data x [component..., pair, lanes or 1], repeated for all times: [component..., pair, times x lanes], or x itself."""
+    if not isinstance(x, Pair) and x.shape[-1] == 1:
+        return x
+    return linear(lambda y: y.expand(*y.shape[:-1], lanes).repeat(*([1] * (y.dim() - 1)), times), x)

@@ -15,8 +15,8 @@ v and a then hold the independent ones, and only `split_v` and `dynamic_residual
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, overload
 
@@ -87,7 +87,7 @@ class Topology:
     names: tuple[str, ...]  # bodies, flexible first
     flexible: int
     modes: int
-    own_modes: tuple[int, ...]  # retained modes of each flexible body
+    mode_counts: tuple[int, ...]  # retained modes of each flexible body
     attached: tuple[Attached, ...]  # vectors, those of flexible bodies first
     attached_flexible: int
     vector_body: Tensor  # [vectors]; the ground is len(names)
@@ -212,6 +212,31 @@ class Topology:
             start = stop
         return result
 
+    def members_of(self, rows: Collection[int]) -> list[tuple[Primitive, list[int]]]:
+        """Kinds of primitives with the members whose rows are among these; rows hold all or none of the rows of a member."""
+        result = []
+        for primitive, slice_ in self.row_slices():
+            members = [j for j in range(len(primitive.members[0])) if slice_.start + j in rows]
+            if members:
+                result.append((primitive, members))
+        return result
+
+    def selected(self, rows: Collection[int]) -> Topology:
+        """The same bodies, attached vectors and data with some of the constraint rows, as in a phase of a motion."""
+        rows, primitives = set(rows), []
+        for primitive, numbers in self.members_of(rows):
+            members = tuple(member[torch.tensor(numbers)] for member in primitive.members)
+            primitives.append(type(primitive)(members, tuple(primitive.data[j] for j in numbers)))
+        vectors = [int(i) for primitive in primitives for member in primitive.members for i in member]
+        return replace(
+            self,
+            primitives=tuple(primitives),
+            argument_vectors=torch.tensor(vectors, dtype=torch.long),
+            row_names=tuple(self.row_names[i] for i in sorted(rows)),
+            row_joints=tuple(self.row_joints[i] for i in sorted(rows)),
+            vector_sum=SegmentSum(vectors, self.vectors),
+        )
+
     def r_slice(self, body: int) -> list[int]:
         """Rows of q with the origin of a body."""
         return [i * self.bodies + body for i in range(3)]
@@ -222,7 +247,7 @@ class Topology:
 
     def w_slice(self, flexible: int) -> list[int]:
         """Rows of q with the modal coordinates of a flexible body (its own modes, without padding)."""
-        return [7 * self.bodies + a * self.flexible + flexible for a in range(self.own_modes[flexible])]
+        return [7 * self.bodies + a * self.flexible + flexible for a in range(self.mode_counts[flexible])]
 
     def rate_name(self, row: int, straight: str = "displacement", about: str = "rotation") -> str:
         """What row `row` of v stands for, for messages: "rotation x of 'rod'"; other words for forces."""

@@ -35,9 +35,8 @@ from torchmbd.multibody.system.linearized import Linearization, Vibrations
 
 _NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
 LARGEST = 300  # most rates of a system whose vibrations are compared, as the methods are dense
-_CHECKED: WeakSet[Any] = (
-    WeakSet()
-)  # bodies that were checked; not in a System, whose attributes are hashed (math/digest.py)
+# Bodies that were checked; not in a System, whose attributes are hashed (math/digest.py).
+_CHECKED: WeakSet[Any] = WeakSet()
 _REGULAR = 1e-12  # share of the largest flexibility in the joints that is added, so that redundant rows are determined
 _SHOWN = 4  # nodes in a message
 _ELASTIC = 0.2  # least share of the energy of a vibration in the modal coordinates that makes it elastic
@@ -125,7 +124,7 @@ def warn_static_truncation(system: Any) -> None:
 def _residual(system: Any, dynamics: Any, stages: dict[str, Tensor], k: int) -> _Residual | None:
     """The residual flexibility of flexible body k; None without a known stiffness, or frames beside the reference."""
     T = dynamics.topology
-    body, n = system.body(T.names[k]), T.own_modes[k]
+    body, n = system.body(T.names[k]), T.mode_counts[k]
     flexibility = body.flexibility()
     attached = [T.attached[i] for i in range(T.attached_flexible) if int(T.vector_flexible[i]) == k]
     mounts = [x.interpolation for x in attached if x.interpolation is not None]
@@ -265,8 +264,8 @@ def _texts(residual: _Residual, k: int) -> tuple[str, str, str]:
     """`body`, `where` and `advice` of StaticTruncation for mount k."""
     mesh = residual.body.mesh
     names = [_named(mesh, mount) for mount in residual.mounts]
-    kept = [f"mbd.Interface({n})" if len(m.nodes) > 1 else n for n, m in zip(names, residual.mounts, strict=True)]
-    advice = f'reduction="craig-bampton" with interface=[{", ".join(dict.fromkeys(kept))}], or more modes'
+    interfaces = [f"mbd.Interface({n})" if len(m.nodes) > 1 else n for n, m in zip(names, residual.mounts, strict=True)]
+    advice = f'reduction="craig-bampton" with interface=[{", ".join(dict.fromkeys(interfaces))}], or more modes'
     return residual.body.name, names[k], advice
 
 

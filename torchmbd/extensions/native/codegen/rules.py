@@ -12,12 +12,13 @@ from itertools import takewhile
 from torchmbd.extensions.native.codegen.scalars import Tape
 
 Conditions = tuple[tuple[int, bool], ...]  # pairs (condition, required value) of the branches that use a number
+# A cotangent of zero gives cotangents of zero, also where arguments are not finite.
 PLAIN = (
     "add",
     "sub",
     "neg",
     "where",
-)  # a cotangent of zero gives cotangents of zero, also where arguments are not finite
+)
 Rule = Callable[[Tape, int, int, tuple], tuple]
 
 

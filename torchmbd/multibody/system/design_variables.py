@@ -1,14 +1,21 @@
-"""Numbers of a system that are being differentiated, but are no design variables: refused by name.
+"""Design variables of a system: tangents of the structure stage by them, and refusals of other numbers with a gradient.
 
-Checked in tests/sensitivity/test_refused_gradients.py.
+Tangents are one linearization, evaluated along all directions at once.
+Checked in tests/multibody/system/test_system.py, tests/sensitivity/test_gradients.py,
+tests/sensitivity/test_refused_gradients.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+
+import torch
+from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import is_differentiated, refuse_lost_gradients
+from torchmbd.math.pair import Pair
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
 from torchmbd.multibody.forces.controller import VARIABLES as OF_CONTROLLERS
 from torchmbd.multibody.forces.feedback import Port
@@ -17,6 +24,36 @@ from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 
 _CONSTANTS = ("axes",)  # numbers of bodies that cannot be design variables
 _VARIABLES = ("gravity", "mass", "center", "inertia", "position", *VELOCITIES, *MODAL)  # those that can, as Parameters
+
+
+def unit_directions(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Unit directions [n_b, lanes, ...], one for each entry of the parameters [lanes, ...], the same in all lanes."""
+    sizes = {name: x[0].numel() for name, x in parameters.items()}
+    total, start = sum(sizes.values()), 0
+    directions = {}
+    for name, x in parameters.items():
+        unit = torch.zeros(total, sizes[name], dtype=x.dtype, device=x.device)
+        unit[start : start + sizes[name]] = torch.eye(sizes[name], dtype=x.dtype, device=x.device)
+        directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
+        start += sizes[name]
+    return directions
+
+
+def tangents_of(stage: Any, parameters: dict[str, Tensor]) -> dict[str, Any]:
+    """Values and tangents of the structure stage by the `parameters` [lanes, ...], as pairs.
+
+    A quantity whose tangents are zero in all lanes and directions becomes a plain tensor, which costs less in the steps.
+    """
+
+    def push(direction: dict[str, Tensor]) -> tuple:
+        return torch.func.jvp(stage, (parameters,), (direction,))
+
+    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(unit_directions(parameters))  # pyright: ignore[reportArgumentType]
+    result: dict[str, Any] = {}
+    for name, x in values.items():
+        dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
+        result[name] = Pair.of(x, dx) if bool(dx.any()) else x
+    return result
 
 
 def refuse_lost_constants(system: Any) -> None:

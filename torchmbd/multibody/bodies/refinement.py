@@ -1,13 +1,17 @@
-"""A flexible body on a mesh with twice as many cells in each direction, to see the error of its mesh.
+"""A flexible body with more vibration modes, or on a finer mesh, to see what its modes and its mesh leave out.
 
-Plates and straight beams, of the same modes, on the same flat cells and straight lines: nodes keep their numbers, so that
-frames and responses are at the same places. Clamped and rigid sets take the new nodes between theirs; mean motions stay those
-of the same nodes.
-Checked in tests/multibody/bodies/test_finer_mesh.py.
+    n' = max(n + 2, 3 n / 2)     modes, and whole clusters of equal frequencies; at most as many as the mesh has
+
+The interface of Craig-Bampton stays as it is. The span of the modes contains the one before.
+The finer mesh has twice as many cells in each direction: plates and straight beams, of the same modes, on the same flat cells
+and straight lines. Nodes keep their numbers, so that frames and responses are at the same places. Clamped and rigid sets take
+the new nodes between theirs; mean motions stay those of the same nodes.
+Checked in tests/multibody/system/test_richer.py, tests/multibody/bodies/test_finer_mesh.py.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -18,11 +22,42 @@ from torchmbd.fem.elements import BeamLine, Beams, Plates
 from torchmbd.fem.elements.beam_line import Straight, varying_nodes
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.mesh.refinement import Middles, refined
+from torchmbd.fem.reduction import with_whole_clusters
+from torchmbd.multibody.bodies.frame import set_modal_start
 from torchmbd.multibody.bodies.interfaces import Interface
 from torchmbd.multibody.bodies.interpolation import node_indices
+from torchmbd.multibody.bodies.reduced import matrices
 
+MORE, LEAST = 1.5, 2  # times the vibration modes, and at least so many more
 MOST = 5_000  # nodes of a mesh that is refined: four times as many have the factor of a minute
-_KEPT = ("velocity", "angular_velocity")  # buffers or parameters of the start that the mesh does not change
+_OF_START = ("velocity", "angular_velocity")  # buffers or parameters of the start that the mesh does not change
+
+
+def has_reduction(body: Any) -> bool:
+    """Whether the modes of a flexible body were chosen here: not given by the user, nor by another program."""
+    return hasattr(body if body.given_structure is None else body.given_structure, "reduction")
+
+
+def enrich(body: Any) -> bool:
+    """Give a flexible body that has a reduction more modes; False: it has all modes of its mesh, and nothing was changed.
+
+    Its modal start is zero afterwards. Damping ratios of the further modes are that of the last one.
+    """
+    structure = body.given_structure
+    with torch.no_grad():
+        K, M = matrices(body.assembly) if structure is None else structure.pencil()
+        before = body.reduction if structure is None else structure.reduction
+        n = min(max(before.n + LEAST, math.ceil(MORE * before.n)), K.size - len(before.interface))
+        if n <= before.n:
+            return False
+        reduction = with_whole_clusters(replace(before, n=n), K, M)
+    if structure is None:
+        body.reduction = reduction
+    else:
+        structure.keep(reduction)
+    body.modes = reduction.size
+    set_modal_start(body, None, None)
+    return True
 
 
 def obstacle(body: Any) -> str:
@@ -76,7 +111,7 @@ def refine(body: Any) -> None:
         stiffening=body.stiffening is not None,
     )
     finer.damping = body.damping
-    for name in _KEPT:
+    for name in _OF_START:
         setattr(finer, name, getattr(body, name))
     finer.velocities_given = body.velocities_given
     body.__dict__.clear()
