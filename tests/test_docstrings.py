@@ -33,11 +33,11 @@ def _members(module: ModuleType) -> list[str]:
 def _objects() -> Iterator[tuple[str, Any]]:
     """Public names, and those members of public modules that are no public names of their own."""
     public = {name: getattr(mbd, name) for name in mbd.__all__}
-    known = {id(found) for found in public.values()}
-    for name, found in public.items():
-        yield name, found
-        if isinstance(found, ModuleType):
-            members = {member: getattr(found, member) for member in _members(found)}
+    known = {id(result) for result in public.values()}
+    for name, result in public.items():
+        yield name, result
+        if isinstance(result, ModuleType):
+            members = {member: getattr(result, member) for member in _members(result)}
             yield from ((f"{name}.{member}", x) for member, x in members.items() if id(x) not in known)
 
 

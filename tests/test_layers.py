@@ -57,7 +57,7 @@ MODULES = {module(file): file for file in FILES}
 def package(name: str) -> str | None:
     """The package of HEIGHT that a module or a name in it belongs to."""
     parts = name.split(".")[1:3]
-    return next((found for k in (2, 1) if (found := ".".join(parts[:k])) in HEIGHT), None)
+    return next((result for k in (2, 1) if (result := ".".join(parts[:k])) in HEIGHT), None)
 
 
 def imports(text: str, name: str, typing: bool) -> Iterator[str]:
@@ -75,18 +75,18 @@ def imports(text: str, name: str, typing: bool) -> Iterator[str]:
         for child in ast.iter_child_nodes(node):
             yield from visit(child)
 
-    return (found for found in visit(ast.parse(text)) if found.split(".")[0] == "torchmbd")
+    return (result for result in visit(ast.parse(text)) if result.split(".")[0] == "torchmbd")
 
 
 def upward(text: str, name: str) -> list[str]:
     """Imports that no layer allows."""
     own, wrong = package(name), []
-    for found in imports(text, name, typing=False):
-        other = package(found)
+    for result in imports(text, name, typing=False):
+        other = package(result)
         if other is None:  # the whole package, or a name that it re-exports
-            wrong += [found] if own not in ("study", "cli") else []
+            wrong += [result] if own not in ("study", "cli") else []
         elif other != own and not (other in ONLY[own] if own in ONLY else HEIGHT[other] < HEIGHT[own or ""]):
-            wrong.append(found)
+            wrong.append(result)
     return wrong
 
 
@@ -95,7 +95,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     path: list[str] = []
-    found = []
+    result = []
 
     def connect(v: str) -> None:
         index[v] = low[v] = len(index)
@@ -109,13 +109,13 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
         if low[v] == index[v]:
             start = path.index(v)
             if len(path) - start > 1:
-                found.append(sorted(path[start:]))
+                result.append(sorted(path[start:]))
             del path[start:]
 
     for v in graph:
         if v not in index:
             connect(v)
-    return found
+    return result
 
 
 def test_every_module_has_its_layer():
@@ -147,8 +147,8 @@ def extension_names(text: str) -> list[str]:
 def test_the_core_imports_no_extension():
     """torchmbd/__init__.py has the names for type checkers, registry.py finds them."""
     core = [PACKAGE / "__init__.py", *(file for file in FILES if PACKAGE / "extensions" not in file.parents)]
-    found = {module(file): names for file in core if (names := extension_names(file.read_text()))}
-    assert found == {"torchmbd": ["torchmbd.extensions.*"], "torchmbd.registry": ["torchmbd.extensions"]}
+    result = {module(file): names for file in core if (names := extension_names(file.read_text()))}
+    assert result == {"torchmbd": ["torchmbd.extensions.*"], "torchmbd.registry": ["torchmbd.extensions"]}
 
 
 def test_an_import_of_an_extension_is_seen():
@@ -164,8 +164,8 @@ def test_an_upward_import_and_a_circle_are_seen():
         "from typing import TYPE_CHECKING\nfrom ..system import System\nimport torchmbd.design.space\n"
         "if TYPE_CHECKING:\n    from torchmbd.viz import animate\ndef f():\n    from .. import joints\n"
     )
-    found = upward(text, "torchmbd.multibody.bodies.frame")
-    assert found == ["torchmbd.multibody.system.System", "torchmbd.design.space", "torchmbd.multibody.joints"]
+    result = upward(text, "torchmbd.multibody.bodies.frame")
+    assert result == ["torchmbd.multibody.system.System", "torchmbd.design.space", "torchmbd.multibody.joints"]
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
 
 

@@ -35,9 +35,9 @@ def test_starts_are_counted(capsys):
     assert study.best is not None
     assert len(study.plot().axes[0].lines) == 3
     assert len(study.best.plot("bowl").axes[0].lines) == 1
-    for found in (study, study.best):
-        assert len(repr(found).splitlines()) < 10
-        assert "converged" in found._repr_html_()
+    for result in (study, study.best):
+        assert len(repr(result).splitlines()) < 10
+        assert "converged" in result._repr_html_()
 
 
 @pytest.mark.thorough

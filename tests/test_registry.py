@@ -26,7 +26,7 @@ FOLDER = Path(mbd.__file__ or "").parent / "extensions"
 def tables(monkeypatch):
     """Function that puts other tables, or None for no folder, in the place of those of torchmbd/extensions."""
     registry._tables()
-    return lambda found: monkeypatch.setattr(registry, "_tables", lambda: found)
+    return lambda result: monkeypatch.setattr(registry, "_tables", lambda: result)
 
 
 @pytest.mark.extensions  # the folder is there, an extension is not
@@ -106,23 +106,23 @@ def test_what_is_only_asked_for_is_not_imported(tables):
 
 
 def test_a_registry_is_a_mapping():
-    found = registry.Registry("responses", {"energy": mbd.StrainEnergy})
-    found["place"] = mbd.Position
-    assert dict(found) == {
+    result = registry.Registry("responses", {"energy": mbd.StrainEnergy})
+    result["place"] = mbd.Position
+    assert dict(result) == {
         "energy": mbd.StrainEnergy,
         "place": mbd.Position,
         **dict(registry.Registry("responses", {})),
     }
-    del found["place"]
-    assert "place" not in found
+    del result["place"]
+    assert "place" not in result
     with pytest.raises(KeyError):
-        found["place"]
+        result["place"]
 
 
 @pytest.mark.extensions
 def test_every_entry_leads_to_a_class():
-    for found in (RESPONSES, COMBINATORS, OF_DESIGN, BACKENDS):
-        assert all(isinstance(kind, type) for kind in found.values())
+    for result in (RESPONSES, COMBINATORS, OF_DESIGN, BACKENDS):
+        assert all(isinstance(kind, type) for kind in result.values())
     assert all(callable(products) for products in PRODUCTS.values())
     assert all(isinstance(kind, Kind) for kind in KINDS.values())
 
@@ -135,6 +135,8 @@ def test_the_tables_name_every_extension_and_type_checkers_know_the_names():
     assert present == {name.partition(".")[0] for name in extensions.NAMES}
     modules = {name: importlib.import_module(f"{registry.EXTENSIONS}.{name}") for name in extensions.NAMES}
     listed = {name: [x.rpartition(".")[2] for x in names.split()] for name, names in extensions.NAMES.items()}
-    assert {name: sorted(found.__all__) for name, found in modules.items()} == {k: sorted(x) for k, x in listed.items()}
+    assert {name: sorted(result.__all__) for name, result in modules.items()} == {
+        k: sorted(x) for k, x in listed.items()
+    }
     starred = re.findall(rf"from {registry.EXTENSIONS}\.(\w+) import \*", (FOLDER / "__init__.py").read_text())
     assert starred == sorted(name for name in extensions.NAMES if "." not in name)

@@ -18,10 +18,10 @@ def motion():
 def test_no_description_is_longer_than_a_screen(motion):
     name = motion.dynamics.topology.names[0]
     joint = motion.system.joints[0].name
-    for found in (motion, motion.body(name), motion.energies, motion.reaction(joint), motion.system):
-        assert 20 < len(repr(found)) < 1500
-        assert len(repr(found).splitlines()) < 20
-        assert found._repr_html_().startswith(("<b>", "<svg"))
+    for result in (motion, motion.body(name), motion.energies, motion.reaction(joint), motion.system):
+        assert 20 < len(repr(result)) < 1500
+        assert len(repr(result).splitlines()) < 20
+        assert result._repr_html_().startswith(("<b>", "<svg"))
     assert "0 to 0.02 s, 101 times" in repr(motion)
 
 

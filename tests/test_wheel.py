@@ -19,10 +19,10 @@ ROOT = Path(__file__).parents[1]
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     """The unpacked wheel."""
-    made = tmp_path_factory.mktemp("wheel")
-    shutil.copytree(ROOT / "torchmbd", made / "source" / "torchmbd", ignore=shutil.ignore_patterns("__pycache__"))
+    result = tmp_path_factory.mktemp("wheel")
+    shutil.copytree(ROOT / "torchmbd", result / "source" / "torchmbd", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md"):
-        shutil.copy(ROOT / name, made / "source")
+        shutil.copy(ROOT / name, result / "source")
     command = [
         sys.executable,
         "-m",
@@ -31,15 +31,15 @@ def wheel(tmp_path_factory):
         "--quiet",
         "--no-deps",
         "--wheel-dir",
-        str(made),
-        str(made / "source"),
+        str(result),
+        str(result / "source"),
     ]
     subprocess.run(command, check=True)
-    (file,) = made.glob("*.whl")
+    (file,) = result.glob("*.whl")
     assert file.name.startswith(f"torchmbd-{torchmbd.__version__}-py3-none-any")
     with zipfile.ZipFile(file) as wheel:
-        wheel.extractall(made / "site")
-    return made / "site"
+        wheel.extractall(result / "site")
+    return result / "site"
 
 
 @pytest.mark.slow
@@ -64,9 +64,9 @@ def test_a_study_is_begun_and_run_without_the_repository(wheel, tmp_path):
         return done.stdout
 
     where = "import torchmbd; print(torchmbd.__file__)"
-    found = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-P", "-c", where], cwd=tmp_path, env=environment, capture_output=True, text=True
     )
-    assert found.stdout.startswith(str(wheel))
+    assert result.stdout.startswith(str(wheel))
     torchmbd_("new", "study.yaml")
     torchmbd_("check", "study.yaml")

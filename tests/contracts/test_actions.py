@@ -67,12 +67,12 @@ def test_pairs_carry_the_tangents(kind):
         s, rate, direction = A.state(vectors, velocities)
         return [A.strength(s, rate, t, {}) * d for d in direction]
 
-    found = forces([Pair(x) for x in full], [Pair(x) for x in rates])
+    result = forces([Pair(x) for x in full], [Pair(x) for x in rates])
     for k in range(TANGENTS):
         values = tuple([x[..., :1, :] for x in group] for group in (full, rates))
         moving = tuple([x[..., k + 1 : k + 2, :] for x in group] for group in (full, rates))
         expected, slope = torch.func.jvp(forces, values, moving)
-        for f, value, tangent in zip(found, expected, slope, strict=True):
+        for f, value, tangent in zip(result, expected, slope, strict=True):
             carried = isinstance(f, Pair)
             number = f.value if carried else f
             assert_close(number, value.expand_as(number), rtol=1e-12, atol=1e-12)
@@ -146,8 +146,8 @@ def applied(system: mbd.System, q: Tensor, v: Tensor, t: float = 0.3) -> tuple[T
     g = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
     states = equations.action_states(T, data, at, v)
     strengths = equations.strengths(T, data, states, at.t)
-    found = [(s, r, f) for f, (s, r, _) in zip(strengths, states, strict=True)]
-    return torch.cat([x.flatten(0, 1) for x in g])[:, 0, 0], found
+    result = [(s, r, f) for f, (s, r, _) in zip(strengths, states, strict=True)]
+    return torch.cat([x.flatten(0, 1) for x in g])[:, 0, 0], result
 
 
 @along
@@ -247,12 +247,12 @@ def test_slopes_of_laws(law):
     make = torch.Generator().manual_seed(2)
     s, rate = (2.0 * torch.rand(2, 40, generator=make, dtype=torch.float64) - 1.0)[..., None, None]
     t, h = tensor(0.0)[0], 1e-7
-    found = law.slopes(s, rate, t)
-    for slope, own in zip(found, partial_derivatives(law, s, rate, t)[:2], strict=True):
+    result = law.slopes(s, rate, t)
+    for slope, own in zip(result, partial_derivatives(law, s, rate, t)[:2], strict=True):
         assert_close(slope, own, rtol=1e-12, atol=1e-12)
     differences = (
         (law(s + h, rate, t) - law(s - h, rate, t)) / (2 * h),
         (law(s, rate + h, t) - law(s, rate - h, t)) / (2 * h),
     )
-    for slope, difference in zip(found, differences, strict=True):
+    for slope, difference in zip(result, differences, strict=True):
         assert_close(slope, difference, rtol=1e-5, atol=1e-6)

@@ -18,13 +18,13 @@ KINDS = {case.kind: case for case in joints.CASES}
 def compared(system: mbd.System, duration: float) -> None:
     names = [name for name, _ in system.named_parameters()]
     options = {"steps": 3, "variables": names, "iterations": (5, 5)}
-    wanted, found = (
+    expected, result = (
         differentiate(looked_at, finished(mbd.simulate(system, duration, gradients=way, **options))).gradient
         for way in ("forward", "reverse")
     )
-    size = float(wanted.abs().max())
+    size = float(expected.abs().max())
     assert size > 0.0
-    assert_close(found, wanted, rtol=0, atol=1e-9 * size)
+    assert_close(result, expected, rtol=0, atol=1e-9 * size)
 
 
 def looked_at(motion: mbd.Trajectory) -> Tensor:

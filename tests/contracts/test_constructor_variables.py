@@ -134,9 +134,11 @@ def holds(x: Any, wanted: nn.Parameter, seen: set[int]) -> bool:
 def test_a_variable_is_taken_or_refused_by_name(name):
     make, numbers, others = CASES[name]
     for argument, number in numbers.items():
-        x, said, made = mbd.variable(number), None, None
+        x, said, result = mbd.variable(number), None, None
         try:
-            made = make(**{**others, argument: x})
+            result = make(**{**others, argument: x})
         except mbd.InputError as error:
             said = str(error)
-        assert argument in said if said is not None else holds(made, x, set()), f"{name}, {argument}: {said or 'lost'}"
+        assert argument in said if said is not None else holds(result, x, set()), (
+            f"{name}, {argument}: {said or 'lost'}"
+        )

@@ -28,11 +28,11 @@ class Precision(TorchDispatchMode):
         self.lines: set[str] = set()
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        found = func(*args, **(kwargs or {}))
-        for x in found if isinstance(found, (tuple, list)) else (found,):
+        result = func(*args, **(kwargs or {}))
+        for x in result if isinstance(result, (tuple, list)) else (result,):
             if isinstance(x, Tensor) and x.is_floating_point() and x.dtype != torch.float64:
                 self.lines.add(f"{_line()} {func}")
-        return found
+        return result
 
 
 def _line() -> str:
@@ -54,10 +54,10 @@ def default(dtype: torch.dtype) -> Iterator[None]:
 
 def motion(system: mbd.System, name: str, gradients: str = "auto") -> list[Tensor]:
     """Values and gradients of a motion."""
-    found = mbd.simulate(system, 0.02, steps=4, backend="eager", gradients=gradients)
-    value = found.q.square().sum() + mbd.Max(mbd.StrainEnergy(name))(found).sum()
+    result = mbd.simulate(system, 0.02, steps=4, backend="eager", gradients=gradients)
+    value = result.q.square().sum() + mbd.Max(mbd.StrainEnergy(name))(result).sum()
     by = torch.autograd.grad(value, [x for x in system.parameters() if x.requires_grad], allow_unused=True)
-    return [found.q, found.lam, *(x for x in by if x is not None)]
+    return [result.q, result.lam, *(x for x in by if x is not None)]
 
 
 def sections(folder: Path) -> list[Tensor]:
@@ -86,9 +86,9 @@ def stiffened(folder: Path) -> list[Tensor]:
 
 def pairs(folder: Path) -> list[Tensor]:
     K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)
-    found = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 2)
+    result = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 2)
     rigid = mbd.RigidBody("box", 1.3, (0.1, 0.2, 0.3), position=(0.1, 0.2, 0.7))
-    return [*found, rigid.position, rigid.invariants()["P0"], laminate().entries()]
+    return [*result, rigid.position, rigid.invariants()["P0"], laminate().entries()]
 
 
 def bent(folder: Path) -> list[Tensor]:
@@ -119,10 +119,10 @@ def test_results_are_those_of_float64(case, dtype, tmp_path):
 def check(case: Callable[[Path], list[Tensor]], dtype: torch.dtype, folder: Path) -> None:
     """A case has the results of float64 by another default, and no line makes another tensor."""
     with default(torch.float64):
-        wanted = case(folder)
+        expected = case(folder)
     with default(dtype), Precision() as precision:
-        found = case(folder)
+        result = case(folder)
     assert not precision.lines
-    for x, y in zip(found, wanted, strict=True):
+    for x, y in zip(result, expected, strict=True):
         assert x.dtype == torch.float64
         assert_close(x.detach(), y.detach(), rtol=1e-12, atol=1e-12 * float(y.detach().norm()))

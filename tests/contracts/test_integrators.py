@@ -175,11 +175,11 @@ def test_tangents_are_those_of_the_steps(method, system):
     around = [b + k * h * e for k in (2, 1, -1, -2)]  # one by one: none sees another's steps
     neighbors = [mbd.simulate(system, 0.01, other, steps, {ANGLES: x}, gradients="none", **options) for x in around]
     limit = 1e-7 if method in DISCRETE else 5e-3
-    for name, found in (("q", motion.dq_db), ("v", motion.dv_db)):  # rounding hides differences of accelerations
+    for name, result in (("q", motion.dq_db), ("v", motion.dv_db)):  # rounding hides differences of accelerations
         y = [getattr(neighbor, name)[0] for neighbor in neighbors]
-        wanted = (8.0 * (y[1] - y[2]) - (y[0] - y[3])) / (12.0 * h)
-        assert float(wanted.abs().max()) > 1e-3
-        assert float((found[0] @ e[0] - wanted).abs().max()) < limit * float(wanted.abs().max()), name
+        expected = (8.0 * (y[1] - y[2]) - (y[0] - y[3])) / (12.0 * h)
+        assert float(expected.abs().max()) > 1e-3
+        assert float((result[0] @ e[0] - expected).abs().max()) < limit * float(expected.abs().max()), name
 
 
 @pytest.mark.thorough("generalized_alpha")

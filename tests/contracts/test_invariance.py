@@ -96,8 +96,8 @@ def test_units_of_variables_change_no_optimum(method, units):
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_the_unit_of_a_constraint_changes_no_optimum(method, unit):
     """The violation that counts as none is in the unit of the constraint."""
-    found = solve(Changed(valley(), -1.0, limit=unit), method, max_iterations=300, feasibility=1e-6 * unit)
-    check(found, VALLEY)
+    result = solve(Changed(valley(), -1.0, limit=unit), method, max_iterations=300, feasibility=1e-6 * unit)
+    check(result, VALLEY)
 
 
 @pytest.mark.parametrize("method", ALL)
@@ -107,9 +107,9 @@ def test_a_start_without_gradient_does_not_set_the_unit(method, constant):
     symmetric = Analytic(
         "symmetric", [90.0], lambda x: constant - 1e-4 * np.cos(x[0] * np.pi / 90), lower=-90, upper=90
     )
-    found = solve(symmetric, method, max_iterations=300)
-    assert found.status == "converged"
-    assert found.x[0] == pytest.approx(0.0, abs=0.1)
+    result = solve(symmetric, method, max_iterations=300)
+    assert result.status == "converged"
+    assert result.x[0] == pytest.approx(0.0, abs=0.1)
 
 
 def tilted(constant: float, unit: float = 1.0) -> Changed:

@@ -108,10 +108,10 @@ def body(kind: str, name: str) -> tuple[Any, mbd.Frame]:
         ground = mbd.Ground()
         return ground, ground.at(0.2, -0.1, 0.3, axes=turned(0.3, 1.0, -0.5) if own else None)
     if kind == "rigid":
-        made = box(name)
-        return made, made.at(0.1, -0.05, 0.2, axes=turned(-0.8, 0.4, 0.6) if own else None)
-    made = plate(name)
-    return made, made.at("left" if own else "corner_right_top", axes=turned(0.5, 0.7, -0.2) if own else None)
+        result = box(name)
+        return result, result.at(0.1, -0.05, 0.2, axes=turned(-0.8, 0.4, 0.6) if own else None)
+    result = plate(name)
+    return result, result.at("left" if own else "corner_right_top", axes=turned(0.5, 0.7, -0.2) if own else None)
 
 
 @functools.cache

@@ -40,10 +40,10 @@ def again(request):
 
 def test_systems_and_motions(system, again):
     motion = mbd.simulate(system, 0.01, steps=5, gradients="forward")
-    for found in (again(motion), mbd.simulate(again(system), 0.01, steps=5, gradients="forward")):
-        assert torch.equal(found.q, motion.q)
-        assert torch.equal(found.dq_db, motion.dq_db)
-        assert torch.equal(ENERGY(found).detach(), ENERGY(motion).detach())
+    for result in (again(motion), mbd.simulate(again(system), 0.01, steps=5, gradients="forward")):
+        assert torch.equal(result.q, motion.q)
+        assert torch.equal(result.dq_db, motion.dq_db)
+        assert torch.equal(ENERGY(result).detach(), ENERGY(motion).detach())
 
 
 @pytest.mark.parametrize("backend", ["eager", "native"])
@@ -54,9 +54,9 @@ def test_motions_after_a_gradient(system, again, backend, request):
     motion = mbd.simulate(system, 0.01, steps=5, backend=backend)
     ENERGY(motion).sum().backward()
     system.zero_grad()
-    found = again(motion)
-    assert torch.equal(found.q, motion.q.detach())
-    assert torch.equal(ENERGY(found), ENERGY(motion).detach())
+    result = again(motion)
+    assert torch.equal(result.q, motion.q.detach())
+    assert torch.equal(ENERGY(result), ENERGY(motion).detach())
 
 
 def test_a_copied_system_has_numbers_of_its_own(system, again):
@@ -95,6 +95,6 @@ def test_results_and_starts(system, again):
     for starts in (mbd.sobol(2, seed=3), mbd.latin_hypercube(2, seed=3)):
         assert np.array_equal(again(starts).points(problem), starts.points(problem))
     study = mbd.multistart(problem, "slsqp", mbd.sobol(2, seed=3), max_iterations=1)
-    found = again(study)
-    assert [r.value for r in found.results] == [r.value for r in study.results]
-    assert torch.equal(found.results[0].motion.q, study.results[0].motion.q)
+    result = again(study)
+    assert [r.value for r in result.results] == [r.value for r in study.results]
+    assert torch.equal(result.results[0].motion.q, study.results[0].motion.q)

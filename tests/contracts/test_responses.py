@@ -156,8 +156,8 @@ def strong_pendulum() -> mbd.System:
     """The pendulum with a strength given to its plies."""
     strength = Strength(Xt=1.5e6, Xc=1.2e6, Yt=4e4, Yc=2.5e5, S12=7e4, S13=6e4, S23=5e4)
     system = pendulum()
-    made = system.body("rod").laminate
-    made._plies = LayerNumbers(made, "ply", (mbd.Ply(**SOFT, strength=strength),) * 2)
+    result = system.body("rod").laminate
+    result._plies = LayerNumbers(result, "ply", (mbd.Ply(**SOFT, strength=strength),) * 2)
     return system
 
 
@@ -254,11 +254,11 @@ def test_gradient_of_a_measure_against_differences(response, motions):
 def test_the_adjoint_gives_the_same_gradient(response, motions):
     """By the adjoint: of every response, whatever it looks at."""
     measure = AtTime(response, 0.0123) if isinstance(response, History) else response
-    wanted, found = (measure.of(x) for x in (motions[0], motions[0].stats["reverse"]))
-    assert_close(found.value, wanted.value, rtol=1e-9, atol=1e-9 * float(wanted.value.abs().max()))
-    assert found.gradient is not None
-    assert wanted.gradient is not None
-    assert_close(found.gradient, wanted.gradient, rtol=0, atol=1e-8 * float(wanted.gradient.abs().max()))
+    expected, result = (measure.of(x) for x in (motions[0], motions[0].stats["reverse"]))
+    assert_close(result.value, expected.value, rtol=1e-9, atol=1e-9 * float(expected.value.abs().max()))
+    assert result.gradient is not None
+    assert expected.gradient is not None
+    assert_close(result.gradient, expected.gradient, rtol=0, atol=1e-8 * float(expected.gradient.abs().max()))
 
 
 @pytest.mark.parametrize("response", [*cases(HISTORIES), *(c for c in cases(MEASURES) if "mass1" not in str(c.id))])
@@ -290,13 +290,13 @@ def test_gradients_do_not_depend_on_the_mode_of_torch_around(around, measure):
     def run() -> mbd.Trajectory:
         return mbd.simulate(system, 0.01, steps=10, gradients="forward")
 
-    wanted = measure.value_and_gradient(run())[1]
+    expected = measure.value_and_gradient(run())[1]
     with around():
         inside = run()
         first = measure.value_and_gradient(inside)[1]
     outside = measure.value_and_gradient(inside)[1]
-    for found in (first, outside):
-        assert_close(found, wanted, rtol=1e-12, atol=0.0)
+    for result in (first, outside):
+        assert_close(result, expected, rtol=1e-12, atol=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -317,9 +317,9 @@ def failed(native) -> Trajectory:
 @pytest.mark.parametrize("response", [*cases(HISTORIES), *cases(MEASURES), *OTHERS])
 def test_a_lane_that_failed_has_no_number(response, failed):
     """Of its motion; the mass, the frequencies and what loads buckle belong to the design."""
-    wanted = {"Mass", "Frequency", "Frequencies"} | (
+    expected = {"Mass", "Frequency", "Frequencies"} | (
         {"BucklingFactor"} if getattr(response, "loads", None) is not None else set()
     )
     made = response if isinstance(response, Measure) else mbd.Final(response)
-    for found in (response(failed), *made.of(failed)):
-        assert found.reshape(2, -1)[:, -1].isnan().tolist() == [False, type(response).__name__ not in wanted]
+    for result in (response(failed), *made.of(failed)):
+        assert result.reshape(2, -1)[:, -1].isnan().tolist() == [False, type(response).__name__ not in expected]

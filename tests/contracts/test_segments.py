@@ -31,13 +31,13 @@ def numbers(phases: Any, method: str, gradients: str, **options: Any) -> tuple[l
         motion = mbd.simulate(
             pendulum(damping=1e-4), 0.02, method, designs={NAME: angles}, phases=phases, gradients=gradients, **options
         )
-        found = [motion.q, motion.v, motion.a, motion.lam]
+        result = [motion.q, motion.v, motion.a, motion.lam]
         if gradients == "reverse":
-            found += torch.autograd.grad(mbd.Max(mbd.StrainEnergy("rod"))(motion).sum() + motion.q.sum(), [angles])
+            result += torch.autograd.grad(mbd.Max(mbd.StrainEnergy("rod"))(motion).sum() + motion.q.sum(), [angles])
         if gradients == "forward":
-            found += [x for x in (motion.dq_db, motion.dlam_db) if x is not None]
+            result += [x for x in (motion.dq_db, motion.dlam_db) if x is not None]
     stats = repr({k: v.tolist() if isinstance(v, torch.Tensor) else v for k, v in motion.stats.items()})
-    return found, motion.status, stats, [str(w.message) for w in seen]
+    return result, motion.status, stats, [str(w.message) for w in seen]
 
 
 def identical(method: str, gradients: str, **options: Any) -> None:
@@ -104,14 +104,14 @@ def test_a_body_that_a_drive_moves_has_its_exact_motion_in_every_segment(phases)
 def test_a_switch_that_changes_nothing(options, gradients):
     """Status, statistics and numbers of the motion without it, to what two further steps leave."""
     system = slider_crank.build(3, cells=(6, 2), modes=4)
-    name, found = "rod.laminate.angles", []
+    name, result = "rod.laminate.angles", []
     for phases in (None, [mbd.Phase(until=0.0107), mbd.Phase()]):
         angles = mbd.deg([[20.0, -30.0, 40.0], [0.0, 5.0, -5.0]]).requires_grad_(gradients == "reverse")
         motion = mbd.simulate(system, 0.024, designs={name: angles}, phases=phases, gradients=gradients, **options)
         energy = mbd.Integral(mbd.StrainEnergy("rod"))(motion)
         slopes = torch.autograd.grad(energy.sum(), angles) if gradients == "reverse" else ()
-        found.append((motion, [energy.detach(), *slopes]))
-    (plain, values), (switched, others) = found
+        result.append((motion, [energy.detach(), *slopes]))
+    (plain, values), (switched, others) = result
     assert switched.status == plain.status == ["ok", "ok"]
     assert set(switched.stats) == set(plain.stats)
     assert switched.stats["steps"] == plain.stats["steps"]

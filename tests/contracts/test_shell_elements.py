@@ -159,16 +159,16 @@ def test_stiffness_is_the_energy_of_its_strains(mesh):
     A, B = s.A.detach(), s.B.detach()
     C = torch.block_diag(torch.cat([torch.cat([s.A, s.B], 1), torch.cat([s.B, s.D], 1)], 0), s.As).detach()
     kind = kind_of(mesh)
-    made = ELEMENTS[kind](facets(mesh, direction(mesh), kind=kind), IsotropicMean.of(GENERAL))
-    K = sum(float(w) * E.mT @ C @ E for w, E in zip(made.weight[0], made.at[0], strict=True))
-    if made.forces is not None:
-        S, sigma, bent = torch.linalg.inv(A), made.forces.states[0], made.forces.curvature[0]
-        G = CellForces(made.forces).law(A, 0 * B)[0, :4, :4]
+    result = ELEMENTS[kind](facets(mesh, direction(mesh), kind=kind), IsotropicMean.of(GENERAL))
+    K = sum(float(w) * E.mT @ C @ E for w, E in zip(result.weight[0], result.at[0], strict=True))
+    if result.forces is not None:
+        S, sigma, bent = torch.linalg.inv(A), result.forces.states[0], result.forces.curvature[0]
+        G = CellForces(result.forces).law(A, 0 * B)[0, :4, :4]
         V = torch.linalg.solve(torch.linalg.cholesky((sigma.mT @ S @ sigma).sum(0)).mT, torch.linalg.cholesky(G).mT)
-        w = made.forces.work[0] + (sigma.mT @ S @ B @ bent).sum(0)
+        w = result.forces.work[0] + (sigma.mT @ S @ B @ bent).sum(0)
         eps = S @ (sigma @ V @ w - B @ bent)
         more = eps.mT @ A @ eps + eps.mT @ B @ bent + bent.mT @ B @ eps  # D of bent is in K
-        K = K + float(made.forces.area) * more.sum(0)
+        K = K + float(result.forces.area) * more.sum(0)
     close(dense(mesh, direction(mesh)), K)
 
 

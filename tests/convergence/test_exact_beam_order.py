@@ -63,10 +63,10 @@ def place(beam: str, elements: int, steps: int) -> torch.Tensor:
 @pytest.mark.usefixtures("compiled")
 def test_second_order_in_motion(beam):
     """Errors of the finest: less than 0.5 % of the rod with 32 elements, 1e-4 of it with 400 steps."""
-    for found, level in (
+    for result, level in (
         ([place(beam, n, 200) for n in (8, 16, 32)], 5e-3),
         ([place(beam, 4, steps) for steps in (100, 200, 400)], 1e-3),
     ):
-        one, two = (float((b - a).norm()) for a, b in pairwise(found))
+        one, two = (float((b - a).norm()) for a, b in pairwise(result))
         assert math.log2(one / two) == pytest.approx(2.0, abs=0.2)
         assert two / 3.0 < level

@@ -63,8 +63,8 @@ def test_frequencies_have_rate_two(stack, slenderness, kind):
     laminate = STACKS[stack](1 / slenderness)
     exact = Navier(laminate)
     f = exact.frequencies(1)[0]
-    found = [plate_frequencies(laminate, (n, n), exact.support, 1, kind=kind)[0] / f - 1 for n in (16, 32)]
-    fall(found, LEVELS[kind][1])
+    result = [plate_frequencies(laminate, (n, n), exact.support, 1, kind=kind)[0] / f - 1 for n in (16, 32)]
+    fall(result, LEVELS[kind][1])
 
 
 @pytest.mark.parametrize("kind", LEVELS)
@@ -74,5 +74,5 @@ def test_no_locking_at_any_thickness(stack, slenderness, kind):
     """16 cells a side: half a percent in deflection from a/h = 4 to 1000; quadrilaterals 0.4."""
     laminate = STACKS[stack](1 / slenderness)
     exact = Navier(laminate)
-    found = sine_deflection(laminate, 16, exact.support, kind)
-    assert found == pytest.approx(exact.sine_deflection(), rel=LEVELS[kind][0][0])
+    result = sine_deflection(laminate, 16, exact.support, kind)
+    assert result == pytest.approx(exact.sine_deflection(), rel=LEVELS[kind][0][0])

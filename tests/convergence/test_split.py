@@ -30,13 +30,13 @@ def tip(n: int, force: tuple[float, ...], moment: tuple[float, ...]) -> Tensor:
     clamp = mbd.Fixed(GROUND.at(), chain.at("start"))
     system = mbd.System(chain.bodies, [clamp, *chain.joints], forces=loads, truncation=None)
     with torch.no_grad():
-        found = mbd.equilibrium(system)
+        result = mbd.equilibrium(system)
         if n == 2 and moment[2] > 1.0:
             with pytest.raises(
                 mbd.InputError, match="no vibrations: bodies bend until their modes have a negative mass"
             ):
-                _ = found.vibrations
-        return found.body(chain.bodies[-1].name).at("end").position[0, 0]
+                _ = result.vibrations
+        return result.body(chain.bodies[-1].name).at("end").position[0, 0]
 
 
 @pytest.mark.thorough

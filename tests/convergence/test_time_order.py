@@ -58,11 +58,11 @@ def errors(method: str, steps: int, **options: float) -> dict[str, float]:
         speed = PRECESSION * torch.linalg.cross(tensor(0, 0, 1.0), place)
         pull = MASS * (PRECESSION * torch.linalg.cross(tensor(0, 0, 1.0), speed) + tensor(0, 0, GRAVITY))
         # Phi = 0 - (r + A x): the multipliers are the force that the ground exerts on the top.
-        found = {"A": motion.body("top").A[0, i], "v": motion.v[0, i, :3], "lam": motion.lam[0, i]}
+        result = {"A": motion.body("top").A[0, i], "v": motion.v[0, i, :3], "lam": motion.lam[0, i]}
         exact = {"A": axes @ rotation(t), "v": axes @ speed, "lam": axes @ pull}
         for name in worst:
             if name != "lam" or 2 * i >= steps:
-                worst[name] = max(worst[name], float((found[name] - exact[name]).abs().max()))
+                worst[name] = max(worst[name], float((result[name] - exact[name]).abs().max()))
     return worst
 
 

@@ -33,10 +33,10 @@ def test_both_kinds_lie_within_their_bounds(motion, sharpness):
 def test_several_measures_and_what_they_are_by_hand(motion):
     both = [mbd.Max(LAG), mbd.Final(LAG)]
     a, b = (float(m(motion)) for m in both)
-    found = mbd.Aggregate(both, "ks", 4.0, 2e-3)(motion)
-    assert float(found) == pytest.approx(5e-4 * math.log(math.exp(a / 5e-4) + math.exp(b / 5e-4)), rel=1e-12)
-    found = mbd.Aggregate(both, "p_norm", 3.0)(motion)
-    assert float(found) == pytest.approx((max(a, 0.0) ** 3 + max(b, 0.0) ** 3) ** (1.0 / 3.0), rel=1e-12)
+    result = mbd.Aggregate(both, "ks", 4.0, 2e-3)(motion)
+    assert float(result) == pytest.approx(5e-4 * math.log(math.exp(a / 5e-4) + math.exp(b / 5e-4)), rel=1e-12)
+    result = mbd.Aggregate(both, "p_norm", 3.0)(motion)
+    assert float(result) == pytest.approx((max(a, 0.0) ** 3 + max(b, 0.0) ** 3) ** (1.0 / 3.0), rel=1e-12)
 
 
 def problem(kind: str, sharpness: float, **options) -> mbd.Problem:
@@ -78,9 +78,9 @@ def test_scenarios_are_aggregated_by_their_largest():
     given = mbd.Scenarios(
         mbd.examples.arm(), 0.05, worst, scenarios=made, objective="mean", bounds=mbd.deg([-90, 90]), steps=20
     )
-    (found,) = mbd.sharpen(given, tolerance=0.9, max_iterations=0)
-    motions = given.motions(found.result.x)
-    np.testing.assert_allclose(found.largest, [float(worst.largest(motions).max())], rtol=1e-12)
+    (result,) = mbd.sharpen(given, tolerance=0.9, max_iterations=0)
+    motions = given.motions(result.result.x)
+    np.testing.assert_allclose(result.largest, [float(worst.largest(motions).max())], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

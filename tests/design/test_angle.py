@@ -32,15 +32,15 @@ def test_angle_of_a_hinge_grows_with_time():
     motion = swing(rate, axes)
     expected = rate * motion.t
     normal = tuple(axes[:, 1].tolist())
-    found = Angle("door", normal).values(motion)[0]
-    assert_close(found - found[0], expected, rtol=0, atol=1e-6)
+    result = Angle("door", normal).values(motion)[0]
+    assert_close(result - result[0], expected, rtol=0, atol=1e-6)
     further = Angle("door", normal, center=7.0 * math.pi).values(motion)[0]
     assert abs(float(further[0]) - 7.0 * math.pi) <= math.pi
-    turns = (further - found) / (2.0 * math.pi)
+    turns = (further - result) / (2.0 * math.pi)
     assert_close(turns, turns[0].round().expand_as(turns), rtol=0, atol=1e-9)
     wrapped = Angle("door", normal, wrapped=True).values(motion)[0]
     assert float(wrapped.max()) <= math.pi
-    turns = (found - wrapped) / (2.0 * math.pi)
+    turns = (result - wrapped) / (2.0 * math.pi)
     assert_close(turns, turns.round(), rtol=0, atol=1e-9)
 
 
@@ -98,8 +98,8 @@ def test_turns_of_a_body_seen_from_one_that_turns_and_tilts():
     round_one = {"axes": axes, "center": (0.0, 0.0, 0.0), "inertia": (0.1, 0.1, 0.1)}
     bodies = [box(name, angular_velocity=(0.0, rate, 0.0), **round_one) for name, rate in (("a", 3.0), ("b", -4.0))]
     motion = mbd.simulate(mbd.System(bodies, [], free=["a", "b"]), 2.0, steps=20, gradients="none")
-    found = Angle("b", "y", seen_from="a")(motion)[0]
-    assert_close(found, -7.0 * motion.t, rtol=0, atol=1e-6)
+    result = Angle("b", "y", seen_from="a")(motion)[0]
+    assert_close(result, -7.0 * motion.t, rtol=0, atol=1e-6)
 
 
 @pytest.mark.thorough
@@ -115,9 +115,9 @@ def test_an_event_sees_the_continuous_angle(first):
     never = time(angle + 0.5, "falling")
     assert "its event does not occur" in never.status[0]
     for function, at in ((angle - 7.0, 7.0), (angle**2 - 100.0, 10.0)):
-        found = time(function, "rising").require_ok()
-        assert float(found.switches[-1].t) == pytest.approx(at / 6.0, abs=1e-9)
-        assert float(mbd.Max(angle)(found)) == pytest.approx(at, abs=1e-8)
+        result = time(function, "rising").require_ok()
+        assert float(result.switches[-1].t) == pytest.approx(at / 6.0, abs=1e-9)
+        assert float(mbd.Max(angle)(result)) == pytest.approx(at, abs=1e-8)
 
 
 @pytest.mark.thorough

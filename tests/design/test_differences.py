@@ -55,9 +55,9 @@ def test_errors_are_those_of_the_taylor_series():
 @pytest.mark.parametrize(("scheme", "step", "tolerance"), [("central", 1e-3, 1e-5), ("forward", 1e-6, 1e-4)])
 def test_the_same_object_as_the_exact_route(problem, scheme, step, tolerance):
     exact = problem.evaluate(AT, gradients=True)
-    found = Differences(problem, step, scheme).evaluate(AT, gradients=True)
-    assert [type(e) for e in found] == [Evaluation, Evaluation]
-    for a, b in zip(found, exact, strict=True):
+    result = Differences(problem, step, scheme).evaluate(AT, gradients=True)
+    assert [type(e) for e in result] == [Evaluation, Evaluation]
+    for a, b in zip(result, exact, strict=True):
         assert a.objective == pytest.approx(b.objective, rel=1e-9)
         assert a.constraints == pytest.approx(b.constraints, rel=1e-6, abs=1e-9)
         for x, y in ((a.objective_gradient, b.objective_gradient), (a.constraint_gradients, b.constraint_gradients)):
@@ -90,11 +90,11 @@ class _Fails:
 
 
 def test_a_neighbor_that_fails_fails_its_design_alone():
-    found = Differences(_Fails(), 0.1, "forward").evaluate(np.array([[0.5], [0.95], [1.5]]), gradients=True)
-    assert [e.status for e in found] == ["ok", "failed: a neighbor of the design: failed: too far", "failed: too far"]
-    assert found[0].objective_gradient == pytest.approx([1.0])
-    assert found[0].constraint_gradients == pytest.approx(np.ones((1, 1)))
-    assert np.isnan(found[1].objective)
+    result = Differences(_Fails(), 0.1, "forward").evaluate(np.array([[0.5], [0.95], [1.5]]), gradients=True)
+    assert [e.status for e in result] == ["ok", "failed: a neighbor of the design: failed: too far", "failed: too far"]
+    assert result[0].objective_gradient == pytest.approx([1.0])
+    assert result[0].constraint_gradients == pytest.approx(np.ones((1, 1)))
+    assert np.isnan(result[1].objective)
 
 
 @pytest.mark.parametrize(

@@ -50,15 +50,15 @@ def problem(minimize=None, subject_to=(), **given) -> mbd.Problem:
 
 
 def against_differences(p: mbd.Problem, x: np.ndarray, h: float = 2e-4, tolerance: float = 1e-5) -> None:
-    (found,) = p.evaluate(x[None], gradients=True)
-    assert found.ok
+    (result,) = p.evaluate(x[None], gradients=True)
+    assert result.ok
     shifts = np.concatenate([k * h * np.eye(len(x)) for k in (-2, -1, 1, 2)])
     rows = np.array([[e.objective, *e.constraints] for e in p.evaluate(x + shifts, gradients=False)])
     a, b, c, d = rows.reshape(4, len(x), -1)
     slopes = ((a - 8 * b + 8 * c - d) / (12 * h)).T
-    assert found.objective_gradient is not None
-    assert found.constraint_gradients is not None
-    exact = np.vstack([found.objective_gradient, found.constraint_gradients])
+    assert result.objective_gradient is not None
+    assert result.constraint_gradients is not None
+    exact = np.vstack([result.objective_gradient, result.constraint_gradients])
     assert exact == pytest.approx(slopes, abs=tolerance * np.abs(slopes).max())
 
 
@@ -180,12 +180,12 @@ def test_equalities_are_met():
 def test_lower_limits_and_scales():
     p = problem(subject_to=[mbd.Integral(ENERGY) >= 1e-6, Frequency("rod").equals(0.0, scale=10.0)])
     motion = p.motion(p.start)
-    (found,) = p.evaluate(p.start[None], gradients=False)
+    (result,) = p.evaluate(p.start[None], gradients=False)
     integral, frequency = (
         float(mbd.Integral(ENERGY).value(motion)[0]),
         float(Frequency("rod").value(motion)[0]),
     )
-    assert found.constraints == pytest.approx([(1e-6 - integral) / 1e-6, frequency / 10.0])
+    assert result.constraints == pytest.approx([(1e-6 - integral) / 1e-6, frequency / 10.0])
     assert p.equalities.tolist() == [1]
     against_differences(p, np.array([0.6, 0.2]))
 

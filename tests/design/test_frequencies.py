@@ -99,14 +99,14 @@ SUPPORTS = {"left_edge": "u1 u2 u3 phi1", "right_edge": "u3"}
 
 def test_frequencies_on_supports_are_those_of_the_body(motions):
     exact, neighbors = motions
-    wanted = mbd.frequencies(exact.system.body("sheet"), SUPPORTS, 3).frequencies.detach()
+    expected = mbd.frequencies(exact.system.body("sheet"), SUPPORTS, 3).frequencies.detach()
     for number in (1, 3):
         measure = mbd.Frequency("sheet", number, SUPPORTS)
         value, gradient = measure.value_and_gradient(exact)
-        torch.testing.assert_close(value[0], wanted[number - 1])
+        torch.testing.assert_close(value[0], expected[number - 1])
         torch.testing.assert_close(gradient[0], differences(measure, neighbors), rtol=1e-5, atol=1e-2)
     mean = mbd.Frequencies("sheet", (1, 3), supports=SUPPORTS).value(exact)[0]
-    torch.testing.assert_close(mean, (0.5 * (wanted[0] ** 2 + wanted[2] ** 2)).sqrt())
+    torch.testing.assert_close(mean, (0.5 * (expected[0] ** 2 + expected[2] ** 2)).sqrt())
 
 
 @pytest.mark.parametrize(

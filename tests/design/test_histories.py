@@ -127,9 +127,9 @@ def test_a_reaction_is_what_moves_the_body(motion):
     laminate = body.laminate
     mass = body.matrices.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area).detach()[0::6]
     rate = sum(m * (rod.at(k).acceleration - tensor(*GRAVITY)) for k, m in enumerate(mass))
-    found = force(motion, JOINT)
-    assert_close(found, rate, rtol=0, atol=1e-8 * float(found.abs().max()))
-    assert float(found.abs().max()) > 0.1
+    result = force(motion, JOINT)
+    assert_close(result, rate, rtol=0, atol=1e-8 * float(result.abs().max()))
+    assert float(result.abs().max()) > 0.1
 
 
 @pytest.mark.thorough

@@ -33,12 +33,12 @@ def bent(kink: Tensor, rates: tuple[float, float], n: int = 11) -> tuple[Spline,
 def test_a_curve_beside_a_kink_is_between_the_chord_and_the_function(kink, rates):
     curve, f = bent(torch.tensor(kink, dtype=torch.float64), rates)
     times = torch.linspace(0.0, 1.0, 1001, dtype=torch.float64)
-    function, found = f(times), curve.at(times)[0]
+    function, result = f(times), curve.at(times)[0]
     place = times * 10.0
     i = place.long().clamp(0, 9)
     chord = torch.lerp(curve.y[0, i], curve.y[0, i + 1], place - i)
     low, high = torch.minimum(chord, function), torch.maximum(chord, function)
-    assert bool(((found >= low - 1e-12) & (found <= high + 1e-12)).all())
+    assert bool(((result >= low - 1e-12) & (result <= high + 1e-12)).all())
     most = abs(rates[1] - rates[0]) * 0.1**2 / 8.0  # of the chord, of two samples at an end
     assert_close(curve.integral()[0], torch.trapezoid(function, times), rtol=0, atol=most * (1.0 + 1e-9))
 
@@ -103,8 +103,10 @@ def test_lanes_have_kinks_of_their_own():
     assert_close(together, alone, rtol=1e-10, atol=0)
     assert_close(torch.func.vmap(lambda k: values(k[None])[0])(stiffness), alone, rtol=1e-10, atol=0)
     slopes = torch.stack([torch.func.jacrev(lambda k: values(k[None])[0])(k) for k in stiffness])
-    wanted = torch.stack([(values(k[None] * 1.000001) - values(k[None] / 1.000001))[0] / (2e-6 * k) for k in stiffness])
-    assert_close(slopes, wanted, rtol=1e-4, atol=1e-9)
+    expected = torch.stack(
+        [(values(k[None] * 1.000001) - values(k[None] / 1.000001))[0] / (2e-6 * k) for k in stiffness]
+    )
+    assert_close(slopes, expected, rtol=1e-4, atol=1e-9)
 
 
 def pushed(kind: str, values: list[float]) -> mbd.System:
@@ -123,8 +125,8 @@ def test_accelerations_stay_within_those_of_a_control(kind, steps):
     """Constant pieces at both ends of the range: the least and the largest value, and a cycle of the whole range."""
     values = [1.0, 1.0, -3.0, -3.0, 1.0]
     motion = mbd.simulate(pushed(kind, values), 1.2, steps=steps, gradients="none").require_ok()
-    found = [float(measure(ACCELERATION)(motion)) for measure in (mbd.Max, mbd.Min)]
-    assert found == pytest.approx([0.5, -1.5], rel=1e-9)
+    result = [float(measure(ACCELERATION)(motion)) for measure in (mbd.Max, mbd.Min)]
+    assert result == pytest.approx([0.5, -1.5], rel=1e-9)
     if "EquivalentLoad" in mbd.__all__:
         load = mbd.EquivalentLoad(ACCELERATION, exponent=4.0, cycles=1.0)
         assert float(load(motion)) == pytest.approx(2.0, rel=1e-9)

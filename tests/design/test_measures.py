@@ -42,9 +42,9 @@ def antiderivative(t: float) -> float:
 
 
 def value(measure, n: int) -> float:
-    found: Tensor = measure.value(clock(n))
-    assert found.shape == (2,)
-    return float(found[0])
+    result: Tensor = measure.value(clock(n))
+    assert result.shape == (2,)
+    return float(result[0])
 
 
 @pytest.mark.parametrize("window", [None, (0.217, 0.731)])

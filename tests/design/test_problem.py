@@ -49,28 +49,28 @@ def shared() -> mbd.Problem:
 def test_values_are_those_of_the_responses(shared):
     """Constraints as (g - c)/|c|: zero at the start for "initial", of order one for a number."""
     X = np.radians([[20.0, -50.0], [70.0, 15.0]])
-    found = shared.evaluate(X, gradients=False)
+    result = shared.evaluate(X, gradients=False)
     motion = shared.simulate(X)
     integral, peak = mbd.Integral(ENERGY).value(motion).tolist(), mbd.Max(ENERGY).value(motion).tolist()
-    assert [e.status for e in found] == ["ok", "ok"]
-    assert [e.objective for e in found] == pytest.approx(integral)
-    assert found[0].constraints == pytest.approx([0.0, (peak[0] - 1e-5) / 1e-5], abs=1e-12)
-    assert found[1].constraints == pytest.approx([peak[1] / peak[0] - 1.0, (peak[1] - 1e-5) / 1e-5], rel=1e-9)
-    assert found[0].objective_gradient is None
+    assert [e.status for e in result] == ["ok", "ok"]
+    assert [e.objective for e in result] == pytest.approx(integral)
+    assert result[0].constraints == pytest.approx([0.0, (peak[0] - 1e-5) / 1e-5], abs=1e-12)
+    assert result[1].constraints == pytest.approx([peak[1] / peak[0] - 1.0, (peak[1] - 1e-5) / 1e-5], rel=1e-9)
+    assert result[0].objective_gradient is None
     assert shared.limits == pytest.approx([peak[0], 1e-5])
 
 
 @pytest.mark.thorough
 def test_gradients_belong_to_the_values(shared):
     x, h = np.radians([20.0, -50.0]), 1e-5
-    (found,) = shared.evaluate(x[None], gradients=True)
+    (result,) = shared.evaluate(x[None], gradients=True)
     neighbors = shared.evaluate(np.concatenate([x + h * np.eye(2), x - h * np.eye(2)]), gradients=False)
     rows = np.array([[e.objective, *e.constraints] for e in neighbors])
     slopes = ((rows[:2] - rows[2:]) / (2 * h)).T
     scale = np.abs(slopes).max(1)
-    assert found.objective_gradient == pytest.approx(slopes[0], abs=1e-5 * scale[0])
-    assert found.constraint_gradients.shape == (2, 2)
-    for row, slope, size in zip(found.constraint_gradients, slopes[1:], scale[1:], strict=True):
+    assert result.objective_gradient == pytest.approx(slopes[0], abs=1e-5 * scale[0])
+    assert result.constraint_gradients.shape == (2, 2)
+    for row, slope, size in zip(result.constraint_gradients, slopes[1:], scale[1:], strict=True):
         assert row == pytest.approx(slope, abs=1e-5 * size)
 
 
@@ -95,10 +95,10 @@ def test_a_design_that_fails_is_a_failed_evaluation_and_leaves_the_others():
 
 @pytest.mark.thorough
 def test_a_design_that_is_no_laminate_is_a_failed_evaluation_and_leaves_the_others(shared):
-    found = shared.evaluate(np.array([[0.3, -0.5], [np.nan, 0.2]]), gradients=False)
-    assert found[0].ok
-    assert found[1].status.startswith("failed: ")
-    assert found[0].objective == pytest.approx(shared.evaluate(np.array([[0.3, -0.5]]), gradients=False)[0].objective)
+    result = shared.evaluate(np.array([[0.3, -0.5], [np.nan, 0.2]]), gradients=False)
+    assert result[0].ok
+    assert result[1].status.startswith("failed: ")
+    assert result[0].objective == pytest.approx(shared.evaluate(np.array([[0.3, -0.5]]), gradients=False)[0].objective)
 
 
 @pytest.mark.thorough
@@ -170,18 +170,18 @@ def test_limits_of_constraints(limit):
 def test_a_problem_may_have_phases():
     """A joint is locked on the way: the gradient is that of the motion through both phases."""
     lock = [mbd.Phase(until=0.0105), mbd.Phase(lock=["universal_arm_rod"])]
-    found, h = problem(phases=lock, subject_to=[]), 1e-4
+    result, h = problem(phases=lock, subject_to=[]), 1e-4
     x = np.radians([20.0, -50.0])
     step = np.array([h, 0.0])
     neighbors = np.array([x, x + step, x - step])
-    middle, up, down = found.evaluate(neighbors, gradients=True)
+    middle, up, down = result.evaluate(neighbors, gradients=True)
     assert middle.objective_gradient is not None
     assert middle.objective_gradient[0] == pytest.approx((up.objective - down.objective) / (2.0 * h), rel=1e-5)
     assert middle.objective != pytest.approx(
         problem(subject_to=[]).evaluate(x[None], gradients=False)[0].objective, rel=0.01
     )
     forward = problem(phases=lock, subject_to=[], gradients="forward")
-    assert (found.gradients, forward.gradients) == ("reverse", "forward")  # one response by two angles
+    assert (result.gradients, forward.gradients) == ("reverse", "forward")  # one response by two angles
     expected = forward.evaluate(x[None], gradients=True)[0].objective_gradient
     assert middle.objective_gradient == pytest.approx(expected, rel=1e-8)
     assert problem(phases=lock, subject_to=[mbd.Max(ENERGY) <= 1.0, mbd.Min(ENERGY) >= 0.0]).gradients == "forward"

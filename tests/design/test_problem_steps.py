@@ -57,9 +57,9 @@ def test_a_small_difference_asks_for_more_steps_than_its_parts():
     assert (small.steps or 0) > 2 * (
         whole.steps or 0
     )  # a tenth of the value: sqrt(10) times, or the most that are tried
-    found = small.objective(small.motion(small.start)).item()
+    result = small.objective(small.motion(small.start)).item()
     true = exact() - 0.9 * value
-    assert abs(found - true) <= 4.4e-3 * abs(true)
+    assert abs(result - true) <= 4.4e-3 * abs(true)
 
 
 @pytest.mark.thorough

@@ -69,8 +69,8 @@ def test_they_are_the_motions_one_by_one():
     assert weighted.objective == pytest.approx(np.average(alone, weights=weights), rel=1e-9)
     worst = problem(some)
     assert worst.names[-1] == "bound"
-    [found] = worst.evaluate(np.append(X, 0.7)[None], False)
-    assert found.objective + worst.reference.extra.unit * found.constraints[:3].max() == pytest.approx(
+    [result] = worst.evaluate(np.append(X, 0.7)[None], False)
+    assert result.objective + worst.reference.extra.unit * result.constraints[:3].max() == pytest.approx(
         alone.max(), rel=1e-9
     )
 
@@ -107,8 +107,8 @@ def test_gradients_of_twenty_load_cases_are_those_of_differences(constraints, gr
 
 def test_a_failing_scenario_is_named_and_the_others_designs_go_on():
     cases = {"light": {"tool.mass": 0.1}, "none": {"tool.mass": 1e308}}
-    [found] = problem(cases, objective="mean", subject_to=()).evaluate(X[None], True)
-    assert "scenario 'none'" in found.status
+    [result] = problem(cases, objective="mean", subject_to=()).evaluate(X[None], True)
+    assert "scenario 'none'" in result.status
 
 
 @pytest.mark.thorough
@@ -116,8 +116,8 @@ def test_an_optimum_of_the_mean():
     cases = {key: CASES[key] for key in list(CASES)[::9]}
     asked = problem(cases, objective="mean", subject_to=())
     [before] = asked.evaluate(asked.start[None], False)
-    found = mbd.optimize(asked, method="slsqp", max_iterations=4)
-    assert found.value < before.objective
+    result = mbd.optimize(asked, method="slsqp", max_iterations=4)
+    assert result.value < before.objective
 
 
 @pytest.mark.parametrize(
@@ -170,8 +170,8 @@ def test_systems_of_different_topology(asked):
     ]
     with pytest.raises(mbd.InputError, match=r"2 systems; allowed: motions_by_system"):
         problem.motions(problem.start)
-    found = [mbd.Integral(energy)(motion) for motion in problem.motions_by_system(problem.start)]
-    values = torch.stack(found, 1).reshape(-1).detach().numpy()  # in the order of the scenarios
+    result = [mbd.Integral(energy)(motion) for motion in problem.motions_by_system(problem.start)]
+    values = torch.stack(result, 1).reshape(-1).detach().numpy()  # in the order of the scenarios
     x = problem.start.copy()
     x[:2] += 0.1
     [at_start], [e] = problem.evaluate(problem.start[None], False), problem.evaluate(x[None], True)
@@ -224,8 +224,8 @@ def test_the_initial_design_keeps_the_worst_of_its_own_limits(kind):
     cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}}
     constraint = mbd.Constraint(mbd.Integral(TIP), "initial", kind)
     asked = problem(cases, objective="mean", subject_to=constraint, constraints="worst")
-    [found] = asked.evaluate(asked.start[None], False)
-    assert found.constraints == pytest.approx([0.0], abs=1e-12)
+    [result] = asked.evaluate(asked.start[None], False)
+    assert result.constraints == pytest.approx([0.0], abs=1e-12)
 
 
 def test_an_initial_design_that_nothing_refers_to_is_not_needed(monkeypatch):

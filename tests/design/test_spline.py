@@ -52,8 +52,8 @@ def test_the_peak_is_found_between_the_samples(shift):
 def test_the_peak_moves_past_a_sample_without_a_jump():
     """Value and gradient are continuous where the peak crosses a sample: a kink would stop an optimizer."""
     shifts = torch.linspace(0.0, 4.0 / 60, 400, dtype=torch.float64).tolist()
-    found = [peak(shift) for shift in shifts]
-    values, gradients = torch.stack([x for x, _ in found]), torch.stack([g for _, g in found])
+    result = [peak(shift) for shift in shifts]
+    values, gradients = torch.stack([x for x, _ in result]), torch.stack([g for _, g in result])
     step = shifts[1]
     assert float((values[1:] - values[:-1]).abs().max()) < 2 * step * float(gradients.abs().max())
     assert float((gradients[1:] - gradients[:-1]).abs().max()) < 4 * step
@@ -262,9 +262,9 @@ def test_a_state_at_rest_has_one_time(rates):
     """Largest, smallest, mean and last are the value, with its gradient; the integral is over no time."""
     y = torch.tensor([[2.0], [-3.0]], dtype=torch.float64, requires_grad=True)
     curve = Spline.of(torch.tensor([0.5], dtype=torch.float64), y, rates=rates)
-    for found in (curve.maximum(), -curve.negative().maximum(), curve.mean(), curve.y[..., -1]):
-        assert found.tolist() == [2.0, -3.0]
-        assert torch.autograd.grad(found.sum(), y, retain_graph=True)[0].tolist() == [[1.0], [1.0]]
+    for result in (curve.maximum(), -curve.negative().maximum(), curve.mean(), curve.y[..., -1]):
+        assert result.tolist() == [2.0, -3.0]
+        assert torch.autograd.grad(result.sum(), y, retain_graph=True)[0].tolist() == [[1.0], [1.0]]
     assert curve.mean(power=2).tolist() == [4.0, 9.0]
     assert curve.integral().tolist() == [0.0, 0.0]
 
@@ -295,8 +295,8 @@ def test_vmap_and_jvp_of_maxima_without_exact_rates():
 
     b = torch.tensor([[0.2, 1.0], [-0.4, 2.0], [2.9, 0.5]], dtype=torch.float64)
     for exact in (True, False):
-        wanted = torch.stack([top(x, exact) for x in b])
-        assert_close(torch.func.vmap(lambda x, exact=exact: top(x, exact))(b), wanted, rtol=0, atol=1e-15)
+        expected = torch.stack([top(x, exact) for x in b])
+        assert_close(torch.func.vmap(lambda x, exact=exact: top(x, exact))(b), expected, rtol=0, atol=1e-15)
         forward, reverse = (
             torch.func.vmap(jac(lambda x, exact=exact: top(x, exact)))(b)
             for jac in (torch.func.jacfwd, torch.func.jacrev)

@@ -92,9 +92,11 @@ def test_a_window_that_ends_at_a_switch_is_the_motion_before(name, mode, whole_a
         if isinstance(alone, mbd.SmoothMax):
             scale = float(history(before).abs().max())
             alone, part = replace(alone, scale=scale), replace(part, scale=scale)
-        wanted, found = alone.of(before), part.of(whole)
-        assert_close(found.value, wanted.value, rtol=1e-7, atol=1e-9 * float(wanted.value.abs().max()))
-        assert_close(found.gradient, wanted.gradient, rtol=0, atol=1e-6 * float(wanted.gradient.abs().max()) + 1e-15)
+        expected, result = alone.of(before), part.of(whole)
+        assert_close(result.value, expected.value, rtol=1e-7, atol=1e-9 * float(expected.value.abs().max()))
+        assert_close(
+            result.gradient, expected.gradient, rtol=0, atol=1e-6 * float(expected.gradient.abs().max()) + 1e-15
+        )
 
 
 @pytest.mark.thorough
@@ -103,8 +105,8 @@ def test_measures_of_the_whole_are_those_of_both_sides(name, whole_and_pieces):
     history, (whole, _) = HISTORIES[name], whole_and_pieces("reverse", JUMP[name])
     sides = (0.0, SWITCH), (SWITCH, DURATION)
     for kind, join in ((mbd.Integral, torch.add), (mbd.Max, torch.maximum), (mbd.Min, torch.minimum)):
-        wanted = join(*(kind(history, window=side)(whole) for side in sides))
-        assert_close(kind(history)(whole), wanted, rtol=1e-9, atol=1e-12 * float(wanted.abs().max()))
+        expected = join(*(kind(history, window=side)(whole) for side in sides))
+        assert_close(kind(history)(whole), expected, rtol=1e-9, atol=1e-12 * float(expected.abs().max()))
     start = mbd.AtTimes(history, window=sides[1], count=2)(whole)[:, 0]
     assert_close(mbd.AtTime(history, SWITCH)(whole), start, rtol=1e-9, atol=0.0)
     end = mbd.Final(history, window=sides[0])(whole)
@@ -158,12 +160,12 @@ def test_a_ball_that_bounces(steps, mode):
     system = ball()
     motion = bounce(system, steps, gradients=mode, variables=["ball.position"])
     for measure, value, slope in EXPECTED:
-        found, gradient = measure.value_and_gradient(motion)
-        wanted = torch.tensor(value, dtype=torch.float64).reshape(found[0].shape)
-        assert_close(found[0], wanted, rtol=1e-9, atol=1e-9, msg=str(measure))
+        result, gradient = measure.value_and_gradient(motion)
+        expected = torch.tensor(value, dtype=torch.float64).reshape(result[0].shape)
+        assert_close(result[0], expected, rtol=1e-9, atol=1e-9, msg=str(measure))
         if slope is not None:
-            wanted = torch.tensor(slope, dtype=torch.float64).reshape(found[0].shape)
-            assert_close(gradient[0, ..., 2], wanted, rtol=1e-8, atol=1e-8, msg=str(measure))
+            expected = torch.tensor(slope, dtype=torch.float64).reshape(result[0].shape)
+            assert_close(gradient[0, ..., 2], expected, rtol=1e-8, atol=1e-8, msg=str(measure))
 
 
 @pytest.mark.thorough
@@ -189,8 +191,8 @@ def test_damage_counts_the_cycles_of_both_sides():
     motion = bounce(ball(), gradients="none")
     ranges = torch.tensor([SPEED, (1.0 + E) * SPEED, E * SPEED - END], dtype=torch.float64)
     means = torch.tensor([-0.5 * SPEED, 0.5 * (E - 1.0) * SPEED, 0.5 * (E * SPEED + END)], dtype=torch.float64)
-    wanted = (0.5 / curve.cycles(0.5 * ranges, means)).sum()
-    assert_close(mbd.Damage(VZ, curve=curve)(motion)[0], wanted, rtol=1e-9, atol=0.0)
+    expected = (0.5 / curve.cycles(0.5 * ranges, means)).sum()
+    assert_close(mbd.Damage(VZ, curve=curve)(motion)[0], expected, rtol=1e-9, atol=0.0)
 
 
 @pytest.mark.thorough
@@ -199,6 +201,6 @@ def test_a_displacement_since_the_start_has_both_sides():
     system = ball()
     motion = bounce(system, 400, gradients="none")
     fall = mbd.Displacement("ball", "z")
-    wanted = mbd.Integral(Z)(motion) - HEIGHT * 0.5
-    assert_close(mbd.Integral(fall)(motion), wanted, rtol=1e-12, atol=0.0)
+    expected = mbd.Integral(Z)(motion) - HEIGHT * 0.5
+    assert_close(mbd.Integral(fall)(motion), expected, rtol=1e-12, atol=0.0)
     assert_close(mbd.Min(fall)(motion)[0], torch.tensor(-HEIGHT, dtype=torch.float64), rtol=1e-12, atol=0.0)

@@ -26,15 +26,15 @@ def tradeoff(**given) -> mbd.Tradeoff:
 def test_values_and_gradients_are_those_of_the_measures():
     problem = tradeoff()
     X = np.radians([[20.0, -50.0], [70.0, 15.0]])
-    found = problem.evaluate(X, True)
+    result = problem.evaluate(X, True)
     motion = problem.problem.simulate(X, gradients=True)
     for k, measure in enumerate(CRITERIA.values()):
         value, gradient = measure.value_and_gradient(motion)
-        assert [e.values[k] for e in found] == pytest.approx(value.tolist(), rel=1e-12)
-        np.testing.assert_allclose([e.gradients[k] for e in found], gradient.numpy(), rtol=1e-10)
+        assert [e.values[k] for e in result] == pytest.approx(value.tolist(), rel=1e-12)
+        np.testing.assert_allclose([e.gradients[k] for e in result], gradient.numpy(), rtol=1e-10)
     peak = mbd.Max(ENERGY).value(motion).detach().numpy()
-    np.testing.assert_allclose([e.constraints[0] for e in found], peak / 1e-4 - 1, rtol=1e-10)
-    assert [e.constraint_gradients.shape for e in found] == [(1, 2)] * 2
+    np.testing.assert_allclose([e.constraints[0] for e in result], peak / 1e-4 - 1, rtol=1e-10)
+    assert [e.constraint_gradients.shape for e in result] == [(1, 2)] * 2
     assert problem.evaluate(X, False)[0].gradients is None
 
 
@@ -54,9 +54,9 @@ def test_the_front_is_not_dominated_by_any_of_many_designs():
 
 @pytest.mark.thorough
 def test_a_failed_design_is_a_failed_evaluation():
-    found = tradeoff(subject_to=[]).evaluate(np.array([[np.nan, 0.0], [0.1, 0.2]]), True)
-    assert not found[0].ok
-    assert found[1].ok
+    result = tradeoff(subject_to=[]).evaluate(np.array([[np.nan, 0.0], [0.1, 0.2]]), True)
+    assert not result[0].ok
+    assert result[1].ok
 
 
 def test_what_it_refuses():

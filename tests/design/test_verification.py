@@ -55,14 +55,14 @@ def test_a_gain_that_steps_resolve_is_verified() -> None:
     """Its error and the gain in the finer model are those of a run with eight times the steps."""
     problem, exact = (vibrating(n, minimize=mbd.Integral(X * X)) for n in (80, 640))
     x, value = least(problem)
-    found = verification(problem, x, value)
-    assert found.verified, found.status
+    result = verification(problem, x, value)
+    assert result.verified, result.status
     true = [e.objective for e in exact.evaluate(np.stack([problem.start, x]), False)]
-    objective = found.answers[0]
+    objective = result.answers[0]
     assert objective.best.value == pytest.approx(value, rel=1e-12)
     assert objective.best.error == pytest.approx(true[1] - value, rel=0.1)
-    assert found.finer == pytest.approx(100.0 * (true[1] - true[0]) / true[0], rel=1e-2)
-    assert found.status.startswith("verified: the objective changed by -")
+    assert result.finer == pytest.approx(100.0 * (true[1] - true[0]) / true[0], rel=1e-2)
+    assert result.status.startswith("verified: the objective changed by -")
 
 
 @pytest.mark.thorough
@@ -70,11 +70,11 @@ def test_an_artifact_of_the_steps_is_not_verified() -> None:
     """Two steps a period: the least of many designs is a number of the steps, not of the oscillator."""
     problem = vibrating(8)
     x, value = least(problem)
-    found = verification(problem, x, value)
-    assert not found.verified
-    assert found.status.startswith("not verified: ")
-    assert "Allowed: steps: " in found.status
-    assert "not resolved" in found.status or "in the finer model" in found.status
+    result = verification(problem, x, value)
+    assert not result.verified
+    assert result.status.startswith("not verified: ")
+    assert "Allowed: steps: " in result.status
+    assert "not resolved" in result.status or "in the finer model" in result.status
 
 
 @pytest.mark.thorough
@@ -84,10 +84,10 @@ def test_a_constraint_that_fails_in_the_finer_model() -> None:
     given: dict[str, Any] = {"minimize": mbd.Mass("bob"), "start": [1.05]}
     numbers = [square(vibrating(steps).motion(x)).item() for steps in (12, 96)]
     problem = vibrating(12, subject_to=[square <= numbers[0]], **given)
-    found = verification(problem, x, 1.0)
-    assert "integral of x position of bob · x position of bob is beyond its limit by" in found.status
-    assert "steps: " in found.advice
-    [row] = [one for one in found.answers if one.goal == "at most"]
+    result = verification(problem, x, 1.0)
+    assert "integral of x position of bob · x position of bob is beyond its limit by" in result.status
+    assert "steps: " in result.advice
+    [row] = [one for one in result.answers if one.goal == "at most"]
     assert row.active
     assert row.best.finer == pytest.approx(numbers[1], rel=0.02)
     assert row.finer == pytest.approx(1.0 - numbers[1] / numbers[0], abs=0.02)
@@ -113,9 +113,9 @@ def test_an_order_of_starts_that_changes() -> None:
     best = int(np.argmin(coarse))
     near = [k for k in np.argsort(coarse) if fine[k] < 0.2 * fine[best]][:3]
     ends: Any = [SimpleNamespace(x=designs[k], value=coarse[k], start=int(k)) for k in near]
-    found = verification(problem, designs[best], coarse[best], ends)
-    assert not found.verified
-    assert any("is better in the finer model" in fault for fault in found.faults), found.status
+    result = verification(problem, designs[best], coarse[best], ends)
+    assert not result.verified
+    assert any("is better in the finer model" in fault for fault in result.faults), result.status
 
 
 @pytest.mark.thorough
@@ -154,17 +154,17 @@ def test_scenarios(rule: str) -> None:
     problem = mbd.Scenarios(mbd.examples.arm(), 0.05, mbd.Max(ENERGY), limits, steps=20, **given)
     exact = mbd.Scenarios(mbd.examples.arm(), 0.05, mbd.Max(ENERGY), limits, steps=160, **given)
     x = problem.start + np.append(np.radians([5.0, 5.0]), [0.0] * (rule == "worst"))
-    found = verification(problem, x, problem.evaluate(x[None], False)[0].objective)
+    result = verification(problem, x, problem.evaluate(x[None], False)[0].objective)
     names = list(cases)
     values = [[float(mbd.Max(ENERGY)(p.simulate(x[None], scenario=n))[0]) for n in names] for p in (problem, exact)]
     joined = [max(row) if rule == "worst" else sum(row) / 2.0 for row in values]
-    assert found.answers[0].best.value == pytest.approx(joined[0], rel=1e-9)
+    assert result.answers[0].best.value == pytest.approx(joined[0], rel=1e-9)
     objective, constraint = problem.errors(x)
     assert objective.by_modes is not None
     worst = int(objective.value[0].argmax())
     assert 0.5 < objective.by_steps[0, worst].item() / (joined[1] - joined[0]) < 2.0
     both = objective.by_steps + objective.by_modes
-    assert found.answers[0].best.error == pytest.approx(both[0, worst].item(), rel=1e-6)
+    assert result.answers[0].best.error == pytest.approx(both[0, worst].item(), rel=1e-6)
     assert objective.value.shape == (1, 2 if rule == "worst" else 1)
     assert constraint.value.shape == (1, 2)
 
@@ -181,9 +181,9 @@ def test_tolerances_are_verified_at_the_nominal_design() -> None:
 @pytest.mark.thorough
 def test_a_method_without_an_estimate_is_not_verified() -> None:
     problem = vibrating(20, method="rk4")
-    found = verification(problem, np.array([1.1]), 0.0)
-    assert "errors by steps of method 'rk4'" in found.status
-    assert not found.verified
+    result = verification(problem, np.array([1.1]), 0.0)
+    assert "errors by steps of method 'rk4'" in result.status
+    assert not result.verified
 
 
 def test_bad_input() -> None:

@@ -57,11 +57,11 @@ def test_both_codes_simulate_the_same_mechanism(name):
     U = sum(ours.body(body.name).strain_energy for body in case.system.bodies if hasattr(body, "mesh"))
     runs = case.peer(case.system, case.designs(lanes))
     for lane, run in enumerate(runs):
-        found = run(case.duration, steps)
-        np.testing.assert_allclose(found.t, ours.t.numpy(), atol=1e-9)
+        result = run(case.duration, steps)
+        np.testing.assert_allclose(result.t, ours.t.numpy(), atol=1e-9)
         # Rotary inertia of the nodes is a part in a thousand of what matters here.
-        assert np.abs(found.U - U[lane].numpy()).max() < 2e-3 * float(U[lane].max())
-        assert found.seconds > 0.0
+        assert np.abs(result.U - U[lane].numpy()).max() < 2e-3 * float(U[lane].max())
+        assert result.seconds > 0.0
 
 
 def test_a_peer_that_fails_says_so_in_its_numbers():
@@ -103,10 +103,10 @@ def test_the_ladder_ends_at_the_first_rung_that_is_accurate_enough():
         error = torch.tensor([[40.0, 10.0], [20.0, -30.0]]) / steps**2
         return (1.0 + error) * torch.tensor([[2.0, 3.0], [4.0, 5.0]]) if steps != 300 else torch.full((2, 2), torch.nan)
 
-    found = benchmark_motion.accuracy(run, ladder=(100, 200, 300, 400), converged=10**6)
-    assert found.steps == 400  # 40/200^2 is too much, 300 failed
-    assert found.peak == pytest.approx(40 / 400**2, rel=1e-4)
-    assert found.integral == pytest.approx(30 / 400**2, rel=1e-4)
+    result = benchmark_motion.accuracy(run, ladder=(100, 200, 300, 400), converged=10**6)
+    assert result.steps == 400  # 40/200^2 is too much, 300 failed
+    assert result.peak == pytest.approx(40 / 400**2, rel=1e-4)
+    assert result.integral == pytest.approx(30 / 400**2, rel=1e-4)
 
 
 def test_runs_are_interleaved_and_the_fastest_counts():

@@ -25,13 +25,13 @@ def test_gradient_by_weights_and_angles_is_that_of_differences():
     }
     angles = {n: x for n, x in everything.items() if n.startswith("arm")}
     for direction in (everything, angles):
-        wanted = sum(float((own[n].grad * d).sum()) for n, d in direction.items())
-        step, found = 1e-5, []
+        expected = sum(float((own[n].grad * d).sum()) for n, d in direction.items())
+        step, result = 1e-5, []
         for sign in (1.0, -1.0):
             designs = {n: own[n].detach() + sign * step * d for n, d in direction.items()}
             with torch.no_grad():
-                found.append(float(codesign.loss(mbd.simulate(system, designs=designs, **SHORT))))
-        assert_close((found[0] - found[1]) / (2.0 * step), wanted, rtol=1e-5, atol=1e-12)
+                result.append(float(codesign.loss(mbd.simulate(system, designs=designs, **SHORT))))
+        assert_close((result[0] - result[1]) / (2.0 * step), expected, rtol=1e-5, atol=1e-12)
 
 
 @pytest.mark.slow  # half a minute

@@ -44,14 +44,14 @@ def test_a_problem_within_a_limit():
 @pytest.mark.thorough
 def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     problem = problem_of("3f", 2, **TINY)
-    found = enumerate_all({"": problem}, 15.0, lanes=41)[""]
-    expected = problem.evaluate(-found.X, False)
+    result = enumerate_all({"": problem}, 15.0, lanes=41)[""]
+    expected = problem.evaluate(-result.X, False)
     feasible = np.array([e.constraints.max() <= 1e-6 for e in expected])
     assert 0 < feasible.sum() < len(expected)
-    np.testing.assert_allclose(found.value[feasible], np.array([e.objective for e in expected])[feasible], rtol=1e-8)
-    assert np.isinf(found.value[~feasible]).all()
-    assert found.value[[np.array_equal(x, found.best) for x in found.X].index(True)] == found.value.min()
-    assert found.rank(float(np.sort(found.value)[2])) == 2
+    np.testing.assert_allclose(result.value[feasible], np.array([e.objective for e in expected])[feasible], rtol=1e-8)
+    assert np.isinf(result.value[~feasible]).all()
+    assert result.value[[np.array_equal(x, result.best) for x in result.X].index(True)] == result.value.min()
+    assert result.rank(float(np.sort(result.value)[2])) == 2
 
 
 @pytest.mark.thorough

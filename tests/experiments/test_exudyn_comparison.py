@@ -22,10 +22,10 @@ def agree(found: Comparison) -> None:
 @pytest.mark.thorough
 def test_a_panel_on_three_joints():
     pytest.importorskip("exudyn")
-    found = compare(panel.build(cells=(8, 6), modes=4), "panel", "panel", panel.FREE, 0.15, 400)
-    agree(found)
-    assert found.energy < 1e-3
-    assert found.peaks[0] > 0.1
+    result = compare(panel.build(cells=(8, 6), modes=4), "panel", "panel", panel.FREE, 0.15, 400)
+    agree(result)
+    assert result.energy < 1e-3
+    assert result.peaks[0] > 0.1
 
 
 @pytest.mark.slow

@@ -25,9 +25,9 @@ def test_sections_of_the_file_are_those_of_beamdyn(position: float, near: float)
 
 def test_frequencies_rise_with_the_speed():
     assert ROOT is not None
-    made = iea_blade.beam(ROOT, iea_blade.beamdyn(ROOT), elements=24)
+    result = iea_blade.beam(ROOT, iea_blade.beamdyn(ROOT), elements=24)
     with torch.no_grad():
-        rest, _ = made.frequencies(2)
-        spun, _ = made.frequencies(2, spin=(iea_blade.RATED, 0.0, 0.0))
+        rest, _ = result.frequencies(2)
+        spun, _ = result.frequencies(2, spin=(iea_blade.RATED, 0.0, 0.0))
     assert rest.tolist() == pytest.approx([0.507, 0.693], rel=5e-3)
     assert spun.tolist() == pytest.approx([0.531, 0.700], rel=5e-3)

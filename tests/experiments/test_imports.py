@@ -52,7 +52,7 @@ def test_a_folder_imports_those_before_it():
         return FOLDERS.index(name.split(".")[1])
 
     wrong = {name: [x for x in named if height(x) > height(name)] for name, named in GRAPH.items() if "." in name}
-    assert {name: found for name, found in wrong.items() if found} == {}
+    assert {name: result for name, result in wrong.items() if result} == {}
 
 
 def test_every_file_is_in_a_folder():

@@ -23,6 +23,6 @@ def test_bodies_accelerate_as_in_mujoco(variable, name, coordinates, limits):
     pytest.importorskip("mujoco")
     if (base := folder(variable)) is None:
         pytest.skip(f"{variable} names no folder")
-    found = mujoco_models.compared(base / name)
-    assert (found.coordinates, found.stops) == (coordinates, limits)
-    assert max(found.turning, found.moving) < 1e-10
+    result = mujoco_models.compared(base / name)
+    assert (result.coordinates, result.stops) == (coordinates, limits)
+    assert max(result.turning, result.moving) < 1e-10

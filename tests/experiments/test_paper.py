@@ -115,8 +115,8 @@ def test_figures_go_to_the_tracker(part, tmp_path, monkeypatch):
     monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / "store"))
     folder = tmp_path / "run"
     folder.mkdir()
-    found = parts.figures(folder)
-    assert found == {"one/a _ b": 1.5, "sentence": found["sentence"]}
+    result = parts.figures(folder)
+    assert result == {"one/a _ b": 1.5, "sentence": result["sentence"]}
     assert {file.name for file in folder.iterdir()} == {"paper.html", "figure9.png", "figure10.png"}
 
 
@@ -141,7 +141,7 @@ def test_rows_of_both_phases(tmp_path, monkeypatch):
     )
     assert rows["Fig. 22: peak energy of panel2, initial, both phases"].ours < 1e-15  # nothing has reached it yet
     initial, _, optimum = motions[-1].body("panel3").strain_energy.amax(1).tolist()
-    found = rows["Fig. 23: peak energy of panel3, optimum over initial"].ours
-    assert found == pytest.approx(optimum / initial, rel=0.05)  # of a curve through the points
+    result = rows["Fig. 23: peak energy of panel3, optimum over initial"].ours
+    assert result == pytest.approx(optimum / initial, rel=0.05)  # of a curve through the points
     first, *_ = rows["least gap, panel 2 - panel 3, initial, paper's optimum, optimum (mm)"].ours.split(", ")
     assert float(first) > 0.0

@@ -49,13 +49,13 @@ def rigid_angle(times: np.ndarray) -> np.ndarray:
 
 
 def test_counts_of_the_paper():
-    found = unlocked().describe()
-    assert (len(found.bodies) + 1, found.rows, found.rank, found.mobility) == (12, 63, 58, 8)
-    kinds = [joint.kind for joint in found.joints]
+    result = unlocked().describe()
+    assert (len(result.bodies) + 1, result.rows, result.rank, result.mobility) == (12, 63, 58, 8)
+    kinds = [joint.kind for joint in result.joints]
     assert (kinds.count("Spherical"), kinds.count("Revolute")) == (16, 3)
-    assert len(found.redundant) == 5
+    assert len(result.redundant) == 5
     names = {f"S{k}" for k in range(1, 17)}
-    assert {row.partition(":")[0] for row in found.redundant} <= names | {"R1", "R2", "R3"}
+    assert {row.partition(":")[0] for row in result.redundant} <= names | {"R1", "R2", "R3"}
 
 
 def test_rows_of_phase_1():
@@ -145,11 +145,11 @@ def test_the_crank_that_runs_ahead_is_recognized():
 def test_gaps_of_the_stowed_antenna():
     """Panel 2 rises by sin(3.12) = 0.0216 from the hinge line, panel 3 lies level above it at 2 * 0.997 * 0.0216."""
     motion = mbd.simulate(build(None), 0.1, steps=2)
-    found = {pair: float(gap[0, 0]) for pair, gap in gaps(motion).items()}
+    result = {pair: float(gap[0, 0]) for pair, gap in gaps(motion).items()}
     slope = math.sin(STOWED)
-    assert found["panel 1 - panel 3"] == pytest.approx(LENGTH * slope, rel=1e-3)
-    assert found["panel 3 - crank"] == pytest.approx(HALF * slope, rel=1e-3)
-    assert all(gap > 0.0 for gap in found.values())
+    assert result["panel 1 - panel 3"] == pytest.approx(LENGTH * slope, rel=1e-3)
+    assert result["panel 3 - crank"] == pytest.approx(HALF * slope, rel=1e-3)
+    assert all(gap > 0.0 for gap in result.values())
     flexible = gaps(mbd.simulate(build(modes=4, cells=COARSE), 0.01, steps=1))
     assert float(flexible["panel 3 - crank"][0, 0]) == pytest.approx(HALF * slope, rel=1e-3)
 

@@ -43,15 +43,15 @@ def test_statics_of_the_joints_are_exact_with_craig_bampton():
     body = build(modes=2, reduction="craig-bampton").body("panel2")
     a, b = (body.mesh.node(f"corner_right_{k}") for k in ("bottom", "top"))
     with torch.no_grad():
-        found = body.structure()
+        result = body.structure()
         K = body.assembly.stiffness().dense()
     force = torch.zeros(len(body.mesh.nodes) * 6, dtype=torch.float64)
     force[6 * a + 2] = 1.0
     exact = torch.zeros_like(force)
     exact[body.free] = torch.linalg.solve(K, force[body.free])
-    psi = found["psi"][:, 2]
-    reduced = torch.linalg.solve(found["Kr"], psi[a]) @ psi[b]
-    rounding = 10 * torch.finfo(torch.float64).eps * float(torch.linalg.cond(found["Kr"]))
+    psi = result["psi"][:, 2]
+    reduced = torch.linalg.solve(result["Kr"], psi[a]) @ psi[b]
+    rounding = 10 * torch.finfo(torch.float64).eps * float(torch.linalg.cond(result["Kr"]))
     assert rounding < 2e-7
     torch.testing.assert_close(reduced, exact[6 * b + 2], rtol=rounding, atol=0.0)
 
@@ -67,10 +67,10 @@ def test_a_line_tells_the_optimization():
 def test_spread_over_geometries(tmp_path):
     """Heavier trusses bend the panels more; the picture and a sentence."""
     cases = {"as it is": {"modes": 2}, "heavy": {"modes": 2, "radius": 7e-3}}
-    found = figures(tmp_path, cases, steps=20, duration=0.4)
-    assert found["heavy/initial"] != found["as it is/initial"]
+    result = figures(tmp_path, cases, steps=20, duration=0.4)
+    assert result["heavy/initial"] != result["as it is/initial"]
     for name in cases:
-        share = found[f"{name}/optimum"] / found[f"{name}/initial"]
-        assert found[f"{name}/reduction_percent"] == pytest.approx(100.0 * (1.0 - share))
-    assert "reductions of 2 geometries" in found["sentence"]
+        share = result[f"{name}/optimum"] / result[f"{name}/initial"]
+        assert result[f"{name}/reduction_percent"] == pytest.approx(100.0 * (1.0 - share))
+    assert "reductions of 2 geometries" in result["sentence"]
     assert (tmp_path / "geometry.png").stat().st_size > 1000

@@ -30,6 +30,6 @@ def test_bricks_of_mujoco_come_to_the_beam():
     pytest.importorskip("mujoco")
     if (path := crank.models()) is None:
         pytest.skip(f"{crank.MODELS} names no folder")
-    found = [1e3 * float(crank.mujoco(path, (count, 1, 1)).deflection[1500]) for count in (12, 36)]
-    assert found[0] < 0.6 * MIDDLE[2]
-    assert 0.85 * MIDDLE[2] < found[1] < MIDDLE[2]
+    result = [1e3 * float(crank.mujoco(path, (count, 1, 1)).deflection[1500]) for count in (12, 36)]
+    assert result[0] < 0.6 * MIDDLE[2]
+    assert 0.85 * MIDDLE[2] < result[1] < MIDDLE[2]

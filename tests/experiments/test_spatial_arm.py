@@ -60,8 +60,8 @@ def test_gradients_against_differences():
     assert exact.objective_gradient is not None
     for k in (1, 4, 10):
         h = 2e-4 * (small.upper - small.lower)[k] * np.eye(len(x))[k]
-        found = small.evaluate(np.stack([x + h, x - h, x + 2 * h, x - 2 * h]), False)
-        y = [e.objective for e in found]
+        result = small.evaluate(np.stack([x + h, x - h, x + 2 * h, x - 2 * h]), False)
+        y = [e.objective for e in result]
         one, two = (y[0] - y[1]) / (2 * h[k]), (y[2] - y[3]) / (4 * h[k])
         scale = exact.objective / (small.upper - small.lower)[k]
         assert exact.objective_gradient[k] == pytest.approx((4 * one - two) / 3, rel=1e-6, abs=1e-6 * scale), (
@@ -77,8 +77,8 @@ def test_it_starts_at_rest_and_ends_where_its_drives_lead():
     first, last = (motion.body("tool").r[0, k] for k in (0, -1))
     torch.testing.assert_close(first, still.body("tool").r[0, 0], rtol=0, atol=1e-9)
     reach = 0.5 + 0.4 * math.cos(math.pi / 6)
-    wanted = torch.tensor([reach / 2, reach * math.sqrt(0.75), 0.2]).double()
-    torch.testing.assert_close(last, wanted, rtol=0, atol=0.02)  # it sags and vibrates
+    expected = torch.tensor([reach / 2, reach * math.sqrt(0.75), 0.2]).double()
+    torch.testing.assert_close(last, expected, rtol=0, atol=0.02)  # it sags and vibrates
 
 
 @pytest.mark.thorough

@@ -16,10 +16,10 @@ CELLS, STRAIGHT = (12, 6), [0.0, math.pi / 2, 0.0]  # the best straight fibers o
 
 @pytest.fixture(scope="module")
 def reference() -> float:
-    [found] = straight(STRAIGHT, CELLS).evaluate(np.array([STRAIGHT]), True)
-    assert found.objective_gradient is not None
-    assert np.abs(found.objective_gradient).max() < 1e-6 * found.objective  # by symmetry
-    return found.objective
+    [result] = straight(STRAIGHT, CELLS).evaluate(np.array([STRAIGHT]), True)
+    assert result.objective_gradient is not None
+    assert np.abs(result.objective_gradient).max() < 1e-6 * result.objective  # by symmetry
+    return result.objective
 
 
 def test_gradient_against_differences():

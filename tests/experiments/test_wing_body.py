@@ -37,7 +37,7 @@ def test_mass_and_center_are_the_printed_ones(wing):
 @pytest.mark.slow
 def test_frequencies_are_those_of_another_program(wing):
     """The aft body hangs on drilling freedoms, which MYSTRAN leaves soft; upper panels within 6 %, all others within 2 %."""
-    found = wing_body.frequencies(wing)
-    for (name, other), ours in zip(wing_body.MYSTRAN, found, strict=True):
+    result = wing_body.frequencies(wing)
+    for (name, other), ours in zip(wing_body.MYSTRAN, result, strict=True):
         if "drilling" not in name:
             assert ours == pytest.approx(other, rel=0.06 if name == "upper panels" else 0.02), name

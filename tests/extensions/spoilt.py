@@ -19,8 +19,8 @@ def spoilt(text: str, seed: int) -> bytes:
         kind = draw.randrange(9)
         if kind == 0:
             text = text[:place] + draw.choice(ALPHABET) + text[place + 1 :]
-        elif kind == 1 and (found := list(_NUMBER.finditer(text))):
-            number = draw.choice(found)
+        elif kind == 1 and (result := list(_NUMBER.finditer(text))):
+            number = draw.choice(result)
             text = text[: number.start()] + draw.choice(WORDS) + text[number.end() :]
         elif kind == 2 and len(words := re.split(r"(\W+)", lines[k])) > 1:
             words[draw.randrange(len(words))] = draw.choice(WORDS)

@@ -28,8 +28,8 @@ def test_a_blade_file_of_beamdyn(tmp_path):
     read = mbd.read_beamdyn(file)
     own = mbd.SectionTable([0.0, 1.0], [(ours, mass), (0.6 * ours, mass)])
     line = mbd.BeamLine.straight(1.0, 4)
-    found = [mbd.ExactBeam("blade", line, t).equilibrium({"end": (0.1, 0.5, 0.3)}).nodes for t in (read, own)]
-    torch.testing.assert_close(found[0], found[1], rtol=1e-10, atol=1e-12)
+    result = [mbd.ExactBeam("blade", line, t).equilibrium({"end": (0.1, 0.5, 0.3)}).nodes for t in (read, own)]
+    torch.testing.assert_close(result[0], result[1], rtol=1e-10, atol=1e-12)
     torch.testing.assert_close(read.mass(torch.tensor([0.5])), own.mass(torch.tensor([0.5])))
 
 

@@ -50,14 +50,14 @@ def bulk(folder: Path) -> list[Tensor]:
 
 def robot(folder: Path) -> list[Tensor]:
     (folder / "arm.urdf").write_text('<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n")
-    found = mbd.simulate(mbd.read_urdf(folder / "arm.urdf"), 0.01, steps=4)
-    return [found.q, found.v, found.a]
+    result = mbd.simulate(mbd.read_urdf(folder / "arm.urdf"), 0.01, steps=4)
+    return [result.q, result.v, result.a]
 
 
 def scene(folder: Path) -> list[Tensor]:
     (folder / "arm.xml").write_text(MECHANISM)
-    found = mbd.simulate(mbd.read_mjcf(folder / "arm.xml"), 0.01, steps=4)
-    return [found.q, found.v, found.a]
+    result = mbd.simulate(mbd.read_mjcf(folder / "arm.xml"), 0.01, steps=4)
+    return [result.q, result.v, result.a]
 
 
 def swings(folder: Path) -> list[Tensor]:

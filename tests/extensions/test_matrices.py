@@ -92,9 +92,9 @@ def dmig(path):
 )
 def test_the_same_matrix_in_every_format(write, name, with_rows, tmp_path):
     write(tmp_path / name)
-    found = read_matrix(tmp_path / name)
-    np.testing.assert_array_equal(found.matrix.toarray(), A)
-    assert found.rows == (ROWS if with_rows else None)
+    result = read_matrix(tmp_path / name)
+    np.testing.assert_array_equal(result.matrix.toarray(), A)
+    assert result.rows == (ROWS if with_rows else None)
 
 
 def test_a_file_of_two_matrices(tmp_path):
@@ -160,9 +160,9 @@ def test_a_half_of_mixed_triangles_is_the_whole_matrix(tmp_path):
         lines.append(f"DMIG,KAAX,{ROWS[j][0]},{ROWS[j][1]},,{ROWS[i][0]},{ROWS[i][1]},{float(A[i, j])!r}")
     path = tmp_path / "k.pch"
     path.write_text("\n".join(lines))
-    found = read_matrix(path)
-    assert found.rows == ROWS
-    np.testing.assert_array_equal(found.matrix.toarray(), A)
+    result = read_matrix(path)
+    assert result.rows == ROWS
+    np.testing.assert_array_equal(result.matrix.toarray(), A)
 
 
 def test_a_file_that_does_not_exist():
@@ -194,9 +194,9 @@ def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
 def test_matrices_that_were_saved_make_the_same_body(built, numbers, tmp_path):
     paths = built.save_matrices(tmp_path / "arm")
     assert [p.name for p in paths] == ["arm_M.mtx", "arm_K.mtx"]
-    want, found = given(numbers).structure(), given([mbd.read_matrix(path) for path in paths]).structure()
+    want, result = given(numbers).structure(), given([mbd.read_matrix(path) for path in paths]).structure()
     for key in ("mass", "S0", "P0", "S1", "C0", "C1", "Kr", "psi"):
-        assert_close(found[key], want[key], rtol=1e-9, atol=1e-9 * float(want[key].abs().max()))
+        assert_close(result[key], want[key], rtol=1e-9, atol=1e-9 * float(want[key].abs().max()))
 
 
 def test_labels_of_a_file_find_their_nodes(numbers, tmp_path):
@@ -213,7 +213,7 @@ def test_labels_of_a_file_find_their_nodes(numbers, tmp_path):
         (tmp_path / f"{key}.mtx").write_text(text)
     places = {100 + 10 * k: x for k, x in enumerate(NODES.tolist())}
     own = {"modes": 4, "reference": 0, "node_sets": SETS}
-    found = mbd.FlexibleBody.from_matrices(
+    result = mbd.FlexibleBody.from_matrices(
         "arm", *(mbd.read_matrix(tmp_path / f"{key}.mtx") for key in "MK"), places, **own
     )
-    assert_close(found.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-9, atol=1e-3)
+    assert_close(result.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-9, atol=1e-3)

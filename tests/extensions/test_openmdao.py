@@ -40,9 +40,9 @@ def test_values_and_partials():
         totals = problem.compute_totals(of=list(RESPONSES), wrt=own)
         assert {shape.shape[0] for (output, _), shape in totals.items() if output == "places"} == {2}
         checked = problem.check_totals(of=["energy", "mass"], wrt=own, out_stream=None, step=1e-5, form="central")
-        for key, found in checked.items():
-            size = max(np.abs(found["J_fd"]).max(), 1e-9)
-            assert np.abs(found["J_fwd" if "J_fwd" in found else "J_rev"] - found["J_fd"]).max() < 1e-5 * size, key
+        for key, result in checked.items():
+            size = max(np.abs(result["J_fd"]).max(), 1e-9)
+            assert np.abs(result["J_fwd" if "J_fwd" in result else "J_rev"] - result["J_fd"]).max() < 1e-5 * size, key
 
 
 @pytest.mark.thorough
@@ -58,8 +58,8 @@ def test_an_optimization_ends_where_ours_does():
     problem.setup()
     problem.run_driver()
     ours = mbd.Problem(arm, 0.02, ENERGY, variables=["arm.laminate.angles"], bounds=(-1.5, 1.5), steps=20)
-    wanted = mbd.optimize(ours, method="slsqp", ftol=1e-10, progress=False).value
-    assert float(problem.get_val("energy")[0]) == pytest.approx(wanted, rel=1e-4)
+    expected = mbd.optimize(ours, method="slsqp", ftol=1e-10, progress=False).value
+    assert float(problem.get_val("energy")[0]) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.thorough

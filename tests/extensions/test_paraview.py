@@ -25,70 +25,70 @@ DTYPES = {"Float64": "<f8", "Int64": "<i8", "UInt8": "u1"}
 
 def arrays(path) -> dict[str, np.ndarray]:
     """All arrays of a VTU file by name."""
-    found = {}
+    result = {}
     for element in ET.parse(path).iter("DataArray"):
         raw = base64.b64decode(element.text)
         assert int.from_bytes(raw[:8], "little") == len(raw) - 8
         data = np.frombuffer(raw[8:], DTYPES[element.get("type")])
         width = element.get("NumberOfComponents")
-        found[element.get("Name")] = data.reshape(-1, int(width)) if width else data
-    return found
+        result[element.get("Name")] = data.reshape(-1, int(width)) if width else data
+    return result
 
 
 @pytest.fixture(scope="module")
 def motion() -> mbd.Trajectory:
     system = pendulum()
     strength = Strength(1.5e6, 1.2e6, 4e4, 2.5e5, 7e4)
-    made = system.body("rod").laminate
-    made._plies = LayerNumbers(made, "ply", (Ply(**SOFT, strength=strength),) * 2)
+    result = system.body("rod").laminate
+    result._plies = LayerNumbers(result, "ply", (Ply(**SOFT, strength=strength),) * 2)
     return mbd.simulate(system, 0.02, steps=20).require_ok()
 
 
 def test_the_mesh(tmp_path):
     body = plate("rod")
-    found = arrays(save_mesh(body, tmp_path / "rod.vtu"))
-    assert_array_equal(found["points"], body.mesh.nodes.numpy())
-    assert_array_equal(found["connectivity"].reshape(-1, 4), body.mesh.quads.numpy())
-    assert_array_equal(found["offsets"], 4 * np.arange(1, len(body.mesh.quads) + 1))
-    assert_array_equal(found["types"], 9)
-    assert_array_equal(found["laminate"], 0)
-    assert_allclose(found["laminate_x"], np.tile([1.0, 0.0, 0.0], (body.mesh.cell_count, 1)), atol=1e-15)
+    result = arrays(save_mesh(body, tmp_path / "rod.vtu"))
+    assert_array_equal(result["points"], body.mesh.nodes.numpy())
+    assert_array_equal(result["connectivity"].reshape(-1, 4), body.mesh.quads.numpy())
+    assert_array_equal(result["offsets"], 4 * np.arange(1, len(body.mesh.quads) + 1))
+    assert_array_equal(result["types"], 9)
+    assert_array_equal(result["laminate"], 0)
+    assert_allclose(result["laminate_x"], np.tile([1.0, 0.0, 0.0], (body.mesh.cell_count, 1)), atol=1e-15)
     for k, theta in enumerate(body.laminate.angles.tolist()):
-        wanted = np.tile([np.cos(theta), np.sin(theta), 0.0], (body.mesh.cell_count, 1))
-        assert_allclose(found[f"fiber_{k + 1}"], wanted, atol=1e-15)
+        expected = np.tile([np.cos(theta), np.sin(theta), 0.0], (body.mesh.cell_count, 1))
+        assert_allclose(result[f"fiber_{k + 1}"], expected, atol=1e-15)
 
 
 def test_a_mesh_of_both_kinds(tmp_path):
     nodes = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0]]
     mesh = mbd.Mesh(nodes, [[1, 4, 2]], quads=[[0, 1, 2, 3]])
-    found = arrays(save_mesh(mesh, tmp_path / "mesh.vtu"))
-    assert_array_equal(found["connectivity"], [1, 4, 2, 0, 1, 2, 3])
-    assert_array_equal(found["offsets"], [3, 7])
-    assert_array_equal(found["types"], [5, 9])
+    result = arrays(save_mesh(mesh, tmp_path / "mesh.vtu"))
+    assert_array_equal(result["connectivity"], [1, 4, 2, 0, 1, 2, 3])
+    assert_array_equal(result["offsets"], [3, 7])
+    assert_array_equal(result["types"], [5, 9])
 
 
 def test_a_mesh_with_lines(tmp_path):
     mesh = mbd.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 2, 0]], [[0, 1, 2]], lines=[[1, 3]])
-    found = arrays(save_mesh(mesh, tmp_path / "mesh.vtu"))
-    assert_array_equal(found["connectivity"], [0, 1, 2, 1, 3])
-    assert_array_equal(found["offsets"], [3, 5])
-    assert_array_equal(found["types"], [5, 3])
+    result = arrays(save_mesh(mesh, tmp_path / "mesh.vtu"))
+    assert_array_equal(result["connectivity"], [0, 1, 2, 1, 3])
+    assert_array_equal(result["offsets"], [3, 5])
+    assert_array_equal(result["types"], [5, 3])
 
 
 @pytest.mark.thorough
 def test_the_modes(tmp_path):
     """Each field is a mode: K u = omega^2 M u on the free freedoms; its name tells the frequency."""
     body = plate("rod", modes=3)
-    found = arrays(save_modes(body, tmp_path / "modes.vtu"))
-    names = [name for name in found if name.startswith("mode_")]
+    result = arrays(save_modes(body, tmp_path / "modes.vtu"))
+    names = [name for name in result if name.startswith("mode_")]
     values = torch.linalg.eigvalsh(body.structure()["Kr"].detach()).sqrt() / (2 * torch.pi)
     assert [float(name.split("_")[2].removesuffix("Hz")) for name in names] == pytest.approx(values.tolist(), rel=1e-3)
     psi = body.structure()["psi"].detach()[:, :3].flatten(0, 1)
     for name in names:
-        u = torch.from_numpy(found[name].copy()).flatten()
+        u = torch.from_numpy(result[name].copy()).flatten()
         left = u - psi @ torch.linalg.lstsq(psi, u[:, None]).solution[:, 0]
         assert float(left.norm()) < 1e-9 * float(u.norm())
-        assert np.linalg.norm(found[name], axis=1).max() == pytest.approx(0.1 * np.hypot(0.3, 0.1))
+        assert np.linalg.norm(result[name], axis=1).max() == pytest.approx(0.1 * np.hypot(0.3, 0.1))
 
 
 def test_the_motion(tmp_path, motion):
@@ -102,13 +102,13 @@ def test_the_motion(tmp_path, motion):
     view, plies = motion.body("rod"), PlyHistory(motion, "rod")
     for x in (rod[1], rod[-1]):
         index = int(np.argmin(np.abs(motion.t.numpy() - float(x.get("timestep")))))
-        found = arrays(tmp_path / x.get("file"))
-        assert_allclose(found["points"], view.nodes[0, index].detach().numpy(), rtol=1e-12)
+        result = arrays(tmp_path / x.get("file"))
+        assert_allclose(result["points"], view.nodes[0, index].detach().numpy(), rtol=1e-12)
         u = view.displacements[0, index].detach() @ view.A[0, index].detach().T
-        assert_allclose(found["displacement"], u.numpy(), rtol=1e-9, atol=1e-15)
+        assert_allclose(result["displacement"], u.numpy(), rtol=1e-9, atol=1e-15)
         indices = CRITERIA["tsai_wu"](plies.stress()[0, index], plies.strength[0]).detach()
         worst = [float(indices[plies.points[:, 0] == k].max()) for k in range(view.mesh.cell_count)]
-        assert_allclose(found["tsai_wu"], np.maximum(worst, 0.0), rtol=1e-9, atol=1e-15)
+        assert_allclose(result["tsai_wu"], np.maximum(worst, 0.0), rtol=1e-9, atol=1e-15)
     arm = next(x for x in sets if x.get("name") == "arm")
     assert_allclose(
         arrays(tmp_path / arm.get("file"))["points"][0], motion.body("arm").r[0, 0].detach().numpy(), rtol=1e-12
@@ -118,10 +118,10 @@ def test_the_motion(tmp_path, motion):
 def test_meshio_reads_it(tmp_path, motion):
     file = save_motion(motion, tmp_path / "swing.pvd", max_frames=2)
     first = next(x for x in ET.parse(file).iter("DataSet") if x.get("name") == "rod")
-    found = meshio.read(tmp_path / first.get("file"))
-    assert_allclose(found.points, motion.body("rod").nodes[0, 0].detach().numpy())
-    assert_array_equal(found.cells_dict["quad"], motion.body("rod").mesh.quads.numpy())
-    assert found.point_data["displacement"].shape == (15, 3)
+    result = meshio.read(tmp_path / first.get("file"))
+    assert_allclose(result.points, motion.body("rod").nodes[0, 0].detach().numpy())
+    assert_array_equal(result.cells_dict["quad"], motion.body("rod").mesh.quads.numpy())
+    assert result.point_data["displacement"].shape == (15, 3)
 
 
 @pytest.mark.parametrize(

@@ -104,8 +104,8 @@ def test_a_round_tube(blade):
     K, M = section.stiffness(), section.mass()
     r, R = 0.95, 1.0
     area, second = math.pi * (R**2 - r**2), math.pi / 4.0 * (R**4 - r**4)
-    wanted = {0: 2e11 * area, 3: 2e11 / 2.6 * 2.0 * second, 4: 2e11 * second, 5: 2e11 * second}
-    for k, x in wanted.items():
+    expected = {0: 2e11 * area, 3: 2e11 / 2.6 * 2.0 * second, 4: 2e11 * second, 5: 2e11 * second}
+    for k, x in expected.items():
         assert float(K[k, k]) == pytest.approx(x, rel=4e-3), k
     assert float(M[0, 0]) == pytest.approx(7850.0 * area, rel=3e-3)
     assert float(K[0, 4].abs() + K[0, 5].abs()) < 1e-3 * float(K[0, 0])
@@ -163,12 +163,12 @@ def test_caps_carry_along_the_span(blade):
     ],
 )
 def test_what_is_refused(blade, layers, webs, words):
-    made = blade(wing(), layers, webs)
+    result = blade(wing(), layers, webs)
     if words is None:
-        assert made.section(0.5).mesh.layers > 0
+        assert result.section(0.5).mesh.layers > 0
         return
     with pytest.raises(InputError, match=words):
-        made.section(0.5)
+        result.section(0.5)
 
 
 @pytest.mark.thorough
@@ -188,13 +188,13 @@ def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
 def test_a_blade_of_one_airfoil(blade):
     """The same airfoil at both ends, or one alone: its own contour everywhere."""
     one = [{"name": "root", "coordinates": wing(), "relative_thickness": 0.3}]
-    made = blade(wing(), FULL, WEBS)
+    result = blade(wing(), FULL, WEBS)
     for position in ({"grid": FLAT, "labels": ["root", "root"]}, {"grid": [0.0], "labels": ["root"]}):
-        made._airfoils(position, {"root": one[0]})
-        x, y = made.contour(0.37).T
-        wanted = np.interp(x[:100][::-1], wing()["x"][79::-1], wing()["y"][79::-1])
-        np.testing.assert_allclose(y[:100][::-1], wanted, atol=2e-3)
-        assert made.section(0.37).mesh.layers > 0
+        result._airfoils(position, {"root": one[0]})
+        x, y = result.contour(0.37).T
+        expected = np.interp(x[:100][::-1], wing()["x"][79::-1], wing()["y"][79::-1])
+        np.testing.assert_allclose(y[:100][::-1], expected, atol=2e-3)
+        assert result.section(0.37).mesh.layers > 0
 
 
 @pytest.mark.parametrize(
@@ -264,8 +264,8 @@ def test_numbers_of_elements_that_are_refused(blade, options, match):
 
 
 def test_linear_elements_give_nearly_the_same_section(blade):
-    made = blade(circle(), [skin("outer", "steel", 0.02)], [])
-    linear, quadratic = (made.section(0.5, order=order).stiffness().diagonal().detach() for order in (1, 2))
+    result = blade(circle(), [skin("outer", "steel", 0.02)], [])
+    linear, quadratic = (result.section(0.5, order=order).stiffness().diagonal().detach() for order in (1, 2))
     assert float((linear / quadratic - 1.0).abs().max()) < 2e-3
 
 
@@ -278,8 +278,8 @@ def test_a_layer_round_the_trailing_edge_is_two_layers(blade):
         layer(f"edge_{a}", "steel", 2e-3, start_nd_arc=along(a), end_nd_arc=along(b))
         for a, b in ((0.94, 1.0), (0.0, 0.06))
     ]
-    found = [blade(wing(), [outer, *own], []).section(0.5) for own in ([whole], parts)]
-    masses = [float(section.mass()[0, 0]) for section in found]
+    result = [blade(wing(), [outer, *own], []).section(0.5) for own in ([whole], parts)]
+    masses = [float(section.mass()[0, 0]) for section in result]
     assert masses[0] == pytest.approx(masses[1], rel=1e-2)
     assert masses[0] < masses[1]
     plain = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
@@ -292,20 +292,20 @@ def test_a_layer_round_the_trailing_edge_is_two_layers(blade):
 def test_layers_without_orientation_lie_along_the_blade(blade):
     """The schema's default of fiber_orientation is zero."""
     bare = {key: x for key, x in skin("outer", "carbon", 2e-3).items() if key != "fiber_orientation"}
-    section, wanted = (blade(wing(), [own], []).section(0.5) for own in (bare, skin("outer", "carbon", 2e-3)))
+    section, expected = (blade(wing(), [own], []).section(0.5) for own in (bare, skin("outer", "carbon", 2e-3)))
     assert section.angles.tolist() == [0.0]
-    torch.testing.assert_close(section.stiffness(), wanted.stiffness())
+    torch.testing.assert_close(section.stiffness(), expected.stiffness())
 
 
 @pytest.mark.thorough
 def test_an_anchor_may_be_defined_again(tmp_path, blade):
     """As in YAML 1.2: an alias names the definition before it, also where the blade uses them."""
     outer = skin("outer", "steel", 2e-3)
-    wanted = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
+    expected = float(blade(wing(), [outer], []).section(0.5).mass()[0, 0])
     path = tmp_path / "blade.yaml"
     text = path.read_text()
     path.write_text("a: &g [7, 9]\nb: &g [0.0, 1.0]\nc: *g\n" + text)
-    assert float(mbd.read_windio(path).section(0.5).mass()[0, 0]) == pytest.approx(wanted, rel=1e-14)
+    assert float(mbd.read_windio(path).section(0.5).mass()[0, 0]) == pytest.approx(expected, rel=1e-14)
     assert _loaded(path.read_text())["c"] == [0.0, 1.0]
 
 
@@ -317,14 +317,14 @@ def test_a_layer_that_ends_shortly_before_the_trailing_edge(side, end, gap, blad
     """Its mass is that of one which ends there, within 0.1 % of the section; from both sides."""
     ends = (0.0, end) if side == "end" else (1.0 - end, 1.0)
     inner = layer("inner", "steel", 2e-3, start_nd_arc=along(ends[0]), end_nd_arc=along(ends[1]))
-    found = float(blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), inner], []).section(0.5).mass()[0, 0])
+    result = float(blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), inner], []).section(0.5).mass()[0, 0])
     whole = float(
         blade(wing(0.18, gap), [skin("outer", "steel", 6e-3), skin("inner", "steel", 2e-3)], [])
         .section(0.5)
         .mass()[0, 0]
     )
     length = float(np.linalg.norm(np.diff(blade(wing(0.18, gap), [], []).contour(0.5) * 2.0, axis=0), axis=1).sum())
-    assert found == pytest.approx(whole - 7850.0 * 2e-3 * (1.0 - end) * length, rel=2e-3)
+    assert result == pytest.approx(whole - 7850.0 * 2e-3 * (1.0 - end) * length, rel=2e-3)
 
 
 @pytest.mark.thorough

@@ -52,9 +52,9 @@ def test_another_backend_is_one_class_and_one_entry(monkeypatch):
     monkeypatch.setattr(Counting, "steppers", 0)
     expected = motion(PENDULUM, "eager")
     for name in ("auto", "counting"):
-        found = motion(PENDULUM, name)
-        assert found.stats["backend"] == "counting"
-        assert_close(found.q, expected.q, rtol=0, atol=0)
+        result = motion(PENDULUM, name)
+        assert result.stats["backend"] == "counting"
+        assert_close(result.q, expected.q, rtol=0, atol=0)
     assert expected.stats["backend"] == "eager"
     assert Counting.steppers == 2
 

@@ -29,7 +29,7 @@ LOSSES = {
 @pytest.mark.thorough
 @pytest.mark.parametrize("loss", LOSSES)
 def test_the_gradient_is_that_without_it(loss):
-    found = []
+    result = []
     for use in (True, False):
         system = mbd.examples.arm()
         angles = system.get_parameter("arm.laminate.angles")
@@ -39,6 +39,6 @@ def test_the_gradient_is_that_without_it(loss):
             return LOSSES[loss](system)
 
         (checkpoint(run, one, use_reentrant=False) if use else run(one)).backward()
-        found.append(angles.grad)
-    assert float(found[0].norm()) > 0.0
-    assert torch.equal(*found)
+        result.append(angles.grad)
+    assert float(result[0].norm()) > 0.0
+    assert torch.equal(*result)

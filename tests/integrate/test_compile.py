@@ -20,7 +20,7 @@ def loss(x: Tensor) -> Tensor:
 
 @pytest.mark.thorough
 def test_value_and_gradient_are_those_of_the_function_itself():
-    found, graphs = [], []
+    result, graphs = [], []
 
     def backend(graph: torch.fx.GraphModule, _: list[Tensor]) -> torch.fx.GraphModule:
         graphs.append(graph)
@@ -29,6 +29,6 @@ def test_value_and_gradient_are_those_of_the_function_itself():
     for f in (loss, torch.compile(loss, backend=backend)):
         x = tensor(0.3, 0.4).requires_grad_()
         y = f(x)
-        found.append((y.detach(), *torch.autograd.grad(y, x)))
-    assert_close(found[1], found[0], rtol=1e-12, atol=0)
+        result.append((y.detach(), *torch.autograd.grad(y, x)))
+    assert_close(result[1], result[0], rtol=1e-12, atol=0)
     assert "sin" in graphs[0].code

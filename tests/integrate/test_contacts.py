@@ -58,12 +58,12 @@ def test_a_contact_shorter_than_a_step_is_found(backend):
     assert missed.status[0].startswith("failed: contact 'ceiling' of 'ground' and 'ball' between t = 0.093")
     if backend == "eager":
         return  # what follows makes thousands of steps, and is the same code
-    found = mbd.simulate(system, duration, **options).require_ok()
-    assert found.stats["halved"] == [0]
+    result = mbd.simulate(system, duration, **options).require_ok()
+    assert result.stats["halved"] == [0]
     fine = mbd.simulate(system, duration, **options | {"steps": 18 * 256}).require_ok()
     assert float(fine.q[0, :, 2].max()) > 0.05
-    assert_close(found.q[:, -1], fine.q[:, -1], rtol=0, atol=2e-5)
-    z = [float(x.q[0, -1, 2]) for x in (missed, found)] if torch.isfinite(missed.q).all() else [0.0, 1.0]
+    assert_close(result.q[:, -1], fine.q[:, -1], rtol=0, atol=2e-5)
+    z = [float(x.q[0, -1, 2]) for x in (missed, result)] if torch.isfinite(missed.q).all() else [0.0, 1.0]
     assert abs(z[0] - z[1]) > 1e-4
 
 
@@ -75,9 +75,9 @@ def test_a_contact_of_few_steps_gets_more():
         short = mbd.simulate(dropped(), period, steps=100, gradients="none", halvings=0)
     assert short.status[0].startswith("unresolved: contact 'floor'")
     assert f"allowed: {STEPS} steps" in short.status[0]
-    found = mbd.simulate(dropped(), period, steps=100, gradients="none").require_ok()
-    assert found.q.shape[1] == 101
-    assert float(found.q[0, -1, 2]) == pytest.approx(exact, rel=1e-3)
+    result = mbd.simulate(dropped(), period, steps=100, gradients="none").require_ok()
+    assert result.q.shape[1] == 101
+    assert float(result.q[0, -1, 2]) == pytest.approx(exact, rel=1e-3)
     assert abs(float(short.q[0, -1, 2]) - exact) > 1e-3
 
 
@@ -241,8 +241,8 @@ def test_smaller_steps_under_vmap():
         return measure(motion)[0]
 
     k = torch.tensor([2e4, 2e2], dtype=torch.float64)
-    wanted = torch.stack([value(x) for x in k])
-    assert_close(torch.func.vmap(value)(k), wanted, rtol=1e-12, atol=0.0)
+    expected = torch.stack([value(x) for x in k])
+    assert_close(torch.func.vmap(value)(k), expected, rtol=1e-12, atol=0.0)
     tangents = torch.func.vmap(lambda x: torch.func.jvp(value, (x,), (torch.ones_like(x),))[1])(k)
     gradients = torch.stack([torch.func.grad(value)(x) for x in k])
     assert_close(tangents, gradients, rtol=1e-7, atol=0.0)

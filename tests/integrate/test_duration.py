@@ -74,13 +74,13 @@ def test_it_is_the_derivative_of_the_discrete_motion(name):
 
     T = torch.tensor(duration, dtype=torch.float64)
     # The energy of four rigid links sums up to 269, and changes by 1e-7 per second: smaller differences are its rounding.
-    wanted = differences(f, duration, 1e-2 if name == "redundant constraints" else 1e-3)
+    expected = differences(f, duration, 1e-2 if name == "redundant constraints" else 1e-3)
     reverse = torch.func.jacrev(f)(T)
     assert_close(torch.func.jacfwd(f)(T), reverse, rtol=1e-9, atol=1e-12)
     # Differences of accelerations and multipliers have the rounding of the iteration.
-    assert_close(reverse, wanted, rtol=3e-5, atol=1e-9 * float(wanted.abs().max()))
+    assert_close(reverse, expected, rtol=3e-5, atol=1e-9 * float(expected.abs().max()))
     smooth = [0, 1, 2, 6, 7, 8, 10]
-    assert_close(reverse[smooth], wanted[smooth], rtol=2e-6, atol=1e-10 * float(wanted.abs().max()))
+    assert_close(reverse[smooth], expected[smooth], rtol=2e-6, atol=1e-10 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -118,9 +118,9 @@ def test_a_lane_that_took_half_the_step():
         return motion.q.square().sum()
 
     T = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
-    (found,) = torch.autograd.grad(f(T), T)
+    (result,) = torch.autograd.grad(f(T), T)
     assert stats["halved"] == [0]
-    assert_close(found, differences(f, 0.3, 1e-4), rtol=1e-5, atol=0)
+    assert_close(result, differences(f, 0.3, 1e-4), rtol=1e-5, atol=0)
 
 
 @pytest.mark.thorough
@@ -147,24 +147,24 @@ def test_a_design_of_the_duration():
 @pytest.mark.thorough
 def test_compiled_steps(native):
     system = pendulum()
-    found = []
+    result = []
     for backend in ("eager", "native"):
         T = torch.tensor(0.01, dtype=torch.float64, requires_grad=True)
         motion = mbd.simulate(system, T, backend=backend, **STEPS)
-        found.append(torch.autograd.grad((motion.q * (1.0 + motion.q)).sum(), T)[0])
+        result.append(torch.autograd.grad((motion.q * (1.0 + motion.q)).sum(), T)[0])
         assert motion.stats["backend"] == backend
-    assert_close(*found, rtol=1e-7, atol=0)
+    assert_close(*result, rtol=1e-7, atol=0)
 
 
 @pytest.mark.thorough
 def test_what_is_no_duration_or_would_be_lost_is_refused():
     system = pendulum()
     T = torch.tensor(0.01, dtype=torch.float64, requires_grad=True)
-    for options, found in (
+    for options, result in (
         ({"method": "rk4"}, "method is 'rk4'"),
         ({"gradients": "forward"}, "gradients is 'forward'"),
     ):
-        with pytest.raises(InputError, match=rf"duration is being differentiated, but {found}; allowed: method"):
+        with pytest.raises(InputError, match=rf"duration is being differentiated, but {result}; allowed: method"):
             mbd.simulate(system, T, steps=8, **options)
         assert mbd.simulate(system, T.detach(), steps=8, **(options | {"gradients": "none"})).ok
     with torch.no_grad():
@@ -223,8 +223,8 @@ def test_every_response_has_its_gradient_by_the_duration(native):
         return torch.cat([measure(motion).reshape(-1) for measure in OF_TIME])
 
     T = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
-    found = values(T)
-    slopes = torch.stack([torch.autograd.grad(x, T, retain_graph=True)[0] for x in found])
+    result = values(T)
+    slopes = torch.stack([torch.autograd.grad(x, T, retain_graph=True)[0] for x in result])
     coarse, fine = ((values(0.2 + h) - values(0.2 - h)) / (2.0 * h) for h in (1e-5, 5e-6))
-    wanted = 2.0 * fine - coarse  # second derivatives jump where a sample of a cubic passes the end of a window
-    assert_close(slopes, wanted, rtol=1e-4, atol=1e-6)
+    expected = 2.0 * fine - coarse  # second derivatives jump where a sample of a cubic passes the end of a window
+    assert_close(slopes, expected, rtol=1e-4, atol=1e-6)

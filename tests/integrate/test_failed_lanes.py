@@ -54,9 +54,9 @@ def test_reverse_mode(system, slopes, way):
     values = torch.vmap(lane)(MANY)
     assert values.isnan().all(1).tolist() == [False, True, False]
     whole = torch.func.jacrev(lambda x: numbers(simulated(system, x, way)).sum(0))(MANY).T
-    for found in (whole, torch.vmap(torch.func.jacrev(lane))(MANY)):
-        assert found[1].tolist() == [0.0] * found.shape[1]
-        assert_close(found[::2], slopes, rtol=1e-6, atol=1e-9)
+    for result in (whole, torch.vmap(torch.func.jacrev(lane))(MANY)):
+        assert result[1].tolist() == [0.0] * result.shape[1]
+        assert_close(result[::2], slopes, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.thorough
@@ -69,8 +69,8 @@ def test_forward_mode(system, slopes, way):
     measures = [mbd.Integral(mbd.StrainEnergy("rod")), mbd.Max(mbd.StrainEnergy("rod"))]
 
     def shown(x: Tensor) -> tuple[Tensor, ...]:
-        found = simulated(system, x, way)
-        return found.q, found.a, found.lam, *(measure(found) for measure in measures)
+        result = simulated(system, x, way)
+        return result.q, result.a, result.lam, *(measure(result) for measure in measures)
 
     for y, dy in zip(*torch.func.jvp(shown, (MANY,), (ones,)), strict=True):
         assert bool(y[1].isnan().any())
@@ -88,6 +88,6 @@ def test_forward_mode(system, slopes, way):
 def test_a_failed_lane_is_nan_under_vmap_from_its_failure_on(system, way):
     """As without vmap."""
     alone = simulated(system, MANY, way)
-    found = torch.vmap(lambda x: simulated(system, x, way).q[0])(MANY)
-    assert bool(found[1].isnan().any())
-    assert torch.equal(found.isnan(), alone.q.isnan())
+    result = torch.vmap(lambda x: simulated(system, x, way).q[0])(MANY)
+    assert bool(result[1].isnan().any())
+    assert torch.equal(result.isnan(), alone.q.isnan())

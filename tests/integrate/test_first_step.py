@@ -19,7 +19,7 @@ def test_a_stiff_body_begins_to_move(method):
     body = body.moving(angular_velocity=(1.0, 0.5, -0.3))
     ground = mbd.Ground().at(*body.at("left").point.tolist())
     system = mbd.System([body], [mbd.PointOnPlane(ground, body.at("left"))], gravity=GRAVITY)
-    found = mbd.simulate(system, 1e-4, method, 4)
-    assert found.status == ["ok"]
+    result = mbd.simulate(system, 1e-4, method, 4)
+    assert result.status == ["ok"]
     exact = mbd.simulate(system, 1e-4, "rk4", 200).require_ok()
-    assert float((found.q - exact.q[:, ::50]).abs().max()) < 1e-8
+    assert float((result.q - exact.q[:, ::50]).abs().max()) < 1e-8

@@ -83,9 +83,9 @@ def test_held_values_have_their_closed_form(values, steps, options):
     motion = mbd.simulate(held(*values), 2.0, steps=steps, gradients="none", **options).require_ok()
     h = 2.0 / (steps or 1000)
     most = 0.3 * h * h * float(tensor(*values).diff().abs().sum()) / INERTIA
-    found, expected = turned(motion)[0], exact(tensor(*values))
-    assert abs(float(found[0] - expected[0])) <= most * (4.0 if "spectral_radius" in options else 1.0) + 1e-6
-    assert abs(float(found[1] - expected[1])) <= (3e-4 if "spectral_radius" in options else 3e-5)
+    result, expected = turned(motion)[0], exact(tensor(*values))
+    assert abs(float(result[0] - expected[0])) <= most * (4.0 if "spectral_radius" in options else 1.0) + 1e-6
+    assert abs(float(result[1] - expected[1])) <= (3e-4 if "spectral_radius" in options else 3e-5)
 
 
 @pytest.mark.parametrize("steps", [24, 20])
@@ -127,9 +127,9 @@ def test_gradients_by_held_values(steps, mode):
     motion = mbd.simulate(held(1.0, -1.0, 2.0), 2.0, steps=steps, designs={"control.values": x[None]}, gradients=mode)
     assert motion.stats["gradients"] == mode
     for k in range(2):
-        (found,) = torch.autograd.grad(turned(motion)[0, k], x, retain_graph=True)
+        (result,) = torch.autograd.grad(turned(motion)[0, k], x, retain_graph=True)
         expected = torch.func.jacrev(exact)(tensor(1.0, -1.0, 2.0))[k]
-        assert_close(found[:, 0], expected, rtol=0, atol=4e-3 if k == 0 else 1e-4)
+        assert_close(result[:, 0], expected, rtol=0, atol=4e-3 if k == 0 else 1e-4)
 
 
 @pytest.mark.thorough
@@ -219,10 +219,10 @@ def sprung(law) -> mbd.System:
 )
 def test_functions_that_jump_are_found(system, time):
     for _ in range(2):
-        found = texts(lambda: mbd.simulate(system, 2.0, steps=8, gradients="none", backend="eager"))
-        assert len(found) == 1
-        assert f"the law of 'push' jumps at t = {time}" in found[0]
-        assert f"mbd.Phase(until={time.split(',')[0]}, laws={{'push': first}})" in found[0]
+        result = texts(lambda: mbd.simulate(system, 2.0, steps=8, gradients="none", backend="eager"))
+        assert len(result) == 1
+        assert f"the law of 'push' jumps at t = {time}" in result[0]
+        assert f"mbd.Phase(until={time.split(',')[0]}, laws={{'push': first}})" in result[0]
 
 
 @pytest.mark.thorough
@@ -243,8 +243,8 @@ def test_continuous_functions_are_passed_over(law):
 
 
 def test_jumps_are_located_to_rounding():
-    found = jump_times(lambda t: torch.stack([switched(t), 3.0 * (t >= 0.1).double(), 100.0 * t]), 2.0)
-    assert found == pytest.approx([0.1, 1.0], abs=1e-14)
+    result = jump_times(lambda t: torch.stack([switched(t), 3.0 * (t >= 0.1).double(), 100.0 * t]), 2.0)
+    assert result == pytest.approx([0.1, 1.0], abs=1e-14)
 
 
 @pytest.mark.thorough
@@ -365,9 +365,9 @@ def driven(law, **options) -> mbd.System:
     ],
 )
 def test_drives_that_no_body_follows_are_found(law, jumps):
-    found = texts(lambda: mbd.simulate(driven(law), 2.0, steps=20, gradients="none", backend="eager"))
-    assert len(found) == jumps
-    assert all("the law of the drive 'motor', or its rate, jumps at t = 1 s" in text for text in found)
+    result = texts(lambda: mbd.simulate(driven(law), 2.0, steps=20, gradients="none", backend="eager"))
+    assert len(result) == jumps
+    assert all("the law of the drive 'motor', or its rate, jumps at t = 1 s" in text for text in result)
 
 
 def test_a_duration_that_moves_past_jumps_has_no_gradient():

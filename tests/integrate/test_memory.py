@@ -46,8 +46,8 @@ print((peak() - before) / motion_bytes(system, lanes, steps, 2 * slopes))
 def test_the_estimate_is_what_a_motion_takes(case):
     command = [sys.executable, "-c", PEAK, *(str(int(x)) for x in case)]
     root = Path(__file__).parents[2]
-    found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
-    assert 0.4 <= float(found) <= 1.5
+    result = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
+    assert 0.4 <= float(result) <= 1.5
 
 
 def test_a_motion_of_a_thousand_million_steps_is_refused():
@@ -106,9 +106,9 @@ def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypat
     sizes = []
     simulate = problem.simulate
     monkeypatch.setattr(problem, "simulate", lambda X, gradients: sizes.append(len(X)) or simulate(X, gradients))
-    found = problem.evaluate(X, True)
+    result = problem.evaluate(X, True)
     assert sizes == [3, 3, 3, 2]
-    for a, b in zip(found, expected, strict=True):
+    for a, b in zip(result, expected, strict=True):
         assert a.objective == pytest.approx(b.objective, rel=1e-9)
         np.testing.assert_allclose(a.objective_gradient, b.objective_gradient, rtol=1e-6)
 

@@ -74,12 +74,12 @@ def test_transforms_of_torch_func(system, angles, wanted, transform, way):
         return energy(system, x, gradients=way)[0]
 
     if transform == "jvp":
-        found = torch.stack([torch.func.jvp(f, (angles,), (e,))[1] for e in torch.eye(2, dtype=angles.dtype)])
+        result = torch.stack([torch.func.jvp(f, (angles,), (e,))[1] for e in torch.eye(2, dtype=angles.dtype)])
     elif transform == "vjp":
-        found = torch.func.vjp(f, angles)[1](torch.ones((), dtype=angles.dtype))[0]
+        result = torch.func.vjp(f, angles)[1](torch.ones((), dtype=angles.dtype))[0]
     else:
-        found = getattr(torch.func, transform)(f)(angles)
-    assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
+        result = getattr(torch.func, transform)(f)(angles)
+    assert_close(result, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
 
 
 @pytest.mark.thorough
@@ -94,8 +94,8 @@ def test_vmap_over_designs(system, angles, way):
 
     assert_close(torch.vmap(f)(many), alone, rtol=1e-9, atol=0)
     batches = torch.stack([many, many.flip(0)])
-    found = torch.vmap(lambda some: energy(system, some, gradients=way))(batches)
-    assert_close(found, torch.stack([alone, alone.flip(0)]), rtol=1e-9, atol=0)
+    result = torch.vmap(lambda some: energy(system, some, gradients=way))(batches)
+    assert_close(result, torch.stack([alone, alone.flip(0)]), rtol=1e-9, atol=0)
     slopes = torch.stack([torch.func.jacrev(f)(x) for x in many])
     size = float(slopes.abs().max())
     for inside in (torch.func.jacrev, torch.func.jacfwd):
@@ -110,9 +110,9 @@ def test_vmap_over_directions(system, angles):
     def f(x: Tensor) -> Tensor:
         return energy(system, x)[0]
 
-    found = torch.vmap(lambda d: torch.func.jvp(f, (angles,), (d,))[1])(directions)
+    result = torch.vmap(lambda d: torch.func.jvp(f, (angles,), (d,))[1])(directions)
     expected = torch.stack([torch.func.jvp(f, (angles,), (d,))[1] for d in directions])
-    assert_close(found, expected, rtol=1e-7, atol=0)
+    assert_close(result, expected, rtol=1e-7, atol=0)
 
 
 @pytest.mark.thorough
@@ -147,8 +147,8 @@ def test_methods_of_torchdiffeq(system, angles, method):
         return (motion.q * (1.0 + motion.q)).sum((1, 2))[0] + motion.body("rod").strain_energy[0, -1]
 
     expected = differences(f, angles)
-    for found in (torch.func.grad(f)(angles), torch.func.jacfwd(f)(angles)):
-        assert_close(found, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
+    for result in (torch.func.grad(f)(angles), torch.func.jacfwd(f)(angles)):
+        assert_close(result, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -223,9 +223,9 @@ def test_parameters_of_laws_and_thicknesses_have_gradients():
             before = x.detach().clone()
             with torch.no_grad():
                 x.copy_(y.reshape(x.shape))
-                found = loss()
+                result = loss()
                 x.copy_(before)
-            return found
+            return result
 
         expected = differences(shifted, flat, step).reshape(x.shape)
         assert x.grad is not None, name
@@ -248,8 +248,8 @@ def test_functional_call(system, angles):
         return torch.func.functional_call(module, {f"system.{ANGLES}": x}, ())
 
     expected = differences(f, angles)
-    for found in (torch.func.grad(f)(angles), torch.func.jacfwd(f)(angles)):
-        assert_close(found, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
+    for result in (torch.func.grad(f)(angles), torch.func.jacfwd(f)(angles)):
+        assert_close(result, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -280,11 +280,11 @@ def test_a_lane_that_fails_adds_nothing(monkeypatch, way):
 
     wanted, _, _ = slopes(designs)
     spoilt(system, monkeypatch)
-    found, status, loss = slopes(designs)
+    result, status, loss = slopes(designs)
     assert [x == "ok" for x in status] == [True, False, True]
     assert loss.isnan().tolist() == [False, True, False]
-    assert found[1].tolist() == [0.0, 0.0]
-    assert_close(found[[0, 2]], wanted[[0, 2]], rtol=1e-8, atol=0)
+    assert result[1].tolist() == [0.0, 0.0]
+    assert_close(result[[0, 2]], wanted[[0, 2]], rtol=1e-8, atol=0)
 
 
 def test_a_number_that_depends_on_no_parameter(system, angles):
@@ -312,9 +312,9 @@ def test_a_look_without_gradients_takes_none_away(system, angles, way):
     for name, look in looks.items():
         with torch.no_grad():
             before = look(motion)
-        found = look(motion)
-        assert (before.requires_grad, found.requires_grad) == (False, True), name
-        assert torch.equal(before, found.detach()), name
+        result = look(motion)
+        assert (before.requires_grad, result.requires_grad) == (False, True), name
+        assert torch.equal(before, result.detach()), name
 
 
 @pytest.mark.thorough
@@ -353,9 +353,9 @@ def test_a_batch_of_vmap_whose_lanes_fail_has_gradients_of_its_shape(system, ang
         return mbd.Integral(mbd.StrainEnergy("rod"))(motion).sum()
 
     for inside in (torch.func.jacrev, torch.func.jacfwd):
-        found = torch.vmap(inside(f))(many)
-        assert found.shape == many.shape
-        assert not bool(found.any())
+        result = torch.vmap(inside(f))(many)
+        assert result.shape == many.shape
+        assert not bool(result.any())
 
 
 @pytest.mark.thorough
@@ -368,14 +368,14 @@ def test_vmap_over_phases(system, angles):
         return mbd.simulate(system, 0.01, designs={ANGLES: x}, phases=phases, **OPTIONS)
 
     def f(x: Tensor) -> Tensor:
-        found = motion(x)
-        return found.lam.square().sum() + found.switches[0].after.v.sum() + found.body("rod").strain_energy.sum()
+        result = motion(x)
+        return result.lam.square().sum() + result.switches[0].after.v.sum() + result.body("rod").strain_energy.sum()
 
     assert_close(torch.vmap(f)(many), torch.stack([f(x) for x in many]), rtol=1e-9, atol=0)
     slopes = torch.stack([torch.func.jacrev(f)(x) for x in many])
     for inside in (torch.func.jacrev, torch.func.jacfwd):
-        found = torch.vmap(inside(f))(many)
-        assert_close(found, slopes, rtol=0, atol=1e-8 * float(slopes.abs().max()))
+        result = torch.vmap(inside(f))(many)
+        assert_close(result, slopes, rtol=0, atol=1e-8 * float(slopes.abs().max()))
     with pytest.raises(InputError, match=r"energies of lanes with phases .*vmap"):
         torch.vmap(lambda x: motion(x).energies.stored)(many)
 
@@ -406,8 +406,8 @@ def test_batches_of_cotangents(system, angles, way):
     y = mbd.simulate(system, 0.01, designs={ANGLES: x}, gradients=way, **OPTIONS).q[0, -1, :3]
     rows = torch.eye(3, dtype=torch.float64)
     expected = torch.stack([torch.autograd.grad(y, x, row, retain_graph=True)[0] for row in rows])
-    found = torch.vmap(lambda row: torch.autograd.grad(y, x, row, retain_graph=True)[0])(rows)
-    assert_close(found, expected, rtol=1e-9, atol=0)
+    result = torch.vmap(lambda row: torch.autograd.grad(y, x, row, retain_graph=True)[0])(rows)
+    assert_close(result, expected, rtol=1e-9, atol=0)
     with pytest.raises(InputError, match=r"is_grads_batched=True.*; allowed: torch.vmap over torch.autograd.grad"):
         torch.autograd.grad(y, x, rows, is_grads_batched=True)
 
@@ -419,8 +419,8 @@ def test_dual_levels_of_autograd(system, angles):
     expected = torch.func.jvp(lambda x: energy(system, x), (angles,), (direction,))[1]
     with forward_ad.dual_level():
         x = forward_ad.make_dual(angles, direction)
-        found = forward_ad.unpack_dual(energy(system, x)).tangent
-        assert_close(found, expected, rtol=1e-9, atol=0)
+        result = forward_ad.unpack_dual(energy(system, x)).tangent
+        assert_close(result, expected, rtol=1e-9, atol=0)
         for options in ({"gradients": "forward"}, {"method": "rk4"}):
             with pytest.raises(InputError, match=rf"'{ANGLES}' is a dual number .*; allowed: torch.func.jvp"):
                 mbd.simulate(system, 0.01, steps=8, designs={ANGLES: x}, **options)

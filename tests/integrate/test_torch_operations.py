@@ -72,8 +72,8 @@ def test_reverse_mode_is_the_transpose_of_forward_mode(system, inputs):
     }
     slopes = torch.func.jvp(lambda x: outputs(system, x), (inputs,), (directions,))[1]
     x = {name: y.clone().requires_grad_() for name, y in inputs.items()}
-    found = outputs(system, x)
-    for name, y in found.items():
+    result = outputs(system, x)
+    for name, y in result.items():
         for leaf in x.values():
             leaf.grad = None
         y.backward(retain_graph=True)
@@ -101,9 +101,9 @@ def test_a_response_that_depends_on_no_parameter_has_a_gradient_of_zero():
     system = pendulum()
     motion = mbd.simulate(system, DURATION, steps=8)
     for measure in (mbd.measure(lambda motion: torch.ones(motion.lanes, dtype=torch.float64)), mbd.Mass("arm")):
-        found = measure.of(motion)
-        assert found.gradient is not None
-        assert found.gradient.tolist() == [[0.0, 0.0]]
+        result = measure.of(motion)
+        assert result.gradient is not None
+        assert result.gradient.tolist() == [[0.0, 0.0]]
         (slope,) = torch.autograd.grad(measure(motion).sum(), system.get_parameter("rod.laminate.angles"))
         assert slope.tolist() == [0.0, 0.0]
     with torch.no_grad():

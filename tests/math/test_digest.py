@@ -39,10 +39,10 @@ def module(folder: Path, text: str, name: str = "law"):
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    sys.modules[name] = made
-    exec(compile(text, str(file), "exec"), vars(made))  # no bytecode of an earlier text
-    return made
+    result = importlib.util.module_from_spec(spec)
+    sys.modules[name] = result
+    exec(compile(text, str(file), "exec"), vars(result))  # no bytecode of an earlier text
+    return result
 
 
 @pytest.mark.parametrize(
@@ -169,13 +169,13 @@ def test_two_processes_have_one_digest(tmp_path):
         "def law(x):\n    return x in {'a', 'b', 'c', 'd'}\n"
         "print(digest(words, dict.fromkeys(words), law))"
     )
-    found = {
+    result = {
         subprocess.run(
             [sys.executable, "-c", script], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
         ).stdout
         for seed in ("1", "2")
     }
-    assert len(found) == 1
+    assert len(result) == 1
 
 
 def test_the_digest_of_all_sources_is_cheap():

@@ -35,8 +35,8 @@ def products() -> list[tuple[Product, nn.Parameter]]:
 def test_a_parameter_changes_wherever_it_is_held():
     for module, x in products():
         new = torch.tensor(5.0)
-        found = torch.func.jvp(lambda y, m=module: call_module(m, {"first.x": y}, 2.0), (new,), (torch.ones(()),))
-        assert [float(x) for x in found] == [50.0, 20.0]
+        result = torch.func.jvp(lambda y, m=module: call_module(m, {"first.x": y}, 2.0), (new,), (torch.ones(()),))
+        assert [float(x) for x in result] == [50.0, 20.0]
         assert module.first.x is x
         assert module.second.x is x
         assert float(call_module(module, {}, 2.0)) == 18.0

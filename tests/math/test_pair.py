@@ -51,11 +51,11 @@ def test_reverse_mode_of_a_function_of_numbers_takes_its_slopes_from_forward_mod
         return torch.where(s > 0.0, s.sqrt() * rate, t * s)
 
     s, rate, t = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in ([4.0, -2.0], [0.3, 0.5], 0.7))
-    found = elementwise.apply_elementwise(f, s, rate, t)
-    assert_close(found, torch.tensor([0.6, -1.4], dtype=torch.float64))
-    slopes = torch.autograd.grad(found.sum(), (s, rate, t))
-    wanted = ([0.075, 0.7], [2.0, 0.0], -2.0)
-    for one, other in zip(slopes, wanted, strict=True):
+    result = elementwise.apply_elementwise(f, s, rate, t)
+    assert_close(result, torch.tensor([0.6, -1.4], dtype=torch.float64))
+    slopes = torch.autograd.grad(result.sum(), (s, rate, t))
+    expected = ([0.075, 0.7], [2.0, 0.0], -2.0)
+    for one, other in zip(slopes, expected, strict=True):
         assert_close(one, torch.tensor(other, dtype=torch.float64))
 
 

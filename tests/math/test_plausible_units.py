@@ -57,9 +57,9 @@ def test_degrees_are_refused(name):
 @pytest.mark.thorough
 def test_an_optimizer_in_degrees_gets_a_warning_and_goes_on():
     """A status, not an exception: a line search without bounds may go anywhere."""
-    found = problem().evaluate(np.array([[45.0, -45.0], [0.3, -0.2]]), False)
-    assert "degrees?" in found[0].status
-    assert found[1].ok
+    result = problem().evaluate(np.array([[45.0, -45.0], [0.3, -0.2]]), False)
+    assert "degrees?" in result[0].status
+    assert result[1].ok
 
 
 @pytest.mark.thorough

@@ -41,11 +41,11 @@ def test_values_and_derivatives(sizes, compiled, monkeypatch, request):
         y, back = torch.func.vjp(f, law, d)
         slopes = back(y.cos())
         if f is of_matrices:
-            found = (out, *slopes)
+            result = (out, *slopes)
         else:
-            assert_close(found[0], out, rtol=1e-11, atol=1e-10)
-            assert_close(0.5 * (found[1] + found[1].mT), 0.5 * (slopes[0] + slopes[0].mT), rtol=1e-11, atol=1e-10)
-            assert_close(found[2], slopes[1], rtol=1e-11, atol=1e-10)
+            assert_close(result[0], out, rtol=1e-11, atol=1e-10)
+            assert_close(0.5 * (result[1] + result[1].mT), 0.5 * (slopes[0] + slopes[0].mT), rtol=1e-11, atol=1e-10)
+            assert_close(result[2], slopes[1], rtol=1e-11, atol=1e-10)
 
 
 def test_lanes_are_broadcast_and_batched():

@@ -27,27 +27,27 @@ def _first(x, rank):
 
 def test_logarithm(motions):
     u, R, _ = motions
-    found = screw(_first(u, 1), _first(R, 2))[:, 0].T
-    torch.testing.assert_close(found, rigid_motion.logarithm(u, R), rtol=1e-13, atol=1e-14)
+    result = screw(_first(u, 1), _first(R, 2))[:, 0].T
+    torch.testing.assert_close(result, rigid_motion.logarithm(u, R), rtol=1e-13, atol=1e-14)
 
 
 def test_wrenches_and_slopes(motions):
     u, R, f = motions
     l = rigid_motion.logarithm(u, R)
     given = _first(l, 1), _first(f, 1)
-    for found, wanted in zip(wrenches(*given), rigid_motion.end_wrenches(l, f), strict=True):
-        torch.testing.assert_close(found[:, 0].T, wanted, rtol=1e-12, atol=1e-12)
-    found = torch.cat(wrench_slopes(*given))[:, :, 0].permute(2, 0, 1)
-    torch.testing.assert_close(found, rigid_motion.wrench_slopes(l, f), rtol=1e-12, atol=1e-12)
+    for result, expected in zip(wrenches(*given), rigid_motion.end_wrenches(l, f), strict=True):
+        torch.testing.assert_close(result[:, 0].T, expected, rtol=1e-12, atol=1e-12)
+    result = torch.cat(wrench_slopes(*given))[:, :, 0].permute(2, 0, 1)
+    torch.testing.assert_close(result, rigid_motion.wrench_slopes(l, f), rtol=1e-12, atol=1e-12)
 
 
 def test_tangents(motions):
     u, R, _ = motions
     spin = torch.ones(_MOTIONS, 3, dtype=torch.float64)
     dR = R @ rigid_motion.hat(spin)
-    found = screw(Pair.of(_first(u, 1), _first(spin, 1)), Pair.of(_first(R, 2), _first(dR, 2))).tangent[:, 0].T
-    wanted = torch.func.jvp(rigid_motion.logarithm, (u, R), (spin, dR))[1]
-    torch.testing.assert_close(found, wanted, rtol=1e-10, atol=1e-10)
+    result = screw(Pair.of(_first(u, 1), _first(spin, 1)), Pair.of(_first(R, 2), _first(dR, 2))).tangent[:, 0].T
+    expected = torch.func.jvp(rigid_motion.logarithm, (u, R), (spin, dR))[1]
+    torch.testing.assert_close(result, expected, rtol=1e-10, atol=1e-10)
 
 
 def test_slopes_of_rates(motions):
@@ -55,5 +55,5 @@ def test_slopes_of_rates(motions):
     l, other = rigid_motion.logarithm(u, R), f.roll(1, 0)
     ends = _first(f, 1), _first(other, 1)
     unit = Pair.of(_first(l, 1), torch.eye(6, dtype=torch.float64)[..., None].expand(6, 6, _MOTIONS))
-    wanted = screw_rate(unit, *ends).tangent
-    torch.testing.assert_close(rate_slopes(_first(l, 1), *ends)[:, :, 0], wanted, rtol=1e-12, atol=1e-12)
+    expected = screw_rate(unit, *ends).tangent
+    torch.testing.assert_close(rate_slopes(_first(l, 1), *ends)[:, :, 0], expected, rtol=1e-12, atol=1e-12)

@@ -44,8 +44,8 @@ def test_a_batch_is_told_before_it_is_evaluated():
 def test_a_failure_is_remembered():
     cache = MemoryCachedProblem(Analytic("wall", [1.0], lambda x: x[0], lower=-3, upper=3, fails=lambda x: True))
     for gradients in (False, True):
-        (found,) = cache.evaluate(X[:1, :1], gradients)
-        assert not found.ok
+        (result,) = cache.evaluate(X[:1, :1], gradients)
+        assert not result.ok
     assert cache.computed == 1
 
 

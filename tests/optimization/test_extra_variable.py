@@ -47,19 +47,19 @@ class Largest:
 def test_it_is_the_largest_row_from_above_and_below(beta):
     problem = Largest()
     x = np.array([0.3, 0.1, beta])
-    closed, found = EXTRA.tightened(x, problem.one(x))
-    assert found.objective == pytest.approx(rows(x[:2]).max(), rel=1e-14)
+    closed, result = EXTRA.tightened(x, problem.one(x))
+    assert result.objective == pytest.approx(rows(x[:2]).max(), rel=1e-14)
     again = problem.one(closed)
-    assert again.objective == pytest.approx(found.objective, rel=1e-14)
-    np.testing.assert_allclose(again.constraints, found.constraints, atol=1e-14)
-    assert EXTRA.tightened(closed, found)[0] is closed
+    assert again.objective == pytest.approx(result.objective, rel=1e-14)
+    np.testing.assert_allclose(again.constraints, result.constraints, atol=1e-14)
+    assert EXTRA.tightened(closed, result)[0] is closed
 
 
 def test_it_stays_in_its_bounds_and_a_failure_is_left_alone():
     problem, x = Largest(), np.array([-1.9, 1.9, 0.5])
-    closed, found = EXTRA.tightened(x, problem.one(x))
+    closed, result = EXTRA.tightened(x, problem.one(x))
     assert closed[-1] == 1.0
-    assert found.constraints[:3].max() == pytest.approx(rows(x[:2]).max() / UNIT - 1.0)
+    assert result.constraints[:3].max() == pytest.approx(rows(x[:2]).max() / UNIT - 1.0)
     failed = Evaluation.failure("failed: no", 4)
     assert EXTRA.tightened(x, failed)[1] is failed
 

@@ -16,9 +16,9 @@ pytestmark = pytest.mark.usefixtures("compiled")
 @pytest.mark.thorough
 def test_energies_are_those_of_the_nodes():
     motion = mbd.simulate(pendulum(), 0.05, steps=50).require_ok()
-    found, expected = motion.energies, sums(motion)
+    result, expected = motion.energies, sums(motion)
     for name in ("kinetic", "strain", "potential"):
-        assert_close(getattr(found, name)[0], getattr(expected, name), rtol=1e-9, atol=1e-12)
+        assert_close(getattr(result, name)[0], getattr(expected, name), rtol=1e-9, atol=1e-12)
 
 
 def driven_arm() -> mbd.System:
@@ -45,11 +45,11 @@ def test_the_balance_closes_to_second_order():
     system, worst = driven_arm(), []
     for steps in (100, 200):
         motion = mbd.simulate(system, 0.1, steps=steps, spectral_radius=0.95).require_ok()
-        found = motion.energies
+        result = motion.energies
         for name in ("kinetic", "strain", "potential", "dissipated", "applied", "driven"):
-            term = getattr(found, name)
+            term = getattr(result, name)
             assert float((term - term[:, :1]).abs().max()) > 1e-3, name
-        worst.append(float(found.balance.abs().max() / found.kinetic.max()))
+        worst.append(float(result.balance.abs().max() / result.kinetic.max()))
     assert worst[1] < 2e-3
     assert worst[0] / worst[1] == pytest.approx(4.0, rel=0.35)
 
@@ -70,6 +70,6 @@ def test_a_force_by_a_function_of_one_time_does_its_work():
     """The function takes one time, not many."""
     block, full = mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01)), torch.tensor([3.0, 0.0, 1.0], dtype=torch.float64)
     system = mbd.System([block], [], [mbd.Force(block.at(), lambda t: full * torch.sin(t))], free=["block"])
-    found = mbd.simulate(system, 1.0, steps=100).energies
-    assert float(found.applied[0, -1]) > 0.1
-    assert_close(found.applied[0], found.kinetic[0], rtol=1e-3, atol=1e-4)
+    result = mbd.simulate(system, 1.0, steps=100).energies
+    assert float(result.applied[0, -1]) > 0.1
+    assert_close(result.applied[0], result.kinetic[0], rtol=1e-3, atol=1e-4)

@@ -39,9 +39,9 @@ def floating_mechanism() -> mbd.System:
 @pytest.mark.parametrize("build", [floating_plate, floating_mechanism])
 def test_momentum_is_kept(build):
     motion = mbd.simulate(build(), 0.05, "dopri5", steps=5, rtol=1e-9, atol=1e-11).require_ok()
-    found = sums(motion)
-    assert float(found.strain.max()) > 1e-4 * float(found.kinetic.max())
-    for x in (found.momentum, found.moment):
+    result = sums(motion)
+    assert float(result.strain.max()) > 1e-4 * float(result.kinetic.max())
+    for x in (result.momentum, result.moment):
         assert float((x - x[0]).norm(dim=1).max()) < 1e-9 * float(x.norm(dim=1).max())
 
 
@@ -78,8 +78,8 @@ def floating_chain() -> mbd.System:
 def test_momentum_of_a_floating_chain(duration):
     """To 1e-10 over 10 s; the energy with it."""
     motion = mbd.simulate(floating_chain(), duration, "dopri8", steps=5, rtol=1e-13, atol=1e-14).require_ok()
-    found = sums(motion)
-    for x in (found.momentum, found.moment, found.energy[:, None]):
+    result = sums(motion)
+    for x in (result.momentum, result.moment, result.energy[:, None]):
         assert float((x - x[0]).norm(dim=1).max()) < 1e-10 * float(x.norm(dim=1).max())
 
 

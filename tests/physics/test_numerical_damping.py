@@ -50,12 +50,12 @@ METHODS = {
 @pytest.mark.parametrize("name", METHODS)
 def test_the_motion_is_that_of_the_published_recursion(name, omega):
     options, am, af, _ = METHODS[name]
-    found = motion(name.split()[0], omega, **options)
+    result = motion(name.split()[0], omega, **options)
     A = amplification(omega, am, af)
     x = np.array([0.0, WAY, 0.0])
     for i in range(STEPS + 1):
-        assert float(found.q[0, i, 0]) == pytest.approx(x[0], abs=1e-8 * WAY), i
-        assert STEP * float(found.v[0, i, 0]) == pytest.approx(x[1], abs=1e-8 * WAY), i
+        assert float(result.q[0, i, 0]) == pytest.approx(x[0], abs=1e-8 * WAY), i
+        assert STEP * float(result.v[0, i, 0]) == pytest.approx(x[1], abs=1e-8 * WAY), i
         x = A @ x
 
 
@@ -67,6 +67,6 @@ def test_high_frequencies_decay_with_the_spectral_radius_of_the_source(name):
     x = motion(name.split()[0], omega, **options).q[0, :10, 0].numpy()
     rows = np.stack([x[k : k + 4] for k in range(6)])
     recurrence = np.linalg.lstsq(rows[:, :3], rows[:, 3], rcond=None)[0]
-    found = max(abs(np.roots([1.0, *-recurrence[::-1]])))
-    assert found == pytest.approx(max(abs(np.linalg.eigvals(amplification(omega, am, af)))), abs=5e-3)
-    assert found == pytest.approx(radius, abs=0.015)
+    result = max(abs(np.roots([1.0, *-recurrence[::-1]])))
+    assert result == pytest.approx(max(abs(np.linalg.eigvals(amplification(omega, am, af)))), abs=5e-3)
+    assert result == pytest.approx(radius, abs=0.015)

@@ -46,8 +46,8 @@ def test_a_free_motion_keeps_energy_and_momenta():
     exchanged = float(motion.energies.strain.max() - motion.energies.strain.min())
     assert exchanged > 1e-3 * float(energy[0])
     assert float((energy - energy[0]).abs().max()) < 1e-5 * exchanged
-    found = momenta(motion)
-    for own in found.split(3, 1):
+    result = momenta(motion)
+    for own in result.split(3, 1):
         assert float((own - own[0]).abs().max()) < 1e-6 * float(own.norm(dim=1).max())
 
 
@@ -76,15 +76,15 @@ def test_gradients_by_ply_angles():
     angles = ANGLES.clone().requires_grad_()
     reverse = torch.autograd.grad(f(system, angles, gradients="reverse").sum(), angles)[0]
     forward = torch.func.jacfwd(lambda x: f(system, x).sum())(ANGLES)
-    h, wanted = 1e-4, torch.zeros_like(ANGLES)
+    h, expected = 1e-4, torch.zeros_like(ANGLES)
     for i in range(2):
         e = torch.zeros_like(ANGLES)
         e[:, i] = h
         one, two = ((f(system, ANGLES + k * e) - f(system, ANGLES - k * e)) / (2 * k * h) for k in (1, 2))
-        wanted[:, i] = ((4.0 * one - two) / 3.0).reshape(-1)
-    scale = float(wanted.abs().max())
+        expected[:, i] = ((4.0 * one - two) / 3.0).reshape(-1)
+    scale = float(expected.abs().max())
     torch.testing.assert_close(reverse, forward, rtol=0, atol=1e-9 * scale)
-    torch.testing.assert_close(reverse, wanted, rtol=0, atol=1e-6 * scale)
+    torch.testing.assert_close(reverse, expected, rtol=0, atol=1e-6 * scale)
     assert float((f(hung(False), ANGLES) - f(system, ANGLES)).abs().max()) > 0.01 * float(f(system, ANGLES).abs().max())
 
 
@@ -114,9 +114,9 @@ def test_spin_up_at_six_radians_a_second(native: None, reference: str):
     hub = body.at("start")
     joints = [mbd.Revolute(GROUND.at(), hub, axis="z"), mbd.Drive(GROUND.at(), hub, axis="z", angle=law)]
     motion = mbd.simulate(mbd.System([body], joints), 20.0, steps=800, backend="native").require_ok()
-    found = from_hub(law, motion.t, motion.body("blade").at("end").position[0, :, :2].numpy())
+    result = from_hub(law, motion.t, motion.body("blade").at("end").position[0, :, :2].numpy())
     exact = exact_blade(6.0, 20.0, 800)
-    assert np.abs(found[:, 0]).max() == pytest.approx(np.abs(exact[:, 0]).max(), rel=1e-2)
-    assert found[-160:, 1].mean() == pytest.approx(5.14e-4, rel=1e-2)
-    assert np.abs(found[:, 0] - exact[:, 0]).max() < 2e-2 * np.abs(exact[:, 0]).max()
+    assert np.abs(result[:, 0]).max() == pytest.approx(np.abs(exact[:, 0]).max(), rel=1e-2)
+    assert result[-160:, 1].mean() == pytest.approx(5.14e-4, rel=1e-2)
+    assert np.abs(result[:, 0] - exact[:, 0]).max() < 2e-2 * np.abs(exact[:, 0]).max()
     assert float(motion.energies.balance[0].abs().max()) < 1e-2 * float(motion.energies.kinetic[0].max())

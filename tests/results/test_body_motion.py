@@ -24,9 +24,9 @@ POINTS = {"origin": ("rod", None), "node": ("rod", 0), "rigid": ("arm", (0.1, -0
 @pytest.mark.parametrize("point", POINTS)
 def test_rates_are_slopes_in_time(point, motion):
     name, where = POINTS[point]
-    found = motion.body(name).at(where)
+    result = motion.body(name).at(where)
     h = 0.02 / STEPS
-    for x, rate in ((found.position, found.velocity), (found.velocity, found.acceleration)):
+    for x, rate in ((result.position, result.velocity), (result.velocity, result.acceleration)):
         slope = (x[:, :-4] - 8 * x[:, 1:-3] + 8 * x[:, 3:-1] - x[:, 4:]) / (12 * h)
         assert_close(rate[:, 2:-2], slope, rtol=0, atol=2e-3 * float(rate.abs().max()))
 

@@ -25,22 +25,22 @@ STEP = 1e-5
 
 def system() -> mbd.System:
     """The pendulum with a strength given to its plies, upper and lower one different."""
-    made = pendulum()
-    laminate: Any = made.body("rod").laminate
+    result = pendulum()
+    laminate: Any = result.body("rod").laminate
     weaker = dataclasses.replace(STRENGTH, Yt=3e4)
     laminate._plies = LayerNumbers(laminate, "ply", (Ply(**SOFT, strength=STRENGTH), Ply(**SOFT, strength=weaker)))
-    return made
+    return result
 
 
 @pytest.fixture(scope="module")
 def motions() -> tuple[Trajectory, Trajectory]:
     """Two designs with sensitivities, and their neighbors as lanes."""
-    made, options = system(), {"steps": 40, "iterations": (6, 6), "refresh": 1}
+    result, options = system(), {"steps": 40, "iterations": (6, 6), "refresh": 1}
     angles = mbd.deg([[20.0, -50.0], [70.0, 15.0]])
     steps = STEP * torch.eye(2, dtype=torch.float64)
     near = torch.cat([angles[:, None] + steps, angles[:, None] - steps], 1).flatten(0, 1)
     return tuple(
-        mbd.simulate(made, 0.04, gradients=way, designs={"rod.laminate.angles": x}, **options).require_ok()
+        mbd.simulate(result, 0.04, gradients=way, designs={"rod.laminate.angles": x}, **options).require_ok()
         for way, x in (("forward", angles), ("none", near))
     )
 

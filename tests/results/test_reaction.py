@@ -22,9 +22,9 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 def wrench(motion: mbd.Trajectory, name: str, sign: float) -> tuple[Tensor, Tensor]:
     """Force, and torque about the origin of the ground, on the second body (sign 1) or the first (-1) [times, 3]."""
     joint = next(joint for joint in motion.system.joints if joint.name == name)
-    found = motion.reaction(name)
+    result = motion.reaction(name)
     axes, at = frame_axes(motion, joint.a), frame_point(motion, joint.a)
-    f, m = (sign * torch.einsum("ltij,ltj->lti", axes, x) for x in (found.force, found.torque))
+    f, m = (sign * torch.einsum("ltij,ltj->lti", axes, x) for x in (result.force, result.torque))
     return f[0], (m + cross(at, f))[0]
 
 
@@ -81,8 +81,8 @@ def boxes() -> mbd.Trajectory:
 def test_free_bodies_are_in_equilibrium(boxes, body, on, by):
     wrenches = [wrench(boxes, name, sign) for names, sign in ((on, 1.0), (by, -1.0)) for name in names]
     for part in range(2):
-        total, wanted = sum(w[part] for w in wrenches), inertia_of(boxes, body)[part]
-        assert_close(total, wanted, rtol=0, atol=1e-7 * float(wanted.abs().max()))
+        total, expected = sum(w[part] for w in wrenches), inertia_of(boxes, body)[part]
+        assert_close(total, expected, rtol=0, atol=1e-7 * float(expected.abs().max()))
 
 
 def test_reactions_lie_where_the_joint_resists(boxes):
@@ -108,8 +108,8 @@ def test_a_plate_at_rest_on_an_arm_weighs_on_its_joint():
     mass = motion.body("panel").mass[0]
     points = system.body("panel").assembly.masses().mass.detach()
     center = (points @ motion.body("panel").nodes[0, -1]) / points.sum()
-    found = motion.reaction("clamp")
-    f, m = (ground.axes @ x[0, -1] for x in (found.force, found.torque))
+    result = motion.reaction("clamp")
+    f, m = (ground.axes @ x[0, -1] for x in (result.force, result.torque))
     assert_close(f, -mass * GRAVITY, rtol=0, atol=1e-6 * float(mass * 9.7))
     assert_close(m, -mass * cross(center - ground.point, GRAVITY), rtol=0, atol=2e-6 * float(mass * 9.7))
 
@@ -120,11 +120,11 @@ def test_the_other_body_feels_the_opposite():
     (first, second) = motion.system.joints
     at = frame_point(motion, second.a)
     for name, joint in ((first.name, first), (second.name, second)):
-        found = motion.reaction(name)
+        result = motion.reaction(name)
         force = mbd.Reaction(name, (0.3, -0.2, 0.5), on=joint.a.body.name)
         if joint.a.body.name != "ground":
             e = tensor(0.3, -0.2, 0.5) / tensor(0.3, -0.2, 0.5).norm()
-            ground = torch.einsum("ltij,ltj->lti", frame_axes(motion, joint.a), found.force)
+            ground = torch.einsum("ltij,ltj->lti", frame_axes(motion, joint.a), result.force)
             assert_close(force.values(motion), -ground @ e, rtol=1e-12, atol=1e-12)
     assert at.shape == (1, 41, 3)
 

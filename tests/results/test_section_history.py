@@ -45,12 +45,12 @@ def swinging(*degrees: float) -> mbd.System:
 @pytest.fixture(scope="module")
 def motions() -> tuple[Trajectory, Trajectory]:
     """Two designs with sensitivities, and their neighbors as lanes."""
-    made, options = swinging(30.0, -20.0), {"steps": 40, "iterations": (6, 6), "refresh": 1}
+    result, options = swinging(30.0, -20.0), {"steps": 40, "iterations": (6, 6), "refresh": 1}
     angles = mbd.deg([[30.0, -20.0], [75.0, 10.0]])
     steps = STEP * torch.eye(2, dtype=torch.float64)
     near = torch.cat([angles[:, None] + steps, angles[:, None] - steps], 1).flatten(0, 1)
     return tuple(
-        mbd.simulate(made, 0.04, gradients=way, designs={"arm.section.angles": x}, **options).require_ok()
+        mbd.simulate(result, 0.04, gradients=way, designs={"arm.section.angles": x}, **options).require_ok()
         for way, x in (("forward", angles), ("none", near))
     )
 
@@ -67,12 +67,12 @@ def test_a_cantilever_under_its_weight_has_the_stress_of_the_book():
     ground = mbd.Ground()
     system = mbd.System([arm], [mbd.Fixed(ground.at(0, 0, 0), arm.at("start"))], gravity=(0.0, 0.0, -9.81))
     motion = mbd.simulate(system, duration=30.0 / omega, steps=120).require_ok()
-    found = mbd.SectionHistory(motion, "arm")
+    result = mbd.SectionHistory(motion, "arm")
     last, load = slice(-1, None), 7850.0 * b * h * 9.81
-    z = found.points()[:, 1]
-    stress, forces = found.stress(times=last)[0, 0].detach(), found.forces(times=last)[0, 0].detach()
+    z = result.points()[:, 1]
+    stress, forces = result.stress(times=last)[0, 0].detach(), result.forces(times=last)[0, 0].detach()
     edge = load * length**2 / 2 * h / 2 / (b * h**3 / 12)
-    for (element, end), own, force in zip(found.ends().tolist(), stress, forces, strict=True):
+    for (element, end), own, force in zip(result.ends().tolist(), stress, forces, strict=True):
         # the weight acts at the nodes: half an element's at either side of a section
         x = length * (element + end) / n
         moment, lumped = load * (length - x) ** 2 / 2, load * (length - length * (element + 0.5) / n)
@@ -94,8 +94,8 @@ def test_it_is_the_stress_of_the_deformed_beam(motions):
     direct = own.section.stress(force)
     element, point = own.section.stress_points.unbind(1)
     expected = direct.stress[:, element, point].detach()
-    found = history.stress(times=slice(time, time + 1))[lane, 0]
-    assert_close(found, expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
+    result = history.stress(times=slice(time, time + 1))[lane, 0]
+    assert_close(result, expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
     assert_close(history.points(), direct.points[element, point])
     assert history.ends().tolist() == [[k, end] for k in range(4) for end in range(2)]
 

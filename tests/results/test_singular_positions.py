@@ -25,13 +25,13 @@ def test_a_flat_four_bar_is_singular_where_it_lies_flat(folding):
     """The uprights lie flat at 90 degrees: the time from the closed solution, to an output interval."""
     t = np.linspace(0.0, 0.8, 100001)
     flat = float(t[np.abs(n_four_bar_at(t) - np.pi / 2).argmin()])
-    (found,) = folding.singular_positions()
-    assert found.t == pytest.approx(flat, abs=0.6 * float(folding.t[1]))
-    assert found.value < 2e-2
-    joints = {row.partition(":")[0] for row in found.rows}
+    (result,) = folding.singular_positions()
+    assert result.t == pytest.approx(flat, abs=0.6 * float(folding.t[1]))
+    assert result.value < 2e-2
+    joints = {row.partition(":")[0] for row in result.rows}
     assert joints & {f"{name}_{k}" for name, n in (("foot", 3), ("left", 2), ("right", 2)) for k in range(n)}
-    assert f"singular position near t = {found.t:.6g} s (lane 0" in str(found)
-    assert "depend on each other" in str(found)
+    assert f"singular position near t = {result.t:.6g} s (lane 0" in str(result)
+    assert "depend on each other" in str(result)
 
 
 def test_a_motion_that_failed_says_where(folding):

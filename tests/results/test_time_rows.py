@@ -36,10 +36,10 @@ def test_rows_are_rows_of_the_whole(motion, name):
     assert slopes.shape == (*whole.shape, 2)
     n = whole.shape[2]
     for rows in ([0], list(range(n)), [n - 1, 0, n // 2], list(range(n - 3, n)), [-1, 2, -n]):
-        found = IntegratedSignals(motion.sensitivities.history)
-        assert_close(found.values(name, rows), whole[..., rows], rtol=0, atol=0)
-        assert_close(found.tangents(name, rows), slopes[..., rows, :], rtol=0, atol=0)
-        assert found.values(name, rows).is_contiguous()
+        result = IntegratedSignals(motion.sensitivities.history)
+        assert_close(result.values(name, rows), whole[..., rows], rtol=0, atol=0)
+        assert_close(result.tangents(name, rows), slopes[..., rows, :], rtol=0, atol=0)
+        assert result.values(name, rows).is_contiguous()
     with pytest.raises(IndexError):
         IntegratedSignals(motion.sensitivities.history).values(name, [n])
 

@@ -68,39 +68,39 @@ def differences(f, system: mbd.System, names: list[str], steps: dict[str, float]
 def check(system: mbd.System, names: list[str], f=number, steps: dict[str, float] | None = None, **options) -> None:
     """Forward = reverse, both = differences; as leaves of designs and as the parameters themselves; native = eager."""
     start = {name: system.get_parameter(name).detach().clone() for name in names}
-    found: dict[str, dict[str, Tensor]] = {}
+    result: dict[str, dict[str, Tensor]] = {}
     for way in ("reverse", "forward"):
         x = {name: y.clone().requires_grad_() for name, y in start.items()}
         f(system, x, gradients=way, **options).sum().backward()
-        found[way] = {name: y.grad for name, y in x.items()}
-    wanted = differences(lambda b: f(system, b, **options), system, names, steps)
+        result[way] = {name: y.grad for name, y in x.items()}
+    expected = differences(lambda b: f(system, b, **options), system, names, steps)
     for name in names:
-        one, other = found["reverse"][name], found["forward"][name]
+        one, other = result["reverse"][name], result["forward"][name]
         size = float(one.abs().max())
         assert size > 0.0, name
         assert_close(other, one, rtol=0, atol=1e-8 * size, msg=lambda m, n=name: f"{n}: {m}")
-        assert_close(one, wanted[name], rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
+        assert_close(one, expected[name], rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
     system.zero_grad()
     f(system, {}, **options).sum().backward()
     for name in names:
         own = system.get_parameter(name).grad
-        assert_close(own, found["reverse"][name], rtol=0, atol=1e-8 * float(own.abs().max()))
+        assert_close(own, result["reverse"][name], rtol=0, atol=1e-8 * float(own.abs().max()))
 
 
 def check_native(system: mbd.System, names: list[str], f=number, **options) -> None:
     """Two designs by both backends, each as if it were alone."""
     both = {name: torch.stack([y, 1.01 * y]) for name, y in system.named_parameters() if name in names}
-    found = []
+    result = []
     for backend in ("eager", "native"):
         x = {name: y.detach().clone().requires_grad_() for name, y in both.items()}
         f(system, x, backend=backend, **options).sum().backward()
-        found.append({name: y.grad for name, y in x.items()})
+        result.append({name: y.grad for name, y in x.items()})
     alone = {name: y.detach()[1].clone().requires_grad_() for name, y in both.items()}
     f(system, alone, **options).sum().backward()
     for name in names:
-        size = float(found[0][name].abs().max())
-        assert_close(found[1][name], found[0][name], rtol=0, atol=1e-7 * size)
-        assert_close(found[0][name][1], alone[name].grad, rtol=0, atol=1e-7 * size)
+        size = float(result[0][name].abs().max())
+        assert_close(result[1][name], result[0][name], rtol=0, atol=1e-7 * size)
+        assert_close(result[0][name][1], alone[name].grad, rtol=0, atol=1e-7 * size)
 
 
 def beam(section, name: str = "rod", line: mbd.BeamLine | None = None, **given) -> mbd.FlexibleBody:

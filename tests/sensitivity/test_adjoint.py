@@ -47,11 +47,11 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), **TIGHT}
     forward, back = (finished(mbd.simulate(system, duration, gradients=way, **options)) for way in WAYS)
-    wanted, found = (differentiate(everything, motion) for motion in (forward, back))
-    assert_close(found.value, wanted.value, rtol=1e-9, atol=0)
-    size = wanted.gradient.abs().amax((0, 1))
+    expected, result = (differentiate(everything, motion) for motion in (forward, back))
+    assert_close(result.value, expected.value, rtol=1e-9, atol=0)
+    size = expected.gradient.abs().amax((0, 1))
     assert float(size.min()) > 0
-    assert float(((found.gradient - wanted.gradient).abs().amax((0, 1)) / size).max()) < 1e-8
+    assert float(((result.gradient - expected.gradient).abs().amax((0, 1)) / size).max()) < 1e-8
     assert float(back.integration.adjoint.error.max()) < pullback.ENOUGH
 
 
@@ -85,12 +85,12 @@ def test_segments_change_nothing(backend, native, monkeypatch):
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
-    found = []
+    result = []
     for length in (history.SEGMENT, 7):
         monkeypatch.setattr(history, "SEGMENT", length)
         motion = finished(mbd.simulate(system, duration, gradients="reverse", backend=backend, **options))
-        found.append(differentiate(everything, motion).gradient)
-    assert_close(found[1], found[0], rtol=1e-11, atol=1e-13 * float(found[0].abs().max()))
+        result.append(differentiate(everything, motion).gradient)
+    assert_close(result[1], result[0], rtol=1e-11, atol=1e-13 * float(result[0].abs().max()))
 
 
 @pytest.mark.thorough
@@ -107,8 +107,8 @@ def test_laws_of_the_design_over_many_segments(monkeypatch):
         finished(mbd.simulate(system, 0.05, steps=5, gradients=way, variables=names, backend="eager", **TIGHT))
         for way in WAYS
     )
-    wanted, found = (differentiate(everything, motion).gradient for motion in (forward, back))
-    assert_close(found, wanted, rtol=1e-8, atol=1e-8 * float(wanted.abs().max()))
+    expected, result = (differentiate(everything, motion).gradient for motion in (forward, back))
+    assert_close(result, expected, rtol=1e-8, atol=1e-8 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -141,8 +141,8 @@ def test_against_differences_of_the_same_discrete_map(slider_crank):
     neighbors = mbd.simulate(slider_crank, 0.004, designs={"rod.laminate.angles": angles + shifts}, **options)
     plus, minus = measure.value(neighbors).chunk(2)
     motion = mbd.simulate(slider_crank, 0.004, gradients="reverse", **options)
-    found = measure.value_and_gradient(motion)[1][0]
-    assert_close(found, (plus - minus) / (2 * step), rtol=0, atol=1e-6 * float(found.abs().max()))
+    result = measure.value_and_gradient(motion)[1][0]
+    assert_close(result, (plus - minus) / (2 * step), rtol=0, atol=1e-6 * float(result.abs().max()))
 
 
 @pytest.mark.thorough
@@ -172,8 +172,8 @@ def test_lanes_with_smaller_steps():
         options = {"steps": steps, "designs": designs}
         forward, back = (finished(mbd.simulate(system, 0.024, gradients=way, **options)) for way in WAYS)
         assert back.stats.get("halved", []) == forward.stats.get("halved", []) == again
-        wanted, found = (differentiate(everything, motion).gradient for motion in (forward, back))
-        assert_close(found, wanted, rtol=0, atol=1e-4 * float(wanted.abs().max()))
+        expected, result = (differentiate(everything, motion).gradient for motion in (forward, back))
+        assert_close(result, expected, rtol=0, atol=1e-4 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -184,14 +184,14 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     system = build(3, cells=(6, 2), modes=3)
     options = {"steps": 10, "gradients": "reverse", "backend": "native" if fast else "eager"}
     options["designs"] = {"rod.laminate.angles": mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])}
-    wanted = differentiate(everything, mbd.simulate(system, 5e-4, **options)).gradient
+    expected = differentiate(everything, mbd.simulate(system, 5e-4, **options)).gradient
 
     spoilt(system, monkeypatch)
     motion = mbd.simulate(system, 5e-4, **options)
     assert [x == "ok" for x in motion.status] == [True, False, True]
-    found = differentiate(everything, motion).gradient
-    assert torch.isnan(found[1]).all()  # a lane without values has no gradients: not 0
-    assert_close(found[[0, 2]], wanted[[0, 2]], rtol=1e-9, atol=0)
+    result = differentiate(everything, motion).gradient
+    assert torch.isnan(result[1]).all()  # a lane without values has no gradients: not 0
+    assert_close(result[[0, 2]], expected[[0, 2]], rtol=1e-9, atol=0)
 
 
 @pytest.mark.thorough
@@ -201,9 +201,9 @@ def test_many_responses_go_back_in_parts(monkeypatch):
     motion = mbd.simulate(system, 0.01, steps=5, gradients="reverse")
     forward = mbd.simulate(system, 0.01, steps=5, gradients="forward", **TIGHT)
     history = mbd.StrainEnergy("rod")
-    wanted, found = (history.series(x).gradient for x in (forward, motion))
-    assert found.shape == (1, 6, 2)
-    assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
+    expected, result = (history.series(x).gradient for x in (forward, motion))
+    assert result.shape == (1, 6, 2)
+    assert_close(result, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -278,10 +278,10 @@ def test_states_between_checkpoints_are_made_again(backend, length, native, monk
     )
     assert_close(thinned.t, every.t[::5], rtol=1e-14, atol=0)
     assert_close(thinned.q, every.q[:, ::5], rtol=1e-9, atol=1e-12)
-    wanted, found = (differentiate(kept, finished(motion)).gradient for motion in (every, thinned))
-    assert_close(found, wanted, rtol=1e-7, atol=1e-9 * float(wanted.abs().max()))
+    expected, result = (differentiate(kept, finished(motion)).gradient for motion in (every, thinned))
+    assert_close(result, expected, rtol=1e-7, atol=1e-9 * float(expected.abs().max()))
     forward = mbd.simulate(system, duration, gradients="forward", variables=names, checkpoint=5, **options)
-    assert_close(differentiate(kept, forward).gradient, wanted, rtol=1e-6, atol=1e-8 * float(wanted.abs().max()))
+    assert_close(differentiate(kept, forward).gradient, expected, rtol=1e-6, atol=1e-8 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -291,13 +291,13 @@ def test_steps_with_further_corrections_are_made_again_as_they_were(native):
     angles = system.get_parameter("rod.laminate.angles").detach()
     designs = {"rod.laminate.angles": torch.stack([angles, angles + 0.3])}
     measure = mbd.Integral(mbd.StrainEnergy("rod"))
-    found = []
+    result = []
     for integrator in ({"iterations": (1, 1), "refresh": 7}, {"iterations": (6, 6), "refresh": 0}):
         motion = mbd.simulate(
             system, 0.01, steps=40, checkpoint=4, designs=designs, gradients="reverse", backend="native", **integrator
         )
-        found.append((motion.stats["further_corrections"], measure.value_and_gradient(finished(motion))))
-    (again, quick), (_, careful) = found
+        result.append((motion.stats["further_corrections"], measure.value_and_gradient(finished(motion))))
+    (again, quick), (_, careful) = result
     assert float(again.min()) > 0.0
     for one, other in zip(quick, careful, strict=True):
         assert_close(one, other, rtol=1e-5, atol=1e-7 * float(other.abs().max()))

@@ -100,8 +100,8 @@ def test_their_names(system):
 def test_gradients(system, start, slopes, way):
     x = {name: y.clone().requires_grad_() for name, y in start.items()}
     number(system, x, gradients=way).sum().backward()
-    for name, wanted in slopes.items():
-        assert_close(x[name].grad, wanted, rtol=0, atol=2e-6 * float(wanted.abs().max()), msg=name)
+    for name, expected in slopes.items():
+        assert_close(x[name].grad, expected, rtol=0, atol=2e-6 * float(expected.abs().max()), msg=name)
 
 
 @pytest.mark.thorough
@@ -129,13 +129,13 @@ def test_transforms_of_torch_func(system, start, slopes):
 
 @pytest.mark.thorough
 def test_compiled_steps_have_the_same_gradients(system, start, native):
-    found = []
+    result = []
     for backend in ("eager", "native"):
         x = {name: torch.stack([y, 1.01 * y]).requires_grad_() for name, y in start.items()}
         number(system, x, gradients="reverse", backend=backend).sum().backward()
-        found.append({name: y.grad for name, y in x.items()})
-    for name, x in found[0].items():
-        assert_close(found[1][name], x, rtol=0, atol=1e-7 * float(x.abs().max()), msg=name)
+        result.append({name: y.grad for name, y in x.items()})
+    for name, x in result[0].items():
+        assert_close(result[1][name], x, rtol=0, atol=1e-7 * float(x.abs().max()), msg=name)
 
 
 @pytest.mark.thorough
@@ -150,11 +150,11 @@ def test_phases_and_methods_of_torchdiffeq(system, start):
             motion = mbd.simulate(system, 0.01, designs={name: x}, **steps, **given)
             return (motion.q * (1.0 + motion.q)).sum((1, 2))[0]
 
-        found = torch.func.jacfwd(f)(start[name])
+        result = torch.func.jacfwd(f)(start[name])
         with torch.no_grad():
             e, h = torch.eye(3, dtype=torch.float64), 1e-4
-            wanted = torch.stack([(f(start[name] + h * d) - f(start[name] - h * d)) / (2.0 * h) for d in e])
-        assert_close(found, wanted, rtol=0, atol=2e-6 * float(wanted.abs().max()))
+            expected = torch.stack([(f(start[name] + h * d) - f(start[name] - h * d)) / (2.0 * h) for d in e])
+        assert_close(result, expected, rtol=0, atol=2e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -181,9 +181,9 @@ def test_they_are_trained_saved_and_copied(system):
     values = {name: x + 0.01 for name, x in system.state_dict().items() if name in ("ball.mass", "ball.velocity")}
     again.load_state_dict(system.state_dict() | values)
     other = pickle.loads(pickle.dumps(again))
-    for made in (again, other):
-        assert_close(made.get_parameter("ball.mass"), system.get_parameter("ball.mass") + 0.01)
-        assert_close(number(made, {}), number(system, values), rtol=1e-9, atol=0)
+    for result in (again, other):
+        assert_close(result.get_parameter("ball.mass"), system.get_parameter("ball.mass") + 0.01)
+        assert_close(number(result, {}), number(system, values), rtol=1e-9, atol=0)
     optimizer, seen = torch.optim.Adam(again.parameters(), lr=1e-7), []
     for _ in range(3):
         optimizer.zero_grad()

@@ -31,9 +31,9 @@ DESIGNS = {
 def frequencies_and_modes(system: mbd.System, angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Eigenvalues [m], modes [N, m] and the diagonal of the mass [N] of one design."""
     rod = system.body("rod")
-    made = torch.func.functional_call(system, {ANGLES: angles}, ("rod",))
+    result = torch.func.functional_call(system, {ANGLES: angles}, ("rod",))
     mass = rod.matrices.lumped_mass(rod.laminate.mass_per_area, rod.laminate.rotary_inertia_per_area).detach()
-    return made["Kr"].detach().diagonal(), made["psi"].detach().flatten(0, 1), mass
+    return result["Kr"].detach().diagonal(), result["psi"].detach().flatten(0, 1), mass
 
 
 def crossing(system: mbd.System, others: tuple[float, ...], bracket: tuple[float, float], first: int) -> Tensor:
@@ -47,8 +47,8 @@ def crossing(system: mbd.System, others: tuple[float, ...], bracket: tuple[float
     sign = torch.sign(at_low[first + 1] - at_low[first])
     for _ in range(40):
         middle = (low + high) / 2
-        values, found, _ = frequencies_and_modes(system, design(middle))
-        overlap = modes[:, first : first + 2].mT @ (mass[:, None] * found[:, first : first + 2])
+        values, result, _ = frequencies_and_modes(system, design(middle))
+        overlap = modes[:, first : first + 2].mT @ (mass[:, None] * result[:, first : first + 2])
         crossed = overlap.square().flip(1).trace() > overlap.square().trace()
         difference = values[first : first + 2].diff() * (-1 if crossed else 1)
         low, high = (middle, high) if sign * difference > 0 else (low, middle)
@@ -87,6 +87,6 @@ def test_gradients_through_the_motion_where_two_retained_frequencies_are_equal(n
         system, DURATION, gradients="forward", variables=[ANGLES], designs={ANGLES: angles[None]}, **TIGHT
     )
     for measure in (mbd.Integral(ENERGY), mbd.Max(ENERGY)):
-        found = measure.value_and_gradient(motion.require_ok()).gradient[0].numpy()
+        result = measure.value_and_gradient(motion.require_ok()).gradient[0].numpy()
         expected = gradient_by_differences(system, angles, measure, 1e-4)
-        assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+        assert np.abs(result - expected).max() < 1e-6 * np.abs(expected).max()

@@ -68,8 +68,8 @@ def ours(family: Family) -> Callable[[Tensor], Tensor]:
 def test_derivatives_are_exact_in_every_family(family, size):
     family = replace(family, size=size)
     b = torch.zeros(family.variables, dtype=torch.float64)
-    truth, found = jacfwd(exact(family))(b), jacfwd(ours(family))(b)
-    assert torch.linalg.norm(found - truth) < 1e-9 * torch.linalg.norm(truth)
+    truth, result = jacfwd(exact(family))(b), jacfwd(ours(family))(b)
+    assert torch.linalg.norm(result - truth) < 1e-9 * torch.linalg.norm(truth)
 
 
 @pytest.mark.thorough
@@ -112,8 +112,8 @@ def test_lanes_and_directions_nest_in_any_order(form):
         "directions over vmapped lanes": vmap(lambda dK, dM: vmap(push)(K, M, dK, dM))(dK, dM),
         "lanes over directions": vmap(vmap(push, (None, None, 0, 0)), (0, 0, 1, 1), out_dims=1)(K, M, dK, dM),
     }
-    for name, found in routes.items():
-        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-10, msg=name)
+    for name, result in routes.items():
+        torch.testing.assert_close(result, expected, rtol=1e-9, atol=1e-10, msg=name)
 
 
 def test_a_mass_or_a_stiffness_that_alone_varies():

@@ -84,8 +84,8 @@ def test_derivatives_of_the_updated_stage_are_differences(reduction):
         return (invariant(ANGLES + h * DIRECTION) - invariant(ANGLES - h * DIRECTION)) / (2 * h)
 
     expected = (4 * central(5e-4) - central(1e-3)) / 3
-    found = jvp(invariant, (ANGLES,), (DIRECTION,))[1]
-    assert torch.linalg.norm(found - expected) < 1e-7 * torch.linalg.norm(expected)
+    result = jvp(invariant, (ANGLES,), (DIRECTION,))[1]
+    assert torch.linalg.norm(result - expected) < 1e-7 * torch.linalg.norm(expected)
 
 
 @pytest.mark.thorough
@@ -101,8 +101,8 @@ def test_craig_bampton_answers_interface_loads_exactly():
     exact = torch.zeros_like(load)
     exact[body.free] = torch.linalg.solve(K[body.free][:, body.free], load[body.free])
     psi = made["psi"].flatten(0, 1)
-    found = psi @ torch.linalg.solve(made["Kr"], psi.T @ load)
-    torch.testing.assert_close(found, exact, rtol=0, atol=1e-9 * float(exact.abs().max()))
+    result = psi @ torch.linalg.solve(made["Kr"], psi.T @ load)
+    torch.testing.assert_close(result, exact, rtol=0, atol=1e-9 * float(exact.abs().max()))
 
 
 @pytest.mark.parametrize(
@@ -135,9 +135,9 @@ def test_bad_input_is_named(given, words):
 )
 def test_experiment_files_reach_the_reductions(overrides, reduction):
     file = Path(__file__).parents[2] / "configs" / "slider_crank" / "l1_energy_integral.yaml"
-    found = load_study(file, overrides).system.body("rod")
+    result = load_study(file, overrides).system.body("rod")
     if isinstance(reduction, VibrationModes):
-        assert found.reduction == reduction
+        assert result.reduction == reduction
     else:
-        assert isinstance(found.reduction, reduction)
-        assert (found.reduction.n, found.modes) == (2, 14)
+        assert isinstance(result.reduction, reduction)
+        assert (result.reduction.n, result.modes) == (2, 14)

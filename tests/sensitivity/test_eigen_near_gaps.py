@@ -63,7 +63,7 @@ def test_lanes_near_and_far_from_a_gap_go_together():
         return jvp(lambda K: eigenpairs(K, near[1], N_MODES).vectors, (K,), (dK,))[1]
 
     routes = {"lanes": push(K, dK), "vmap": vmap(push)(K, dK)}
-    for found in routes.values():
+    for result in routes.values():
         for lane, case in enumerate((near, far)):
             sign = torch.sign((eigenpairs(case[0], case[1], N_MODES).vectors * case[1][:, None] * case[3]).sum(0))
-            assert relative(found[lane] * sign, case[4]) < 1e-9
+            assert relative(result[lane] * sign, case[4]) < 1e-9

@@ -74,25 +74,25 @@ def test_the_pair_is_repeated_and_its_slopes_are_one_sided_differences(plate):
     torch.testing.assert_close(slopes[1], -slopes[2], rtol=1e-7, atol=0)  # theta and 90 degrees - theta are one plate
     expected = one_sided(values, 1e-2)
     torch.testing.assert_close(slopes[1:3], expected[1:3], rtol=1e-6, atol=0)
-    found = eigenpair_branches(plate, AT, ONE, N_MODES)
-    assert found.split.tolist()[:3] == [0, 1, 1]
-    torch.testing.assert_close(found.value_slopes, slopes, rtol=1e-7, atol=1e-7 * at[2].item())
+    result = eigenpair_branches(plate, AT, ONE, N_MODES)
+    assert result.split.tolist()[:3] == [0, 1, 1]
+    torch.testing.assert_close(result.value_slopes, slopes, rtol=1e-7, atol=1e-7 * at[2].item())
 
 
 @pytest.mark.thorough
 def test_branches_continue_the_modes_across_the_crossing(plate):
-    found = eigenpair_branches(plate, AT, ONE, N_MODES)
+    result = eigenpair_branches(plate, AT, ONE, N_MODES)
     M = plate(AT)[1]
 
     def shape(theta, i):
         vectors = eigenpairs(*plate(theta), N_MODES).vectors
-        overlap = (found.vectors[:, i] * M) @ vectors
+        overlap = (result.vectors[:, i] * M) @ vectors
         j = int(overlap.abs().argmax())
         return vectors[:, j] * torch.sign(overlap[j])
 
     for i in (1, 2):
         difference = central(lambda theta, i=i: shape(theta, i), 2e-2)
-        error = (found.vector_slopes[:, i] - difference) * M.sqrt()
+        error = (result.vector_slopes[:, i] - difference) * M.sqrt()
         assert error.norm() < 1e-4 * (difference * M.sqrt()).norm()
 
 
@@ -126,6 +126,6 @@ def test_responses_of_the_reduced_plate_do_not_notice_the_crossing(plate):
         energy = (w.T @ basis.stiffness @ w).squeeze(0) / 2
         return torch.cat([energy * 1e3, (basis.vectors @ w)[::7, 0]])
 
-    found, expected = jvp(responses, (AT,), (ONE,))[1], central(responses, 1e-2)
-    torch.testing.assert_close(found[0], expected[0], rtol=1e-6, atol=0)
-    assert torch.linalg.norm(found - expected) < 1e-6 * torch.linalg.norm(expected)
+    result, expected = jvp(responses, (AT,), (ONE,))[1], central(responses, 1e-2)
+    torch.testing.assert_close(result[0], expected[0], rtol=1e-6, atol=0)
+    assert torch.linalg.norm(result - expected) < 1e-6 * torch.linalg.norm(expected)

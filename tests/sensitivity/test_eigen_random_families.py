@@ -71,8 +71,8 @@ def test_a_soft_mode_beside_rigid_ones(soft, size):
 @pytest.mark.parametrize("gap", [1e-13, 1e-12, 1e-10])
 def test_slopes_next_to_rounding_add_up(gap):
     """Vectors that rounding mixes by per cent are turned apart, not stretched."""
-    made = family([(0.0, [0.0], 0.0), (gap, [-1.0], 0.0), (5.2, [1.0], 0.0)], 1, True, 18, 0)
-    slopes = jacfwd(lambda b: eigenpairs(*made.exact(b)[:2], made.n).values)(torch.zeros(1, dtype=torch.float64))
+    result = family([(0.0, [0.0], 0.0), (gap, [-1.0], 0.0), (5.2, [1.0], 0.0)], 1, True, 18, 0)
+    slopes = jacfwd(lambda b: eigenpairs(*result.exact(b)[:2], result.n).values)(torch.zeros(1, dtype=torch.float64))
     assert float(slopes[:2].sum()) == pytest.approx(-1.0, abs=1e-10)
 
 
@@ -84,11 +84,11 @@ def test_reverse_mode_is_forward_mode(spectrum, with_mass, seed):
 
     def response(b: Tensor) -> Tensor:
         K, M, _, _ = made.exact(b)
-        found = gauge_free(*modal_basis(K, M, made.n))
+        result = gauge_free(*modal_basis(K, M, made.n))
         held = (
-            gauge_free(*craig_bampton(K + 0.1 * M, M, made.n, [0, 5])) if _separated(K + 0.1 * M, M, made.n) else found
+            gauge_free(*craig_bampton(K + 0.1 * M, M, made.n, [0, 5])) if _separated(K + 0.1 * M, M, made.n) else result
         )
-        return torch.cat([x.flatten()[::7] for x in (*found.values(), *held.values())])
+        return torch.cat([x.flatten()[::7] for x in (*result.values(), *held.values())])
 
     b = torch.zeros(made.variables, dtype=torch.float64)
     forward, reverse = jacfwd(response)(b), jacrev(response)(b)
@@ -114,15 +114,15 @@ def test_slopes_of_eigenvalues_are_exact_or_those_of_their_cluster(spectrum, wit
     def values(b: Tensor) -> Tensor:
         return eigenpairs(*made.exact(b)[:2], made.n).values
 
-    found = jacfwd(values)(b)
+    result = jacfwd(values)(b)
     exact = jacfwd(lambda b: made.lowest(b).diagonal())(b)
     at = made.lowest(b).diagonal()
     ends = [0, *(i + 1 for i, (x, y) in enumerate(pairwise(at.tolist())) if y - x > 1e-9), made.n]
     for start, end in pairwise(ends):
         group = slice(start, end)
         # within a group that rounding may or may not tell apart, the sum is exact and each slope is one of the group's
-        torch.testing.assert_close(found[group].sum(0), exact[group].sum(0), rtol=1e-8, atol=1e-8)
+        torch.testing.assert_close(result[group].sum(0), exact[group].sum(0), rtol=1e-8, atol=1e-8)
         for k in range(made.variables):
-            a, e = found[group, k].sort().values, exact[group, k].sort().values
+            a, e = result[group, k].sort().values, exact[group, k].sort().values
             if bool((at[group].diff() == 0.0).all()):
                 torch.testing.assert_close(a, e, rtol=1e-8, atol=1e-8)

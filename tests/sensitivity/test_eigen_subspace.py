@@ -28,8 +28,8 @@ def test_plain_eigh_fails_at_a_crossing():
 def response(b: torch.Tensor) -> torch.Tensor:
     """Response and energy of the family whose cluster matrices do not commute, in one vector."""
     K, M, _, _ = CROSSING.exact(b)
-    found = gauge_free(*modal_basis(K, M, CROSSING.n))
-    return torch.cat([found["response"], found["energy"][None]])
+    result = gauge_free(*modal_basis(K, M, CROSSING.n))
+    return torch.cat([result["response"], result["energy"][None]])
 
 
 def exact_jacobian(b: torch.Tensor) -> torch.Tensor:
@@ -76,8 +76,8 @@ def test_lanes_and_directions_nest_in_any_order():
         "directions over vmapped lanes": vmap(lambda dK, dM: vmap(push)(K, M, dK, dM))(dK, dM),
         "lanes over directions": vmap(vmap(push, (None, None, 0, 0)), (0, 0, 1, 1), out_dims=1)(K, M, dK, dM),
     }
-    for name, found in routes.items():
-        for a, b in zip(found, expected, strict=True):
+    for name, result in routes.items():
+        for a, b in zip(result, expected, strict=True):
             torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-11, msg=name)
 
 

@@ -38,38 +38,38 @@ def branches(family: Family, **options):
 @pytest.mark.parametrize("with_mass", [False, True], ids=["", "M(b)"])
 def test_every_branch_that_exists_has_its_exact_derivatives(name, with_mass):
     family = next(f for f in FAMILIES if f.name == name and f.with_mass == with_mass)
-    found = branches(family)
-    assert found.split.tolist() == SPLIT[name]
+    result = branches(family)
+    assert result.split.tolist() == SPLIT[name]
     (psi, low), (d_psi, d_low) = jvp(lambda b: family.exact(b)[2:], (ZERO,), (ONE,))
     M = family.exact(ZERO)[1]
-    overlap = found.vectors.T @ M @ psi
+    overlap = result.vectors.T @ M @ psi
     tolerance = VECTOR_TOLERANCE.get(name, 1e-9)
-    slopes = sorted(d_low.diagonal()[found.split == UNSPLIT].tolist()) if name == "free body" else None
+    slopes = sorted(d_low.diagonal()[result.split == UNSPLIT].tolist()) if name == "free body" else None
     if slopes is not None:
         torch.testing.assert_close(
-            found.value_slopes[:3], torch.tensor(slopes, dtype=torch.float64), rtol=0, atol=1e-11
+            result.value_slopes[:3], torch.tensor(slopes, dtype=torch.float64), rtol=0, atol=1e-11
         )
-    for i in (found.split != UNSPLIT).nonzero().squeeze(-1).tolist():
+    for i in (result.split != UNSPLIT).nonzero().squeeze(-1).tolist():
         j = int(overlap[i].abs().argmax())
         sign = torch.sign(overlap[i, j])
-        torch.testing.assert_close(found.values[i], low[j, j], rtol=1e-9, atol=0)
-        torch.testing.assert_close(found.value_slopes[i], d_low[j, j], rtol=1e-9, atol=1e-10)
-        torch.testing.assert_close(found.vectors[:, i] * sign, psi[:, j], rtol=0, atol=tolerance)
-        torch.testing.assert_close(found.vector_slopes[:, i] * sign, d_psi[:, j], rtol=0, atol=tolerance)
+        torch.testing.assert_close(result.values[i], low[j, j], rtol=1e-9, atol=0)
+        torch.testing.assert_close(result.value_slopes[i], d_low[j, j], rtol=1e-9, atol=1e-10)
+        torch.testing.assert_close(result.vectors[:, i] * sign, psi[:, j], rtol=0, atol=tolerance)
+        torch.testing.assert_close(result.vector_slopes[:, i] * sign, d_psi[:, j], rtol=0, atol=tolerance)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["always repeated", "partly splitting triple"])
 def test_what_stays_together_moves_as_a_span(name):
     family = next(f for f in FAMILIES if f.name == name and f.with_mass)
-    found = branches(family)
-    together = found.split == UNSPLIT
+    result = branches(family)
+    together = result.split == UNSPLIT
     (psi, low), (d_psi, d_low) = jvp(lambda b: family.exact(b)[2:], (ZERO,), (ONE,))
     pair = [j for j in range(family.n) if low[j, j] == 2.0 and d_low[j, j] == 1.0]
-    V, dV, E, dE = found.vectors[:, together], found.vector_slopes[:, together], psi[:, pair], d_psi[:, pair]
+    V, dV, E, dE = result.vectors[:, together], result.vector_slopes[:, together], psi[:, pair], d_psi[:, pair]
     torch.testing.assert_close(V @ V.T, E @ E.T, rtol=0, atol=1e-10)
     torch.testing.assert_close(V @ dV.T + dV @ V.T, E @ dE.T + dE @ E.T, rtol=0, atol=1e-9)
-    torch.testing.assert_close(found.value_slopes[together], torch.ones(2, dtype=torch.float64), rtol=1e-9, atol=0)
+    torch.testing.assert_close(result.value_slopes[together], torch.ones(2, dtype=torch.float64), rtol=1e-9, atol=0)
 
 
 @pytest.mark.thorough
@@ -81,13 +81,13 @@ def test_more_orders_split_what_two_derivatives_leave_together():
         return torch.block_diag(low, torch.diag(torch.stack([3 + t, 4 - t]))), torch.ones(4, dtype=torch.float64)
 
     assert eigenpair_branches(matrices, ZERO, ONE, 2).split.tolist() == [UNSPLIT, UNSPLIT]
-    found = eigenpair_branches(matrices, ZERO, ONE, 2, orders=4)
-    assert found.split.tolist() == [3, 3]
+    result = eigenpair_branches(matrices, ZERO, ONE, 2, orders=4)
+    assert result.split.tolist() == [3, 3]
     # lowest of the split ones first: the column that belongs to - t^3 is (0, 1), turning at the rate (-1, 0)
     torch.testing.assert_close(
-        found.vectors[:2].abs(), torch.tensor([[0.0, 1.0], [1.0, 0.0]]).double(), rtol=0, atol=1e-10
+        result.vectors[:2].abs(), torch.tensor([[0.0, 1.0], [1.0, 0.0]]).double(), rtol=0, atol=1e-10
     )
-    rates = found.vector_slopes[:2] * torch.sign(found.vectors[[1, 0], [0, 1]])
+    rates = result.vector_slopes[:2] * torch.sign(result.vectors[[1, 0], [0, 1]])
     torch.testing.assert_close(rates, torch.tensor([[-1.0, 0.0], [0.0, 1.0]]).double(), rtol=0, atol=1e-9)
 
 
@@ -130,16 +130,16 @@ def test_the_square_cantilever_bends_in_its_own_planes(variable):
 
     b = torch.ones(2, dtype=torch.float64)
     direction = torch.eye(2, dtype=torch.float64)[variable]
-    found = eigenpair_branches(matrices, b, direction, 4)
-    assert found.split.tolist() == [1, 1, 1, 1]
-    mu = found.values * 12
+    result = eigenpair_branches(matrices, b, direction, 4)
+    assert result.split.tolist() == [1, 1, 1, 1]
+    mu = result.values * 12
     assert mu[0] == pytest.approx(3.5160152685**2, rel=1e-4)  # the clamped-free beam, closed form
     expected = torch.stack([0 * mu[0], mu[0] / 6, 0 * mu[2], mu[2] / 6])
-    torch.testing.assert_close(found.value_slopes, expected, rtol=1e-8, atol=1e-8 * mu[2].item() / 6)
+    torch.testing.assert_close(result.value_slopes, expected, rtol=1e-8, atol=1e-8 * mu[2].item() / 6)
     # the shapes stay; the mass makes them shrink at the rate 1/2
-    rates = found.vector_slopes + found.vectors / 2
-    assert rates.abs().max() < 1e-8 * found.vectors.abs().max()
-    in_section = turn.T @ found.vectors
+    rates = result.vector_slopes + result.vectors / 2
+    assert rates.abs().max() < 1e-8 * result.vectors.abs().max()
+    in_section = turn.T @ result.vectors
     half = len(K1)
     bends_over_height = torch.linalg.norm(in_section[:half], dim=0) > torch.linalg.norm(in_section[half:], dim=0)
     moves_with_height = torch.tensor([False, True, False, True]) if variable == 1 else torch.tensor([True, False] * 2)

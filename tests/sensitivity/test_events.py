@@ -79,8 +79,8 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
             [torch.stack(torch.func.jacfwd(lambda g, t=t: bouncing(t, g))(g)) for t in motion.t]  # pyright: ignore
         )
         assert_close(torch.stack([motion.q[lane, :, 2], motion.v[lane, :, 2]], 1), exact, rtol=0, atol=1e-10)
-        found = torch.stack([motion.dq_db[lane, :, 2, 0], motion.dv_db[lane, :, 2, 0]], 1)
-        assert_close(found, slopes, rtol=0, atol=1e-10)
+        result = torch.stack([motion.dq_db[lane, :, 2, 0], motion.dv_db[lane, :, 2, 0]], 1)
+        assert_close(result, slopes, rtol=0, atol=1e-10)
         rates = torch.func.jacfwd(bounces)(g)
         for switch, time, rate in zip(motion.switches, bounces(g), rates, strict=True):
             assert switch.dt_db is not None
@@ -179,8 +179,8 @@ def test_integral_of_a_history_that_jumps_against_differences(motion):
     for window in (None, (0.011, 0.0571)):
         measures = [kind(speed, window) for kind in (mbd.Integral, mbd.RMS)]
         for measure in (*measures, mbd.Integral(mbd.StrainEnergy("rod"), window)):
-            found = measure.value_and_gradient(motion)
-            agree(found.gradient[0], differences(found.value, 2), 1e-6)
+            result = measure.value_and_gradient(motion)
+            agree(result.gradient[0], differences(result.value, 2), 1e-6)
 
 
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):
@@ -190,7 +190,7 @@ def test_both_routes_agree_on_what_comes_after_a_switch(swing):
     coarse, fine = (mbd.simulate(swing, 0.06, steps=steps, **asked).require_ok() for steps in (30, 60))
     for name in ("q", "dq_db"):
         errors = [
-            float((getattr(found, name)[:, ::every] - getattr(exact, name))[:, -2:].abs().max())
-            for found, every in ((coarse, 5), (fine, 10))
+            float((getattr(result, name)[:, ::every] - getattr(exact, name))[:, -2:].abs().max())
+            for result, every in ((coarse, 5), (fine, 10))
         ]
         assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)

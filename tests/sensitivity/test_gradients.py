@@ -57,9 +57,9 @@ def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     motion, neighbors = both
     assert motion.ok
     assert neighbors.ok
-    found = MEASURES[name].value_and_gradient(motion)
-    assert float(found.value[0]) == pytest.approx(float(MEASURES[name].value(neighbors)[0]), rel=1e-9)
-    agree(found.gradient[0], differences(MEASURES[name], neighbors, 1e-5), 1e-5)
+    result = MEASURES[name].value_and_gradient(motion)
+    assert float(result.value[0]) == pytest.approx(float(MEASURES[name].value(neighbors)[0]), rel=1e-9)
+    agree(result.gradient[0], differences(MEASURES[name], neighbors, 1e-5), 1e-5)
 
 
 def test_default_iterations_leave_little(both):
@@ -107,9 +107,9 @@ def test_coarse_steps_and_variables_of_any_size():
     tight = mbd.simulate(
         system, 0.05, steps=10, gradients="forward", variables=names, iterations=(8, 8), refresh=0
     ).dq_db
-    found = mbd.simulate(system, 0.05, steps=10, gradients="forward", variables=names).dq_db
+    result = mbd.simulate(system, 0.05, steps=10, gradients="forward", variables=names).dq_db
     assert tight is not None
-    assert found is not None
+    assert result is not None
     sizes = tight.abs().amax((0, 1, 2))
     assert float(sizes.min()) < 1e-6 * float(sizes.max())
-    assert float(((found - tight).abs().amax((0, 1, 2)) / sizes).max()) < 2e-5
+    assert float(((result - tight).abs().amax((0, 1, 2)) / sizes).max()) < 2e-5

@@ -82,10 +82,10 @@ def test_drives_by_the_structural_integrator(law):
 
     motion = run(gradients="forward", variables=variables)
     assert motion.dq_db is not None
-    found = differences(system, variables, lambda designs: run(designs).q)
-    assert_close(motion.dq_db[0], found, rtol=0, atol=1e-6 * float(found.abs().amax()))
-    for k in range(found.shape[-1]):
-        assert float(found[..., k].abs().max()) > 1e-3
+    result = differences(system, variables, lambda designs: run(designs).q)
+    assert_close(motion.dq_db[0], result, rtol=0, atol=1e-6 * float(result.abs().amax()))
+    for k in range(result.shape[-1]):
+        assert float(result[..., k].abs().max()) > 1e-3
 
 
 @pytest.mark.thorough
@@ -99,11 +99,11 @@ def test_drives_by_torchdiffeq():
 
     motion = run(gradients="forward", variables=variables)
     assert motion.dq_db is not None
-    found = differences(system, variables, lambda designs: run(designs).q)
-    assert_close(motion.dq_db[0], found, rtol=0, atol=1e-6 * float(found.abs().amax()))
+    result = differences(system, variables, lambda designs: run(designs).q)
+    assert_close(motion.dq_db[0], result, rtol=0, atol=1e-6 * float(result.abs().amax()))
     dynamics = system().dynamics
     end = torchdiffeq.odeint(dynamics, dynamics.initial_state(), motion.t, method="rk4")[-1, 0, : motion.q.shape[2]]
-    k = int(found[-1].abs().amax(-1).argmax())
+    k = int(result[-1].abs().amax(-1).argmax())
     slopes = torch.autograd.grad(end[k], [system.get_parameter(name) for name in variables])
     assert_close(torch.stack(slopes), motion.dq_db[0, -1, k], rtol=1e-6, atol=1e-9)
 
@@ -147,8 +147,8 @@ def test_reactions_beside_a_body_that_is_guided():
 
     variables = names(system)
     exact = pull.value_and_gradient(run(gradients="forward", variables=variables)).gradient[0]
-    found = differences(system, variables, lambda designs: pull.value(run(designs)))
-    assert_close(exact, found, rtol=1e-6, atol=0.0)
+    result = differences(system, variables, lambda designs: pull.value(run(designs)))
+    assert_close(exact, result, rtol=1e-6, atol=0.0)
 
 
 @pytest.mark.thorough
@@ -210,11 +210,11 @@ def test_forces(method, options):
         return mbd.simulate(system, 0.06, method=method, steps=15, designs=designs, **options, **more).require_ok()
 
     motion = run(gradients="forward", variables=FORCES)
-    found = differences(system, FORCES, lambda designs: run(designs).q, 1e-4)
+    result = differences(system, FORCES, lambda designs: run(designs).q, 1e-4)
     assert motion.dq_db is not None
-    sizes = found.abs().amax((0, 1))
+    sizes = result.abs().amax((0, 1))
     assert float(sizes.min()) > 1e-6
-    assert float(((motion.dq_db[0] - found).abs().amax((0, 1)) / sizes).max()) < 1e-6
+    assert float(((motion.dq_db[0] - result).abs().amax((0, 1)) / sizes).max()) < 1e-6
 
 
 @pytest.mark.thorough
@@ -271,11 +271,11 @@ def test_loads_and_bushings(method, options):
         return mbd.simulate(system, 0.06, method=method, steps=15, designs=designs, **options, **more).require_ok()
 
     motion = run(gradients="forward", variables=LOADS)
-    found = differences(system, LOADS, lambda designs: run(designs).q, 1e-4)
+    result = differences(system, LOADS, lambda designs: run(designs).q, 1e-4)
     assert motion.dq_db is not None
-    sizes = found.abs().amax((0, 1))
+    sizes = result.abs().amax((0, 1))
     assert float(sizes.min()) > 1e-4
-    assert float(((motion.dq_db[0] - found).abs().amax((0, 1)) / sizes).max()) < 1e-6
+    assert float(((motion.dq_db[0] - result).abs().amax((0, 1)) / sizes).max()) < 1e-6
     energies = motion.energies
     assert float(energies.balance.abs().max()) < 1e-2 * float(energies.applied.abs().max())
 

@@ -99,8 +99,8 @@ def test_gradients_through_both_against_differences():
         motion = mbd.simulate(system, 0.06, steps=60, **options).require_ok()
         assert motion.dq_db is not None
         rigid = slice(14)
-        found, expected = motion.dq_db[0, :, rigid] @ way, (motion.q[1] - motion.q[2])[:, rigid] / (2.0 * h)
-        assert_close(found, expected, rtol=0, atol=1e-4 * float(expected.abs().max()))
+        result, expected = motion.dq_db[0, :, rigid] @ way, (motion.q[1] - motion.q[2])[:, rigid] / (2.0 * h)
+        assert_close(result, expected, rtol=0, atol=1e-4 * float(expected.abs().max()))
         assert float(motion.energies.balance.abs().max()) < 2e-2 * float(motion.energies.kinetic.max())
 
 

@@ -54,11 +54,11 @@ def test_the_energy_at_the_start_is_that_of_single_modes(gradients):
     system = hung(rod().bent(W))
     x = system.get_parameter(ANGLES).detach()[None].clone().requires_grad_()
     energy = mbd.AtTime(mbd.StrainEnergy("rod"), 0.0)
-    found = energy(mbd.simulate(system, 1e-3, steps=2, designs={ANGLES: x}, gradients=gradients))
-    (by,) = torch.autograd.grad(found.sum(), x)
+    result = energy(mbd.simulate(system, 1e-3, steps=2, designs={ANGLES: x}, gradients=gradients))
+    (by,) = torch.autograd.grad(result.sum(), x)
     values = torch.linalg.eigvalsh(system.body("rod").structure()["Kr"])
-    (wanted,) = torch.autograd.grad(0.5 * values @ W**2, system.get_parameter(ANGLES))
-    assert_close(by[0], wanted, rtol=1e-9, atol=0)
+    (expected,) = torch.autograd.grad(0.5 * values @ W**2, system.get_parameter(ANGLES))
+    assert_close(by[0], expected, rtol=1e-9, atol=0)
 
 
 @pytest.mark.thorough
@@ -74,8 +74,8 @@ def test_a_motion_that_starts_where_another_ends():
 
     for f in (partial(number, start=fixed), both):
         (by,) = torch.autograd.grad(f(system, {ANGLES: x}).sum(), x)
-        wanted = differences(partial(f, system), system, [ANGLES])[ANGLES]
-        assert_close(by[0], wanted, rtol=0, atol=1e-6 * float(by.abs().max()))
+        expected = differences(partial(f, system), system, [ANGLES])[ANGLES]
+        assert_close(by[0], expected, rtol=0, atol=1e-6 * float(by.abs().max()))
 
 
 @pytest.mark.thorough

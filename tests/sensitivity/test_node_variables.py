@@ -114,9 +114,9 @@ def test_a_system_is_copied_and_pickled():
     system = arm(LINES["length"]())
     for again in (copy.deepcopy(system), pickle.loads(pickle.dumps(system))):
         again.get_parameter("rod.line.length").data.mul_(1.1)
-        found = mbd.simulate(again, 0.01, steps=3).body("rod").nodes
-        wanted = mbd.simulate(system, 0.01, steps=3, designs={"rod.line.length": tensor(0.33)}).body("rod").nodes
-        assert_close(found, wanted, rtol=0, atol=1e-10)
+        result = mbd.simulate(again, 0.01, steps=3).body("rod").nodes
+        expected = mbd.simulate(system, 0.01, steps=3, designs={"rod.line.length": tensor(0.33)}).body("rod").nodes
+        assert_close(result, expected, rtol=0, atol=1e-10)
 
 
 def test_what_is_refused():

@@ -96,13 +96,13 @@ def test_the_gradient_is_that_of_forward_tangents(name, method):
     designs = torch.stack([ANGLES, ANGLES + tensor(0.5, 0.3)])
     forward, back = (finished(simulated(name, designs, way, method=method)) for way in WAYS)
     assert [motion.stats["gradients"] for motion in (forward, back)] == list(WAYS)
-    expected, found = (differentiate(everything, motion) for motion in (forward, back))
-    assert_close(found.value, expected.value, rtol=1e-12, atol=0)
+    expected, result = (differentiate(everything, motion) for motion in (forward, back))
+    assert_close(result.value, expected.value, rtol=1e-12, atol=0)
     assert expected.gradient is not None
-    assert found.gradient is not None
+    assert result.gradient is not None
     size = expected.gradient.abs().amax((0, 2))
     assert float(size[:2].min()) > 0.0
-    assert float(((found.gradient - expected.gradient).abs().amax((0, 2)) / size).max()) < 1e-8
+    assert float(((result.gradient - expected.gradient).abs().amax((0, 2)) / size).max()) < 1e-8
 
 
 @pytest.mark.thorough
@@ -114,9 +114,9 @@ def test_against_differences_of_the_same_discrete_map(name):
     values = everything(finished(simulated(name, around, "none")))
     near, far = (values[0] - values[1]) / (2.0 * step), (values[2] - values[3]) / (4.0 * step)
     motion = finished(simulated(name, ANGLES[None], "reverse"))
-    found = differentiate(everything, motion).gradient
-    assert found is not None
-    assert_close(found[0] @ way, (4.0 * near - far) / 3.0, rtol=1e-6, atol=0)
+    result = differentiate(everything, motion).gradient
+    assert result is not None
+    assert_close(result[0] @ way, (4.0 * near - far) / 3.0, rtol=1e-6, atol=0)
 
 
 @pytest.mark.thorough
@@ -127,7 +127,7 @@ def test_a_bouncing_mass_has_the_gradients_of_its_closed_form(impact):
     motion = mbd.simulate(Falling(), DURATION, steps=40, designs={"g": fields}, phases=phases).require_ok()
     assert motion.stats["gradients"] == "reverse"
     times = motion.switches[0].t + 2.0 * motion.switches[1].t
-    (found,) = torch.autograd.grad(times.sum() + (motion.q[:, 1:, 2] * motion.t[1:]).sum(), fields)
+    (result,) = torch.autograd.grad(times.sum() + (motion.q[:, 1:, 2] * motion.t[1:]).sum(), fields)
 
     def exact(g: Tensor) -> Tensor:
         first, second = bounces(g)
@@ -135,7 +135,7 @@ def test_a_bouncing_mass_has_the_gradients_of_its_closed_form(impact):
         return first + 2.0 * second + heights @ motion.t[1:]
 
     assert_close(
-        found[:, 0], torch.stack([torch.func.grad(exact)(g) for g in fields.detach()[:, 0]]), rtol=1e-9, atol=0
+        result[:, 0], torch.stack([torch.func.grad(exact)(g) for g in fields.detach()[:, 0]]), rtol=1e-9, atol=0
     )
 
 
@@ -155,13 +155,13 @@ def test_a_lane_that_never_gets_there_adds_nothing():
     def numbers(motion: Trajectory) -> Tensor:
         return torch.stack([motion.q[:, -1].sum(-1), motion.switches[0].t], 1)
 
-    found = differentiate(numbers, motion).gradient
+    result = differentiate(numbers, motion).gradient
     alone = mbd.simulate(pendulum(damping=1e-4), 0.05, steps=25, designs={NAME: designs[[there]]}, **own)
     expected = differentiate(numbers, alone.require_ok()).gradient
-    assert found is not None
+    assert result is not None
     assert expected is not None
-    assert_close(found[there], expected[0], rtol=1e-9, atol=0)
-    assert float(found[1 - there].abs().max()) == 0.0
+    assert_close(result[there], expected[0], rtol=1e-9, atol=0)
+    assert float(result[1 - there].abs().max()) == 0.0
 
 
 def test_forces_of_a_phase_act_where_those_of_the_whole_do():
@@ -178,11 +178,11 @@ def test_forces_of_a_phase_act_where_those_of_the_whole_do():
 def test_native_and_eager_agree(native):
     designs = torch.stack([ANGLES, ANGLES + tensor(0.5, 0.3)])
     name = "restitution"
-    found = [
+    result = [
         differentiate(everything, finished(simulated(name, designs, "reverse", backend=backend)))
         for backend in ("native", "eager")
     ]
-    one, other = (x.gradient for x in found)
+    one, other = (x.gradient for x in result)
     assert one is not None
     assert other is not None
     assert float(((one - other).abs().amax((0, 2)) / other.abs().amax((0, 2))).max()) < 1e-8
@@ -228,8 +228,8 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
         }
         motion = mbd.simulate(system, 0.06, **options).require_ok()
         response = motion.switches[0].t.sum() + motion.q[:, -1].sum()
-        found = torch.autograd.grad(response, list(motion.variables.values()), allow_unused=True)
-        assert found[list(motion.variables).index(NAME)] is not None
+        result = torch.autograd.grad(response, list(motion.variables.values()), allow_unused=True)
+        assert result[list(motion.variables).index(NAME)] is not None
     assert sum(x.numel() for x in motion.variables.values()) == 16
     assert len(counts[2]) == pytest.approx(
         len(counts[1]), rel=0.15

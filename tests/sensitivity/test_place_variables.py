@@ -43,8 +43,8 @@ def bent() -> mbd.System:
 def reacting(system: mbd.System, designs: dict[str, torch.Tensor], **options) -> torch.Tensor:
     """With the reaction at a point that varies."""
     motion = mbd.simulate(system, 0.02, steps=6, iterations=(8, 4), designs=designs, **options)
-    found = motion.reaction("hinge")
-    return (found.force.square().sum((1, 2)) + found.torque.square().sum((1, 2))) + number(system, designs, **options)
+    result = motion.reaction("hinge")
+    return (result.force.square().sum((1, 2)) + result.torque.square().sum((1, 2))) + number(system, designs, **options)
 
 
 @pytest.mark.thorough

@@ -183,12 +183,12 @@ def test_a_laminate_refuses_what_is_computed_and_the_advice_is_right():
     own = mbd.Laminate(mbd.Ply(**CARBON), x.detach(), 1e-3)
     own.stiffness().D.sum().backward()
     x.backward(own.angles.grad)
-    found = net.bias.grad
+    result = net.bias.grad
     again = mbd.Laminate(mbd.Ply(**CARBON), x.detach(), 1e-3)
     D = torch.func.functional_call(again, {"angles": net(tensor(0.3, -0.4))}).sum()  # all of A, B, D, As
-    assert found is not None
+    assert result is not None
     assert D.requires_grad
-    assert_close(found, own.angles.grad)  # the bias has the slope one
+    assert_close(result, own.angles.grad)  # the bias has the slope one
 
 
 REFUSED: dict[str, Callable[[Any], Any]] = {

@@ -41,9 +41,9 @@ def resting(system: mbd.System, designs: dict[str, Tensor], **options) -> Tensor
 
 def static(system: mbd.System, designs: dict[str, Tensor], times=(0.0, 0.1), **options) -> Tensor:
     """Positions, reactions and energies of an equilibrium at two times [lanes]."""
-    found = mbd.equilibrium(system, times=times, designs=designs)
-    parts = [found.body("rod").nodes, found.body("arm").p, 0.1 * found.lam, found.reaction("hinge").torque]
-    return sum((y * (1.0 + y)).flatten(1).sum(1) for y in parts) + found.body("rod").strain_energy.sum(1)
+    result = mbd.equilibrium(system, times=times, designs=designs)
+    parts = [result.body("rod").nodes, result.body("arm").p, 0.1 * result.lam, result.reaction("hinge").torque]
+    return sum((y * (1.0 + y)).flatten(1).sum(1) for y in parts) + result.body("rod").strain_energy.sum(1)
 
 
 @pytest.mark.thorough
@@ -65,12 +65,12 @@ def test_gradients_of_equilibria():
     static(system, x).sum().backward()
     forward = torch.func.jacfwd(lambda b: static(system, b)[0])(start)
     reverse = torch.func.jacrev(lambda b: static(system, b)[0])(start)
-    wanted = differences(lambda b: static(system, b), system, list(NAMES))
+    expected = differences(lambda b: static(system, b), system, list(NAMES))
     for name, y in x.items():
         size = float(y.grad.abs().max())
         assert_close(forward[name], y.grad, rtol=0, atol=1e-8 * size)
         assert_close(reverse[name], y.grad, rtol=0, atol=1e-8 * size)
-        assert_close(y.grad, wanted[name], rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
+        assert_close(y.grad, expected[name], rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
 
 
 @pytest.mark.thorough
@@ -121,5 +121,5 @@ def test_gradients_by_what_is_given_for_the_start():
             ends = [f(*(x.detach() + s * h * e for x, e in zip((w, v), way, strict=True))) for s in (1.0, -1.0)]
             return ((ends[0] - ends[1]) / (2.0 * h)).detach()
 
-        wanted = (4.0 * slope(h) - slope(2.0 * h)) / 3.0
-        assert_close(w.grad @ way[0] + v.grad @ way[1], wanted, rtol=1e-6, atol=0)
+        expected = (4.0 * slope(h) - slope(2.0 * h)) / 3.0
+        assert_close(w.grad @ way[0] + v.grad @ way[1], expected, rtol=1e-6, atol=0)

@@ -62,12 +62,12 @@ def test_a_section_of_other_dimensions_is_that_section(case):
             h = 2e-3 * float(x.max())
             one, two, four = ((f(x + k * h) - f(x - k * h)) / (2.0 * k * h) for k in (1, 2, 4))
             first, second = (4.0 * one - two) / 3.0, (4.0 * two - four) / 3.0
-            wanted = (16.0 * first - second).detach() / 15.0
+            expected = (16.0 * first - second).detach() / 15.0
             scale = f(x).detach().diagonal().sqrt() / x.max()  # symmetric entries, of both units
             scale = scale * scale[:, None]
-            for W, found in zip(weights, reverse, strict=True):
-                assert_close(found, (W * forward).sum(), rtol=0, atol=1e-8 * float((W.abs() * scale).sum()))
-            assert_close(forward / scale, wanted / scale, rtol=0, atol=1e-6)
+            for W, result in zip(weights, reverse, strict=True):
+                assert_close(result, (W * forward).sum(), rtol=0, atol=1e-8 * float((W.abs() * scale).sum()))
+            assert_close(forward / scale, expected / scale, rtol=0, atol=1e-6)
     for name, x in made.named_parameters():
         if name != "angles":
             x.data *= 1.1
@@ -94,15 +94,15 @@ def _called(section: Section, part, values: dict[str, torch.Tensor]) -> torch.Te
 
 def test_closed_forms_of_a_tube():
     """Area and polar moment of a thin metal tube by radius and wall, on the mesh's chords."""
-    made = mbd.sections.tube(V(0.02), METAL, [0.0], V(1e-3), cells=(96, 1))
-    r, t = made.get_parameter("radius"), made.get_parameter("thickness")
-    by = torch.autograd.grad(made.mass()[0, 0], (r, t))
+    result = mbd.sections.tube(V(0.02), METAL, [0.0], V(1e-3), cells=(96, 1))
+    r, t = result.get_parameter("radius"), result.get_parameter("thickness")
+    by = torch.autograd.grad(result.mass()[0, 0], (r, t))
     R, T = r.detach(), t.detach()
     assert_close(torch.stack(by), 2700.0 * 2.0 * math.pi * torch.stack([T, R - T]), rtol=2e-3, atol=0)
-    by = torch.autograd.grad(made.stiffness()[3, 3], (r, t))
+    by = torch.autograd.grad(result.stiffness()[3, 3], (r, t))
     G = 7e9 / 2.6
-    wanted = G * 2.0 * math.pi * torch.stack([R**3 - (R - T) ** 3, (R - T) ** 3])
-    assert_close(torch.stack(by), wanted, rtol=5e-3, atol=0)
+    expected = G * 2.0 * math.pi * torch.stack([R**3 - (R - T) ** 3, (R - T) ** 3])
+    assert_close(torch.stack(by), expected, rtol=5e-3, atol=0)
 
 
 @pytest.mark.thorough

@@ -71,9 +71,9 @@ def test_divided_differences_lose_no_digits_at_any_gap(gap, size):
     Kr = torch.diag(values)
     direction = torch.tensor([[0.3, 1.0, -0.5], [1.0, 0.7, 0.2], [-0.5, 0.2, 0.9]], dtype=torch.float64)
     one = torch.eye(3, dtype=torch.float64)
-    found = jvp(lambda Kr: spectral_function(ModalBasis(one, Kr), lambda x: x**3), (Kr,), (direction,))[1]
+    result = jvp(lambda Kr: spectral_function(ModalBasis(one, Kr), lambda x: x**3), (Kr,), (direction,))[1]
     difference = values[:, None] ** 2 + values[:, None] * values + values**2
-    torch.testing.assert_close(found, difference * direction, rtol=2e-13, atol=0)
+    torch.testing.assert_close(result, difference * direction, rtol=2e-13, atol=0)
 
 
 def test_what_g_depends_on_has_its_gradient():

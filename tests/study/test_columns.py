@@ -23,16 +23,16 @@ def columns(**shapes: tuple[int, ...]) -> Columns:
 
 
 def test_numbers_tell_the_entries_of_a_parameter_apart():
-    found = columns(rod__laminate__angles=(2,), spring__stiffness=())
-    assert found.names == ("angle_1_deg", "angle_2_deg", "stiffness")
-    assert found.headings == ["angle 1 [deg]", "angle 2 [deg]", "stiffness"]
-    assert found.labels == ("rod.laminate.angles[0]", "rod.laminate.angles[1]", "spring.stiffness[0]")
-    np.testing.assert_allclose(found.si(np.array([180.0, 90.0, 3.0])), [np.pi, np.pi / 2, 3.0])
+    result = columns(rod__laminate__angles=(2,), spring__stiffness=())
+    assert result.names == ("angle_1_deg", "angle_2_deg", "stiffness")
+    assert result.headings == ["angle 1 [deg]", "angle 2 [deg]", "stiffness"]
+    assert result.labels == ("rod.laminate.angles[0]", "rod.laminate.angles[1]", "spring.stiffness[0]")
+    np.testing.assert_allclose(result.si(np.array([180.0, 90.0, 3.0])), [np.pi, np.pi / 2, 3.0])
 
 
 def test_the_body_is_named_where_two_share_a_word():
-    found = columns(inner__laminate__angles=(1,), outer__laminate__angles=(1,))
-    assert found.names == ("inner_angle_1_deg", "outer_angle_1_deg")
+    result = columns(inner__laminate__angles=(1,), outer__laminate__angles=(1,))
+    assert result.names == ("inner_angle_1_deg", "outer_angle_1_deg")
 
 
 def test_criteria_of_two_bodies_are_named_by_them():
@@ -48,8 +48,8 @@ def test_criteria_of_two_bodies_are_named_by_them():
         reference=reference,
     )
     first, other = Evaluation(4.0, np.array([0.0])), Evaluation(2.0, np.array([1.0]))
-    found = _criteria(cast(Any, problem), first, [other])
-    assert found == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
+    result = _criteria(cast(Any, problem), first, [other])
+    assert result == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
     problem.constraints, problem.constraint_rows = [], []
     assert list(_criteria(cast(Any, problem), first, [other])) == ["integral of strain energy"]
 
@@ -76,15 +76,15 @@ def test_of_several_rows_a_sweep_shows_the_one_that_breaks_the_limit():
 
 
 def test_a_design_is_told_with_names_and_units():
-    found = Columns.of(
+    result = Columns.of(
         ["rod.laminate.angles[0]", "rod.line.length"], {"rod.laminate.angles": "deg", "rod.line.length": "cm"}
     )
-    x = np.append(found.si(np.array([-0.001, 71.65951])), 0.5)  # with the extra variable of a min-max problem
-    assert found.named(x) == "angle 1 0 deg, length 71.6595 cm"
+    x = np.append(result.si(np.array([-0.001, 71.65951])), 0.5)  # with the extra variable of a min-max problem
+    assert result.named(x) == "angle 1 0 deg, length 71.6595 cm"
 
 
 def test_a_design_of_several_units_names_its_numbers():
-    found = Columns.of(["jib.section.radius", "jib.angles[0]"], {"jib.section.radius": "mm", "jib.angles": "deg"})
-    assert found.names == ("radius_mm", "angle_1_deg")
-    assert found.sentence(np.array([0.012, np.pi / 6])) == "radius 12 mm, angle 1 30 deg"
-    assert found.sentence(np.array([0.012])) == "12 mm"
+    result = Columns.of(["jib.section.radius", "jib.angles[0]"], {"jib.section.radius": "mm", "jib.angles": "deg"})
+    assert result.names == ("radius_mm", "angle_1_deg")
+    assert result.sentence(np.array([0.012, np.pi / 6])) == "radius 12 mm, angle 1 30 deg"
+    assert result.sentence(np.array([0.012])) == "12 mm"

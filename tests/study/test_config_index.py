@@ -16,5 +16,5 @@ def test_copies_that_runs_have_filed_are_not_listed(tmp_path):
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("# Which arm?\n" if "arm" in name else "model: x\n")
-    found = {str(file.relative_to(tmp_path)): asked for file, asked in configs(tmp_path).items()}
-    assert found == {"arm.yaml": "Which arm?", "cluster/arm.yaml": "Which arm?", "more/crane.yml": QUESTION_MISSING}
+    result = {str(file.relative_to(tmp_path)): asked for file, asked in configs(tmp_path).items()}
+    assert result == {"arm.yaml": "Which arm?", "cluster/arm.yaml": "Which arm?", "more/crane.yml": QUESTION_MISSING}

@@ -110,10 +110,10 @@ def test_a_piece_that_kills_its_workers_fails_design_by_design(write):
 
     pool = study_workers(load_study(write(simulate=SHORT)), "", 2, 2)
     good = [Evaluation(float(k), np.zeros(2)) for k in range(4)]
-    found = WorkerBatch(pool, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
-    assert [e.objective for e in found if e.ok] == [0.0, 1.0, 2.0, 3.0]
-    assert [e.status for e in found] == ["ok"] * 2 + ["failed: 3 workers died of it"] * 3 + ["ok"] * 2
-    assert [e.constraints.shape for e in found] == [(2,)] * 7
+    result = WorkerBatch(pool, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
+    assert [e.objective for e in result if e.ok] == [0.0, 1.0, 2.0, 3.0]
+    assert [e.status for e in result] == ["ok"] * 2 + ["failed: 3 workers died of it"] * 3 + ["ok"] * 2
+    assert [e.constraints.shape for e in result] == [(2,)] * 7
 
 
 def test_without_cryptography_there_are_no_workers(write, monkeypatch):

@@ -36,14 +36,14 @@ def test_evaluations_come_back_bit_for_bit(tmp_path, gradients):
     store.keep(X, gradients, computed(X, gradients))
     store.close()
     again = Evaluations(tmp_path / "e.db", "p")
-    for found, expected in zip(again.find(X, gradients), computed(X, gradients), strict=True):
-        assert found is not None
-        assert found.objective == expected.objective
-        assert_array_equal(found.constraints, expected.constraints)
-        assert found.differentiated is gradients
+    for result, expected in zip(again.find(X, gradients), computed(X, gradients), strict=True):
+        assert result is not None
+        assert result.objective == expected.objective
+        assert_array_equal(result.constraints, expected.constraints)
+        assert result.differentiated is gradients
         if gradients:
-            assert_array_equal(found.objective_gradient, expected.objective_gradient)
-            assert_array_equal(found.constraint_gradients, expected.constraint_gradients)
+            assert_array_equal(result.objective_gradient, expected.objective_gradient)
+            assert_array_equal(result.constraint_gradients, expected.constraint_gradients)
     assert again.find(X, not gradients) == [None] * 3
     assert again.find(X + 1e-15, gradients)[0] is None
     assert Evaluations(tmp_path / "e.db", "other").find(X, gradients) == [None] * 3
@@ -52,11 +52,11 @@ def test_evaluations_come_back_bit_for_bit(tmp_path, gradients):
 def test_a_failed_evaluation_is_known_with_its_reason(tmp_path):
     store = Evaluations(tmp_path / "e.db", "p")
     store.keep(X[:1], True, [Evaluation.failure("failed: not finite", 2)])
-    (found,) = store.find(X[:1], True)
-    assert found is not None
-    assert found.status == "failed: not finite"
-    assert np.isnan(found.constraints).tolist() == [True, True]
-    assert not found.differentiated
+    (result,) = store.find(X[:1], True)
+    assert result is not None
+    assert result.status == "failed: not finite"
+    assert np.isnan(result.constraints).tolist() == [True, True]
+    assert not result.differentiated
 
 
 @pytest.mark.parametrize(
@@ -86,9 +86,9 @@ def test_an_altered_row_is_reported_and_evaluated_again(tmp_path, column, value)
     again.keep(asked, True, computed(asked, True))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        (found,) = again.find(asked, True)
-    assert found is not None
-    assert found.objective == computed(asked, True)[0].objective
+        (result,) = again.find(asked, True)
+    assert result is not None
+    assert result.objective == computed(asked, True)[0].objective
 
 
 def test_an_altered_row_is_in_no_picture(tmp_path):

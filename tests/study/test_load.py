@@ -49,8 +49,8 @@ def test_the_resolved_file_is_a_file_again(write):
 @pytest.mark.parametrize("way", ["forward", "reverse"])
 def test_which_way_gradients_come_can_be_chosen(write, way):
     simulate = {"duration": 0.002, "steps": 20}
-    found = load(write(simulate=simulate | {"gradients": way})).simulated
-    assert found.simulate(found.start[None], gradients=True).stats["gradients"] == way
+    result = load(write(simulate=simulate | {"gradients": way})).simulated
+    assert result.simulate(result.start[None], gradients=True).stats["gradients"] == way
     assert load(write(simulate=simulate)).resolved()["simulate"]["gradients"] == "auto"
 
 
@@ -71,8 +71,8 @@ def test_steps_that_are_left_out_have_a_tolerance(write):
 def test_motions_start_where_the_file_says(write):
     simulate = {"duration": 0.002, "steps": 20}
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}
-    found = load(write(simulate=simulate | {"start": start})).simulated
-    assert found.motion(found.start).body("rod").w[0, 0].tolist() == pytest.approx(start["rod.modal"])
+    result = load(write(simulate=simulate | {"start": start})).simulated
+    assert result.motion(result.start).body("rod").w[0, 0].tolist() == pytest.approx(start["rod.modal"])
     assert load(write(simulate=simulate | {"start": "equilibrium"})).simulated.simulation["start"] == "equilibrium"
     assert load(write(simulate=simulate)).resolved()["simulate"]["start"] == "assembled"
     for wrong, words in (("equilibriun", "equilibrium"), ({"rod.mode": [0.0]}, "rod.modal")):
@@ -101,8 +101,8 @@ def test_scenarios_of_a_file_are_those_of_python(write):
         ({"scenarios": cases, "combine": {"objective": "all"}}, "worst, mean"),
         ({"scenarios": [copy.deepcopy(cases[0]), cases[0]]}, "each name once"),
     ):
-        found = [fault.text for fault in faults(write(simulate=simulate, **wrong))]
-        assert any(words in text for text in found), found
+        result = [fault.text for fault in faults(write(simulate=simulate, **wrong))]
+        assert any(words in text for text in result), result
 
 
 @pytest.mark.thorough
@@ -177,7 +177,7 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         "model is missing",
     ]
     for text in expected:
-        assert any(text in found for found in texts), text
+        assert any(text in result for result in texts), text
 
 
 @pytest.mark.parametrize(
@@ -248,9 +248,9 @@ def test_sizes_and_ranges_of_the_design(write, variable, path, message):
 
 @pytest.mark.parametrize("unit", ["rad", "none"])
 def test_degrees_that_are_said_to_be_radians_are_named(write, unit):
-    found = faults(write(design={"rod.laminate.angles": {"start": [45, 1], "lower": -90, "upper": 90, "unit": unit}}))
-    assert {fault.path[-1] for fault in found} == {"start", "lower", "upper"}
-    for fault in found:
+    result = faults(write(design={"rod.laminate.angles": {"start": [45, 1], "lower": -90, "upper": 90, "unit": unit}}))
+    assert {fault.path[-1] for fault in result} == {"start", "lower", "upper"}
+    for fault in result:
         assert f"with unit: {unit}" in fault.text
         assert "rad (degrees? use mbd.deg); allowed: -2 pi to 2 pi" in fault.text
 
@@ -268,8 +268,8 @@ def test_a_parameter_that_does_not_exist_has_a_nearest(write):
 
 def test_names_of_the_model_are_checked_beside_faults_of_the_schema(write):
     """A negative duration must not hide a misspelt body."""
-    found = faults(write(simulate={"duration": -1}, minimize={"integral": {"strain_energy": "rood"}}))
-    assert sorted(fault.path[0] for fault in found) == ["minimize", "simulate"]
+    result = faults(write(simulate={"duration": -1}, minimize={"integral": {"strain_energy": "rood"}}))
+    assert sorted(fault.path[0] for fault in result) == ["minimize", "simulate"]
 
 
 PLIES = {"lower": -90, "upper": 90, "unit": "deg"}
@@ -361,10 +361,10 @@ ENERGY = {"max": {"strain_energy": "rod"}}
 )
 def test_a_fault_hides_no_other(write, sections, expected):
     """Of variables, links, scenarios and constraints, each is checked whatever is wrong with the others."""
-    found = {".".join(map(str, fault.path)): fault.text for fault in faults(write(**sections))}
-    assert found.keys() == expected.keys()
+    result = {".".join(map(str, fault.path)): fault.text for fault in faults(write(**sections))}
+    assert result.keys() == expected.keys()
     for path, words in expected.items():
-        assert words in found[path]
+        assert words in result[path]
 
 
 @pytest.mark.parametrize(

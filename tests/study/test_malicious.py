@@ -78,14 +78,14 @@ def test_a_file_beside_the_model_hides_no_module_of_pythons(folder):
 
 
 def test_models_of_two_folders_have_their_own_modules(tmp_path):
-    found = []
+    result = []
     for name in ("one", "two"):
         folder = tmp_path / name
         folder.mkdir()
         (folder / "ply_table.py").write_text(f"word = {name!r}\n")
         (folder / "m.py").write_text("import ply_table\ndef words() -> list:\n    return [ply_table.word]\n")
-        found.append(find_function("m.py:words", folder)())
-    assert found == [["one"], ["two"]]
+        result.append(find_function("m.py:words", folder)())
+    assert result == [["one"], ["two"]]
 
 
 @pytest.mark.thorough

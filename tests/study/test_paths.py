@@ -97,8 +97,8 @@ def known(file: Path, tracker) -> tuple[int, str]:
     """How many evaluations a run has found in the store, and its table."""
     output = io.StringIO()
     run_study(load_study(file), Console(file=output, width=120), tracker)
-    found = re.search(r"(\d+) of \d+ evaluations known", output.getvalue())
-    return int(found[1]) if found else 0, re.findall(r"^ +0 +([\d.e-]+)", output.getvalue(), re.MULTILINE)[-1]
+    result = re.search(r"(\d+) of \d+ evaluations known", output.getvalue())
+    return int(result[1]) if result else 0, re.findall(r"^ +0 +([\d.e-]+)", output.getvalue(), re.MULTILINE)[-1]
 
 
 @pytest.mark.thorough

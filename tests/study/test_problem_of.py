@@ -38,8 +38,8 @@ def test_it_serves_steps_and_tolerances(write):
     steps = np.degrees(laid.best.x) / 15.0
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     robust = mbd.RobustProblem(problem, mbd.deg(2.0))
-    (found,) = robust.evaluate(robust.start[None], False)
-    assert found.ok
+    (result,) = robust.evaluate(robust.start[None], False)
+    assert result.ok
 
 
 def test_what_is_wrong_is_named(write):

@@ -42,11 +42,11 @@ def iterate(start: int, iteration: int, objective: float, violation: float = 0.0
 
 def table() -> Any:
     headings = ["start", "objective", "less by", "viol.", *COLUMNS.headings, "iter", "sims", "status"]
-    found = table_of("a study of a long name: 2 starts, 1 of them converged, and its title goes on [x]", headings)
+    result = table_of("a study of a long name: 2 starts, 1 of them converged, and its title goes on [x]", headings)
     for k in range(2):
         angles = ["-123.46"] * ANGLES
-        found.add_row(str(k), "0.0123456", "12.34 %", "1e-03", *angles, "123", "1234", "max iterations", style="bold")
-    return found
+        result.add_row(str(k), "0.0123456", "12.34 %", "1e-03", *angles, "123", "1234", "max iterations", style="bold")
+    return result
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])

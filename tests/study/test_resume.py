@@ -199,12 +199,12 @@ def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str],
 
 def _below(study: int) -> dict[int, str]:
     """The processes that a study has started, by what they do."""
-    found = {}
+    result = {}
     with contextlib.suppress(psutil.NoSuchProcess):
         for process in psutil.Process(study).children(recursive=True):
             with contextlib.suppress(psutil.NoSuchProcess):
-                found[process.pid] = "store" if "store_process" in " ".join(process.cmdline()) else "worker"
-    return found
+                result[process.pid] = "store" if "store_process" in " ".join(process.cmdline()) else "worker"
+    return result
 
 
 @pytest.mark.slow

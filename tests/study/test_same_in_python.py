@@ -57,8 +57,8 @@ def test_maximize(write):
     )
     own = problem(minimize=None, maximize=mbd.Frequency("rod", 1), subject_to=[mbd.Max(ENERGY) <= "initial"])
     asked = same(file, own)
-    [found] = asked.evaluate(own.start[None], False)
-    assert found.objective == -mbd.Frequency("rod", 1)(own.motion(own.start)).item()
+    [result] = asked.evaluate(own.start[None], False)
+    assert result.objective == -mbd.Frequency("rod", 1)(own.motion(own.start)).item()
     assert "maximize" in repr(own)
 
 
@@ -130,9 +130,9 @@ def test_the_worst_case_of_what_is_to_be_large(write):
     large = problem(minimize=None, maximize=mbd.Frequency("rod", 1))
     own = mbd.RobustProblem(large, mbd.deg(2.5), "worst")
     same(file, own)
-    found = mbd.optimize(own, method="slsqp", max_iterations=15, progress=False)
-    around = [e.objective for e in large.evaluate(found.x[:2] + own.shifts, False)]
-    assert found.value == pytest.approx(max(around), rel=1e-4)  # beta is the worst of its corners
+    result = mbd.optimize(own, method="slsqp", max_iterations=15, progress=False)
+    around = [e.objective for e in large.evaluate(result.x[:2] + own.shifts, False)]
+    assert result.value == pytest.approx(max(around), rel=1e-4)  # beta is the worst of its corners
     assert max(around) < max(e.objective for e in large.evaluate(own.start[:2] + own.shifts, False))
 
 
@@ -148,12 +148,12 @@ def test_records_have_the_sign_that_was_asked_for(write, empty_store, tmp_path):
     study = load_study(file)
     assert run_study(study, Console(file=output, width=100), tracker) in (0, UNVERIFIED)
     entry = find(uri, "study")
-    found = children(uri, entry)
+    result = children(uri, entry)
     assert entry.metrics["best_objective"] == -study.outcome.result.best.value > 0.0
-    assert [child.metrics["objective"] for child in found] == sorted(
-        (c.metrics["objective"] for c in found), reverse=True
+    assert [child.metrics["objective"] for child in result] == sorted(
+        (c.metrics["objective"] for c in result), reverse=True
     )
-    assert entry.metrics["best_objective"] == found[0].metrics["objective"]
+    assert entry.metrics["best_objective"] == result[0].metrics["objective"]
     assert entry.metrics["increase_percent"] >= 0.0
     assert "reduction_percent" not in entry.metrics
     assert "more" in output.getvalue()

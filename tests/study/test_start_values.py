@@ -34,22 +34,22 @@ def test_values_are_those_of_the_motion():
     energy, mass, angle = (
         float(m(motion)[0]) for m in (asked.stated_objective, *(c.measure for c in asked.constraints[::2]))
     )
-    found = start_values(asked)
-    assert not isinstance(found, str)
-    np.testing.assert_allclose([one.value for one in found], [energy, mass, energy, np.degrees(angle)], rtol=1e-12)
-    assert [one.goal for one in found] == ["minimize", "at least 0.5", "at most initial", "at most 5.72958"]
-    assert [one.unit for one in found] == ["J", "kg", "J", "deg"]
-    assert found[1].note == ("violated" if mass < 0.5 else "")
+    result = start_values(asked)
+    assert not isinstance(result, str)
+    np.testing.assert_allclose([one.value for one in result], [energy, mass, energy, np.degrees(angle)], rtol=1e-12)
+    assert [one.goal for one in result] == ["minimize", "at least 0.5", "at most initial", "at most 5.72958"]
+    assert [one.unit for one in result] == ["J", "kg", "J", "deg"]
+    assert result[1].note == ("violated" if mass < 0.5 else "")
 
 
 @pytest.mark.thorough
 def test_wrong_units_and_idle_constraints_are_pointed_at():
     mass = float(mbd.Mass("arm")(problem().motion(problem().start))[0])
     grams, few = mbd.Mass("arm") <= 5e3 * mass, mbd.Mass("arm") <= 1e-4 * mass
-    found = start_values(problem(grams, few, mbd.Max(TORQUE) <= 5.0, mbd.Mass("arm") <= 2 * mass))
-    assert not isinstance(found, str)
+    result = start_values(problem(grams, few, mbd.Max(TORQUE) <= 5.0, mbd.Mass("arm") <= 2 * mass))
+    assert not isinstance(result, str)
     notes = ["", "far from its limit: units?", "violated; units?", "is zero: is it what is meant?", ""]
-    assert [one.note for one in found] == notes
+    assert [one.note for one in result] == notes
 
 
 @pytest.mark.thorough
@@ -60,10 +60,10 @@ def test_of_scenarios_the_nearest_to_the_limit_is_shown(objective):
     asked = mbd.Scenarios(mbd.examples.arm(), 0.05, mbd.Max(ENERGY), mbd.Mass("arm") <= 1e3, **given)
     masses = [float(mbd.Mass("arm")(asked.simulate(asked.start[None], scenario=name))[0]) for name in cases]
     energies = [float(mbd.Max(ENERGY)(asked.simulate(asked.start[None], scenario=name))[0]) for name in cases]
-    found = start_values(asked)
-    assert not isinstance(found, str)
-    assert found[0].value == pytest.approx(max(energies) if objective == "worst" else np.mean(energies), rel=1e-9)
-    assert found[1].value == pytest.approx(max(masses), rel=1e-9)
+    result = start_values(asked)
+    assert not isinstance(result, str)
+    assert result[0].value == pytest.approx(max(energies) if objective == "worst" else np.mean(energies), rel=1e-9)
+    assert result[1].value == pytest.approx(max(masses), rel=1e-9)
 
 
 @pytest.mark.thorough

@@ -169,8 +169,8 @@ class Valley:
 
 @pytest.mark.thorough
 def test_other_problems_fronts_tolerances_and_steps(own):
-    found = mbd.Study(Valley(), mbd.sobol(2, seed=1), method="slsqp", name="valley").run(console=QUIET)
-    np.testing.assert_allclose(found.best.x, [1.0, 1.0], atol=1e-4)
+    result = mbd.Study(Valley(), mbd.sobol(2, seed=1), method="slsqp", name="valley").run(console=QUIET)
+    np.testing.assert_allclose(result.best.x, [1.0, 1.0], atol=1e-4)
     tradeoff = mbd.Tradeoff(
         build(),
         0.002,
@@ -234,10 +234,10 @@ def test_scenarios_are_a_study_like_any_other(own):
         variables=["rod.laminate.angles"],
         bounds=mbd.deg([-90, 90]),
     )
-    found = mbd.Study(asked, mbd.sobol(2, seed=1), name="cases", max_iterations=2).run(console=QUIET)
-    assert found.status == "FINISHED"
-    assert found.columns.names == ("angle_1_deg", "angle_2_deg")
-    assert found.best.value <= asked.evaluate(asked.start[None], False)[0].objective
+    result = mbd.Study(asked, mbd.sobol(2, seed=1), name="cases", max_iterations=2).run(console=QUIET)
+    assert result.status == "FINISHED"
+    assert result.columns.names == ("angle_1_deg", "angle_2_deg")
+    assert result.best.value <= asked.evaluate(asked.start[None], False)[0].objective
 
 
 @pytest.mark.parametrize(

@@ -36,10 +36,10 @@ def test_the_criterion_is_the_mean_over_the_tolerances(write):
     target = plan.problem
     off = np.random.default_rng(1).uniform(-1.0, 1.0, (400, 2)) * np.radians([3.0, 6.0])
     values = np.array([e.objective for e in problem.evaluate(problem.start + off, False)])
-    (found,) = target.evaluate(target.start[None], False)
+    (result,) = target.evaluate(target.start[None], False)
     spread = values.std() / np.sqrt(len(values))
-    assert found.objective == pytest.approx(values.mean(), abs=4.0 * spread)
-    assert abs(found.objective - problem.evaluate(problem.start[None], False)[0].objective) > 0.2 * spread
+    assert result.objective == pytest.approx(values.mean(), abs=4.0 * spread)
+    assert abs(result.objective - problem.evaluate(problem.start[None], False)[0].objective) > 0.2 * spread
 
 
 @pytest.mark.thorough

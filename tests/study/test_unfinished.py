@@ -47,13 +47,13 @@ def runs(folder: Path) -> list:
 
 def logged(folder: Path) -> dict[str, tuple]:
     """What the store says of every run: params, metrics, status, words, files."""
-    found = {}
+    result = {}
     for run in runs(folder):
         root = folder / "store" / "mlartifacts" / run.info.run_id / "artifacts"
         files = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
         words = {key: run.data.tags.get(key) for key in ("kind", "status", "message", "best", "best_start", "seed")}
-        found[run.info.run_name] = run.data.params, run.data.metrics, run.info.status, words, files
-    return found
+        result[run.info.run_name] = run.data.params, run.data.metrics, run.info.status, words, files
+    return result
 
 
 @pytest.mark.thorough

@@ -56,7 +56,7 @@ def runs(tmp_path_factory: Any, empty_store: Path, native: None) -> SimpleNamesp
 
     folder = tmp_path_factory.mktemp("verified")
     (folder / "vibration.py").write_text(MODEL)
-    uri, found = f"sqlite:///{shutil.copy(empty_store, folder)}", {}
+    uri, result = f"sqlite:///{shutil.copy(empty_store, folder)}", {}
     patch = pytest.MonkeyPatch()
     patch.setenv("TORCHMBD_COMPILE", "1")
     for name, steps, objective in (("fine", 80, RESOLVED), ("coarse", 8, ARTIFACT)):
@@ -66,9 +66,9 @@ def runs(tmp_path_factory: Any, empty_store: Path, native: None) -> SimpleNamesp
         study = load_study(file)
         code = run_study(study, Console(file=output, width=100), tracker)
         run = tracker.record.runs["study"]
-        found[name] = SimpleNamespace(code=code, output=output.getvalue(), study=study, run=run, file=file)
+        result[name] = SimpleNamespace(code=code, output=output.getvalue(), study=study, run=run, file=file)
     patch.undo()
-    return SimpleNamespace(uri=uri, folder=folder, **found)
+    return SimpleNamespace(uri=uri, folder=folder, **result)
 
 
 def test_exit_codes_and_status(runs: SimpleNamespace) -> None:

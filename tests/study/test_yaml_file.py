@@ -61,10 +61,10 @@ def faults(text):
 
 
 def test_every_duplicate_is_named_with_both_lines():
-    found = faults("a: 1\nb: {c: 1,\n  c: 2}\na: 3\n")
-    assert [line for line, _ in found] == [3, 4]
-    assert "first in line 1" in found[-1][1]
-    assert all("given twice" in text for _, text in found)
+    result = faults("a: 1\nb: {c: 1,\n  c: 2}\na: 3\n")
+    assert [line for line, _ in result] == [3, 4]
+    assert "first in line 1" in result[-1][1]
+    assert all("given twice" in text for _, text in result)
 
 
 @pytest.mark.parametrize(
@@ -84,9 +84,9 @@ def test_every_duplicate_is_named_with_both_lines():
     ],
 )
 def test_what_is_refused(text, line, word):
-    found = faults(text)
-    assert any(word in message for _, message in found)
-    assert found[0][0] == line
+    result = faults(text)
+    assert any(word in message for _, message in result)
+    assert result[0][0] == line
 
 
 @pytest.mark.parametrize(("content", "word"), [(b"\xff\xfe\x00", "UTF-8"), (b"a: 1\n" * 300_000, "bytes")])

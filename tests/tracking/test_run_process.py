@@ -80,18 +80,18 @@ def test_whoever_reads_next_ends_what_was_killed(tmp_path, empty_store, reader):
         else:
             print_comparison("killed", "living", uri.whole, silent)
         client = open_store(uri)
-        found = {run.data.tags["study_key"]: [] for run in client.search_runs(["1"])}
+        result = {run.data.tags["study_key"]: [] for run in client.search_runs(["1"])}
         for run in client.search_runs(["1"]):
-            found[run.data.tags["study_key"]].append(run.info)
-        assert {info.status for info in found["living"]} == {"RUNNING"}
-        assert [info.status for info in found["killed"]] == ["KILLED"] * 2
-        assert all(0 <= info.end_time - info.start_time < 60_000 for info in found["killed"])
+            result[run.data.tags["study_key"]].append(run.info)
+        assert {info.status for info in result["living"]} == {"RUNNING"}
+        assert [info.status for info in result["killed"]] == ["KILLED"] * 2
+        assert all(0 <= info.end_time - info.start_time < 60_000 for info in result["killed"])
         again = MlflowTracker("e", uri, "killed")  # and it goes on in its runs
         again.begin("study", "killed", tags={"kind": "study"})
         while not again.record.runs:
             time.sleep(0.01)
         assert {entry.name: entry.status for entry in studies(uri)} == {"killed": "RUNNING", "living": "RUNNING"}
-        assert again.close().runs["study"] in {info.run_id for info in found["killed"]}
+        assert again.close().runs["study"] in {info.run_id for info in result["killed"]}
     finally:
         for life in lives:
             life.kill()

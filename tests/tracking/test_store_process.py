@@ -51,9 +51,9 @@ def test_a_process_that_is_killed_is_started_again_and_writes_nothing_twice(uri,
     own.close()
     client = open_store(uri)
     assert [(p.step, p.value) for p in client.get_metric_history(run, "objective")] == [(0, 1.0), (1, 0.5)]
-    found = client.get_run(run)
-    assert found.info.status == "FINISHED"
-    assert found.data.tags["process"] == process_tag()  # of the study: it is this that may be killed
+    result = client.get_run(run)
+    assert result.info.status == "FINISHED"
+    assert result.data.tags["process"] == process_tag()  # of the study: it is this that may be killed
 
 
 @pytest.mark.thorough
@@ -88,9 +88,9 @@ def test_ctrl_c_reaches_the_study_alone(uri):
     )
     run, imported = done.stdout.split()
     assert imported == "False"  # MLflow is imported where it takes no time of the search
-    found = open_store(uri).get_run(run)
-    assert found.data.metrics == {"objective": 2.0}
-    assert found.info.status == "KILLED"
+    result = open_store(uri).get_run(run)
+    assert result.data.metrics == {"objective": 2.0}
+    assert result.info.status == "KILLED"
 
 
 @pytest.mark.thorough

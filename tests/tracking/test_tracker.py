@@ -126,9 +126,9 @@ def test_what_the_store_refuses_is_named_and_holds_nothing_up(uri):
     with pytest.raises(TrackingError, match="does/not/exist") as caught:
         tracker.close()
     assert "no|key" in str(caught.value)
-    found = runs(uri)
-    assert [run.info.status for run in found] == ["FINISHED"] * 2
-    assert any(run.data.metrics == {"objective": 2.0} for run in found)
+    result = runs(uri)
+    assert [run.info.status for run in result] == ["FINISHED"] * 2
+    assert any(run.data.metrics == {"objective": 2.0} for run in result)
 
 
 @pytest.mark.thorough
@@ -255,9 +255,9 @@ def test_two_studies_open_a_fresh_store_at_once(tmp_path):
     life = "import sys; from torchmbd.tracking import MlflowTracker; t = MlflowTracker('same', sys.argv[1])\n"
     life += "t.begin('study', 's'); r = t.close(); print(r.experiment_id, r.runs['study'])"
     both = [subprocess.Popen([sys.executable, "-c", life, uri], stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    found = [process.communicate()[0].split() for process in both]
-    assert found[0][0] == found[1][0]
-    assert found[0][1] != found[1][1]
+    result = [process.communicate()[0].split() for process in both]
+    assert result[0][0] == result[1][0]
+    assert result[0][1] != result[1][1]
 
 
 def test_a_study_that_says_nothing_creates_no_store(tmp_path):
@@ -314,10 +314,10 @@ def test_names_beyond_the_locale(tmp_path, monkeypatch):
     environment = {**os.environ, "LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     environment |= {"PYTHONPATH": str(Path(__file__).parents[2]), "TORCHMBD_PATIENCE": "0"}
     command = [sys.executable, "-c", UMLAUT, "runs.db"]
-    found = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
     monkeypatch.chdir(tmp_path)
-    run = open_store("sqlite:///runs.db").get_run(found.stdout.strip())
+    run = open_store("sqlite:///runs.db").get_run(result.stdout.strip())
     assert run.info.run_name == "größe"
     assert run.data.tags["file"] == run.data.params["file"] == run.data.tags["files"] == "größe.py"
     assert (tmp_path / "mlartifacts" / run.info.run_id / "artifacts/größe.py").is_file()

@@ -34,14 +34,14 @@ def print_line(name: str, motion: mbd.Trajectory, found: np.ndarray, wanted: np.
 
 def pendulum() -> None:
     motion = run(simple_pendulum(), 10.0, 20)
-    found = motion.body("bob").at((-1.0, 0.0, 0.0)).position[0, :, :2].numpy()
-    print_line("A01 simple pendulum, dopri8", motion, found, simple_pendulum_at(motion.t.numpy()))
+    result = motion.body("bob").at((-1.0, 0.0, 0.0)).position[0, :, :2].numpy()
+    print_line("A01 simple pendulum, dopri8", motion, result, simple_pendulum_at(motion.t.numpy()))
 
 
 def four_bar(name: str, motion: mbd.Trajectory) -> None:
     th = n_four_bar_at(motion.t.numpy())
-    found = motion.body("upright_2").at((0.0, 0.5, 0.0)).position[0, :, :2].numpy()
-    print_line(f"A02 N-four-bar, {name}", motion, found, np.stack([2.0 + np.sin(th), np.cos(th)], -1))
+    result = motion.body("upright_2").at((0.0, 0.5, 0.0)).position[0, :, :2].numpy()
+    print_line(f"A02 N-four-bar, {name}", motion, result, np.stack([2.0 + np.sin(th), np.cos(th)], -1))
 
 
 def four_bars() -> None:
@@ -53,14 +53,14 @@ def four_bars() -> None:
 
 def chain() -> None:
     motion = run(bricard(), 10.0, 16, rtol=1e-9, atol=1e-10)
-    found = torch.stack([motion.body(f"rod_{k}").at((0.0, 0.5, 0.0)).position[0] for k in range(5)], 1).numpy()
-    print_line("A04 Bricard's mechanism, dopri8", motion, found, bricard_at(motion.t.numpy()))
+    result = torch.stack([motion.body(f"rod_{k}").at((0.0, 0.5, 0.0)).position[0] for k in range(5)], 1).numpy()
+    print_line("A04 Bricard's mechanism, dopri8", motion, result, bricard_at(motion.t.numpy()))
 
 
 def top() -> None:
     motion = run(heavy_top(), 2.0, 20)
-    found = motion.body("top").at((0.0, 1.0, 0.0)).position[0, :, 2].numpy()
-    print_line("heavy top, dopri8", motion, found, heavy_top_at(motion.t.numpy()))
+    result = motion.body("top").at((0.0, 1.0, 0.0)).position[0, :, 2].numpy()
+    print_line("heavy top, dopri8", motion, result, heavy_top_at(motion.t.numpy()))
 
 
 def main() -> None:

@@ -120,8 +120,8 @@ def bricard_at(t: np.ndarray) -> np.ndarray:
         dV = torch.func.jvp(potential, (x,), (way,))[1]
         return np.array([*(speed * way).tolist(), -(0.5 * float(dm) * speed**2 + float(dV)) / float(m)])
 
-    found = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0, 0.0], "DOP853", t, rtol=1e-11, atol=1e-12)
-    return np.stack([_corners(torch.from_numpy(x))[1:].numpy() for x in found.y[:2].T.copy()])
+    result = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0, 0.0], "DOP853", t, rtol=1e-11, atol=1e-12)
+    return np.stack([_corners(torch.from_numpy(x))[1:].numpy() for x in result.y[:2].T.copy()])
 
 
 def _corners(angles: Tensor) -> Tensor:

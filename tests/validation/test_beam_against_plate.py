@@ -32,13 +32,13 @@ def parts(degrees: list[float], cells: tuple[int, int]) -> tuple[mbd.Mesh, Plate
 def test_frequencies_of_a_free_strip(degrees):
     """Free: a clamped edge would hold the plate's anticlastic bending and shear, which a beam cannot."""
     mesh, plates, line, beams = parts(degrees, (120, 6))
-    found = []
+    result = []
     for nodes, part in ((mesh, plates), (line, beams)):
         assembly = Assembly(nodes, {"part": part})
         values = eigenpairs(assembly.stiffness(), assembly.mass(), 10).values.detach().numpy()
         assert np.abs(values[:6]).max() < 1e-4 * values[6]
-        found.append(np.sqrt(values[6:]))
-    assert np.abs(found[1] / found[0] - 1).max() < 0.01
+        result.append(np.sqrt(values[6:]))
+    assert np.abs(result[1] / result[0] - 1).max() < 0.01
 
 
 @pytest.mark.thorough

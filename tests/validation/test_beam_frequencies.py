@@ -51,8 +51,8 @@ def test_simply_supported_timoshenko_beam(mass):
     exact = np.sort(exact)[:6]
     errors = []
     for n in (20, 40, 80):
-        found = frequencies(section, n, [0, 1, 2, 3, 6 * n + 1, 6 * n + 2], 6, mass=mass)
-        errors.append(np.abs(found / exact - 1))
+        result = frequencies(section, n, [0, 1, 2, 3, 6 * n + 1, 6 * n + 2], 6, mass=mass)
+        errors.append(np.abs(result / exact - 1))
     assert errors[-1].max() < 1.5e-3
     rates = np.log2(errors[1] / errors[2])
     assert rates == pytest.approx(np.full(6, 2.0), abs=0.1)
@@ -79,8 +79,8 @@ def test_torsion_and_bending_have_their_own_inertia():
     r, t = 0.02, 1e-3
     area, second = 2 * math.pi * r * t, math.pi * r**3 * t
     section = GivenSection.isotropic(E, NU, RHO, area, second, second, 2 * second, 0.5, 0.5)
-    found = frequencies(section, 64, list(range(6)), 12, length=2.0)
+    result = frequencies(section, 64, list(range(6)), 12, length=2.0)
     torsion = 0.5 * math.pi / 2.0 * math.sqrt(E / 2 / (1 + NU) / RHO)
-    assert np.abs(found / torsion - 1).min() < 1e-4
+    assert np.abs(result / torsion - 1).min() < 1e-4
     bending = 1.8751041**2 / 4.0 * math.sqrt(E * second / RHO / area)  # Euler's; shear lowers it by some 1e-4
-    assert found[0] == pytest.approx(bending, rel=2e-3)
+    assert result[0] == pytest.approx(bending, rel=2e-3)

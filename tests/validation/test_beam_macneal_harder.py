@@ -41,8 +41,8 @@ def test_chords_are_stiffer_than_the_arc(elements, ratio):
         sections.rectangle(0.1, 0.2, Orthotropic.isotropic(1e7, 0.25, 1.0)),
     )
     chords = BeamLine(arc.nodes, arc.elements)
-    found, exact = (tip(Beams(own, section, (0.0, 0.0, 1.0)), own, [0.0, 0.0, 1.0])[2] for own in (chords, arc))
-    assert float(found / exact) == pytest.approx(ratio, abs=1e-4)
+    result, exact = (tip(Beams(own, section, (0.0, 0.0, 1.0)), own, [0.0, 0.0, 1.0])[2] for own in (chords, arc))
+    assert float(result / exact) == pytest.approx(ratio, abs=1e-4)
 
 
 @pytest.mark.parametrize("elements", [1, 4, 12])

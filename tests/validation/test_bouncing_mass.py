@@ -80,16 +80,16 @@ def test_gradients_of_the_height_after_a_bounce():
 
     x = values[None].clone().requires_grad_()
     z = final(x)
-    [found] = torch.autograd.grad(z.sum(), x)
+    [result] = torch.autograd.grad(z.sum(), x)
     k, m, h = numbers(*values.tolist())
     exact = height_after(k, m, h, at, 1)
     assert float(z) == pytest.approx(float(exact), rel=2e-5)
     expected = torch.stack(torch.autograd.grad(exact, [k, m, h]))
-    assert_close(found[0] * values, expected * values, rtol=0, atol=0.05 * float((expected * values).abs().max()))
+    assert_close(result[0] * values, expected * values, rtol=0, atol=0.05 * float((expected * values).abs().max()))
     d = 1e-6 * values
     both = final(torch.cat([values + torch.diag(d), values - torch.diag(d)])).detach()
     differences = (both[:3] - both[3:]) / (2.0 * d)
-    assert_close(found[0] * values, differences * values, rtol=0, atol=1e-6 * float((expected * values).abs().max()))
+    assert_close(result[0] * values, differences * values, rtol=0, atol=1e-6 * float((expected * values).abs().max()))
 
 
 @pytest.mark.thorough
@@ -105,9 +105,9 @@ def test_gradients_of_a_force_without_a_kink(exponent, error):
         def rates(t: float, y: Sequence[float]) -> list[float]:
             return [y[1], -G + k * max(-y[0], 0.0) ** exponent / MASS]
 
-        found = solve_ivp(rates, (0.0, 1.0), [0.0, -v], "DOP853", rtol=1e-13, atol=1e-15, events=rise)
-        since = at - v / G - found.t[-1]
-        return found.y[1, -1] * since - 0.5 * G * since**2
+        result = solve_ivp(rates, (0.0, 1.0), [0.0, -v], "DOP853", rtol=1e-13, atol=1e-15, events=rise)
+        since = at - v / G - result.t[-1]
+        return result.y[1, -1] * since - 0.5 * G * since**2
 
     expected = (height(HEIGHT + 1e-6) - height(HEIGHT - 1e-6)) / 2e-6
     start = torch.nn.Parameter(torch.tensor([0.0, 0.0, HEIGHT], dtype=torch.float64))
@@ -115,8 +115,8 @@ def test_gradients_of_a_force_without_a_kink(exponent, error):
     floor = mbd.PlaneContact(GROUND.at(), body.at(), stiffness=k, exponent=exponent, name="floor")
     system = mbd.System([body], forces=[floor], gravity=(0.0, 0.0, -G), free=["ball"])
     motion = mbd.simulate(system, at, steps=1200, iterations=(4, 3)).require_ok()
-    [found] = torch.autograd.grad(motion.q[0, -1, 2], start)
-    assert float(found[2]) == pytest.approx(expected, rel=error)
+    [result] = torch.autograd.grad(motion.q[0, -1, 2], start)
+    assert float(result[2]) == pytest.approx(expected, rel=error)
 
 
 @pytest.mark.thorough
@@ -127,13 +127,13 @@ def test_restitution_of_hunt_and_crossley(exponent, damping):
     motion = mbd.simulate(
         ball(0.01, v, gravity=False, exponent=exponent, damping=damping), 0.15, steps=6000, gradients="none"
     ).require_ok()
-    found = float(motion.v[0, -1, 2])
+    result = float(motion.v[0, -1, 2])
     if not damping:
-        assert found == pytest.approx(v, rel=1e-6)
+        assert result == pytest.approx(v, rel=1e-6)
         return
     left = damping * v - math.log1p(damping * v)
     w = brentq(lambda w: -damping * w - math.log1p(-damping * w) - left, 1e-9, (1.0 - 1e-9) / damping)
-    assert found == pytest.approx(w, rel=2e-5)
+    assert result == pytest.approx(w, rel=2e-5)
 
 
 @pytest.mark.thorough

@@ -53,9 +53,9 @@ def turning(axis: str, largest: float, stiffness: Tensor, damping: Tensor) -> tu
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_all_three_springs_about_one_axis(axis):
     """Up to 1.2 rad: those of the other two axes do not see it."""
-    _, (found, expected) = turning(axis, 1.2, tensor(3.0, 5.0, 8.0), tensor(0.01, 0.02, 0.03))
+    _, (result, expected) = turning(axis, 1.2, tensor(3.0, 5.0, 8.0), tensor(0.01, 0.02, 0.03))
     assert float(expected.abs().max()) > 0.7
-    assert_close(found, expected, rtol=0, atol=2e-4)
+    assert_close(result, expected, rtol=0, atol=2e-4)
 
 
 @pytest.mark.thorough
@@ -63,9 +63,9 @@ def test_all_three_springs_about_one_axis(axis):
 def test_one_spring_beyond_a_right_angle(axis):
     """Up to 2.5 rad: linear in the angle itself, not in its sine."""
     only = 6.0 * AXES["xyz".index(axis)]
-    _, (found, expected) = turning(axis, 2.5, only, 0.0 * only)
+    _, (result, expected) = turning(axis, 2.5, only, 0.0 * only)
     assert float(expected.abs().max()) > 2.4
-    assert_close(found, expected, rtol=0, atol=2e-3)
+    assert_close(result, expected, rtol=0, atol=2e-3)
 
 
 @pytest.mark.thorough

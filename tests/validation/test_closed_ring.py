@@ -38,12 +38,12 @@ def pulled(elements: int) -> mbd.integrate.Equilibrium:
 @pytest.mark.thorough
 def test_diameters_and_moments():
     """They grow by (pi/4 - 2/pi) and fall by (2/pi - 1/2) of P R^3 / E I, extrapolated; P R / pi under the force."""
-    found = []
+    result = []
     for elements in (3, 6):
         rest = pulled(elements)
         nodes = [rest.body(f"quarter{k}").nodes[0, 0, 0] for k in range(4)]
-        found.append(torch.stack([(nodes[2] - nodes[0])[1], (nodes[1] - nodes[3])[0]]) - 2.0 * RADIUS)
-    grown, fallen = ((4.0 * found[1] - found[0]) / 3.0 * EI / PULL).tolist()
+        result.append(torch.stack([(nodes[2] - nodes[0])[1], (nodes[1] - nodes[3])[0]]) - 2.0 * RADIUS)
+    grown, fallen = ((4.0 * result[1] - result[0]) / 3.0 * EI / PULL).tolist()
     assert grown == pytest.approx(math.pi / 4.0 - 2.0 / math.pi, rel=1e-2)
     assert fallen == pytest.approx(0.5 - 2.0 / math.pi, rel=1e-2)
     assert abs(rest.body("quarter2").forces[0, 0, 0, 0, 4].item()) == pytest.approx(PULL * RADIUS / math.pi, rel=2e-3)
@@ -54,11 +54,11 @@ def test_diameters_and_moments():
 @pytest.mark.thorough
 def test_frequencies():
     """n (n^2 - 1) / sqrt(n^2 + 1) in the plane, n (n^2 - 1) / sqrt(n^2 + E I / G J) across, twice each; n = 2, extrapolated."""
-    found = []
+    result = []
     for elements in (3, 6):
         beams, joints = ring(elements)
         hold = mbd.Bushing(mbd.Ground().at(), beams[0].at("start"), 1e-4, turning_stiffness=1e-4)
         system = mbd.System(beams, joints, [hold])
-        found.append(2.0 * math.pi / math.sqrt(EI) * mbd.equilibrium(system).vibrations[0].frequencies[6:10])
-    wanted = [6.0 / math.sqrt(4.0 + EI / GJ)] * 2 + [6.0 / math.sqrt(5.0)] * 2
-    assert ((4.0 * found[1] - found[0]) / 3.0).tolist() == pytest.approx(wanted, rel=5e-3)
+        result.append(2.0 * math.pi / math.sqrt(EI) * mbd.equilibrium(system).vibrations[0].frequencies[6:10])
+    expected = [6.0 / math.sqrt(4.0 + EI / GJ)] * 2 + [6.0 / math.sqrt(5.0)] * 2
+    assert ((4.0 * result[1] - result[0]) / 3.0).tolist() == pytest.approx(expected, rel=5e-3)

@@ -78,16 +78,16 @@ def test_pinched_cylinder():
     ]
     under = 6 * mesh.node("corner_left_bottom") + 2
     laminate = Laminate(Ply.isotropic(3e6, 0.3, 1.0), [0.0], 3.0)
-    found = deflection(mesh, laminate, (1.0, 0.0, 0.0), held, {under: -0.25}, under)
-    assert -found == pytest.approx(1.8248e-5, rel=0.015)
+    result = deflection(mesh, laminate, (1.0, 0.0, 0.0), held, {under: -0.25}, under)
+    assert -result == pytest.approx(1.8248e-5, rel=0.015)
 
 
 def test_a_thin_laminated_shell_converges_without_locking():
     """An unbalanced carbon stack on the twisted beam, 1 mm thick: 4 % from the coarse mesh on, 1 % at the next."""
     laminate = Laminate(CARBON, deg([20, -50, 75]), 1e-3 / 3)
-    found = [tip_displacement(twisted, cells, laminate, W) for cells in ((12, 2), (24, 4), (36, 6))]
-    assert found[0] == pytest.approx(found[2], rel=0.04)
-    assert found[1] == pytest.approx(found[2], rel=0.01)
+    result = [tip_displacement(twisted, cells, laminate, W) for cells in ((12, 2), (24, 4), (36, 6))]
+    assert result[0] == pytest.approx(result[2], rel=0.04)
+    assert result[1] == pytest.approx(result[2], rel=0.01)
 
 
 def test_rigid_motions_of_a_thin_curved_shell_cost_nothing():

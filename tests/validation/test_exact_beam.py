@@ -30,9 +30,9 @@ def test_roll_up_to_a_circle():
         state = beam.equilibrium({"end": (0.0, 0.0, 0.0, 0.0, 2.0 * math.pi * EI * turns, 0.0)})
         angle = 2.0 * math.pi * turns * torch.linspace(0.0, 1.0, elements + 1, dtype=torch.float64)
         radius = 1.0 / (2.0 * math.pi * turns)
-        wanted = radius * torch.stack([angle.sin(), 0.0 * angle, angle.cos() - 1.0], 1)
+        expected = radius * torch.stack([angle.sin(), 0.0 * angle, angle.cos() - 1.0], 1)
         assert state.status == "ok"
-        torch.testing.assert_close(state.nodes, wanted, rtol=0.0, atol=1e-10)
+        torch.testing.assert_close(state.nodes, expected, rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.thorough
@@ -48,8 +48,8 @@ def test_bend_of_45_degrees():
 @pytest.mark.thorough
 def test_bend_by_the_differential_equation():
     K = np.diag([1e7, 5e6, 5e6, 5e6 / 6.0, 1e7 / 12.0, 1e7 / 12.0])
-    found = cantilever(25.0 * math.pi, K, np.array([0.0, 0.0, 0.01]), np.array([0.0, 0.0, 600.0]), levels=3)
-    assert found.tolist() == pytest.approx(BEND.tolist(), rel=1e-6)
+    result = cantilever(25.0 * math.pi, K, np.array([0.0, 0.0, 0.01]), np.array([0.0, 0.0, 600.0]), levels=3)
+    assert result.tolist() == pytest.approx(BEND.tolist(), rel=1e-6)
 
 
 def test_twisted_beam_of_beamdyn():
@@ -90,5 +90,5 @@ def test_princeton_beam(load, down, out):
         c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
         state = beam.equilibrium({"end": (0.0, -load * c, load * s)})
         assert state.status == "ok"
-        found = (-state.nodes[-1, 1].item(), state.nodes[-1, 2].item())
-        assert math.dist(found, (down[k], out[k])) < 0.01 * math.hypot(down[k], out[k])
+        result = (-state.nodes[-1, 1].item(), state.nodes[-1, 2].item())
+        assert math.dist(result, (down[k], out[k])) < 0.01 * math.hypot(down[k], out[k])

@@ -75,9 +75,9 @@ def test_right_angle_cantilever():
     motion = mbd.simulate(right_angle(10), 20.0, steps=400, gradients="none")
     assert motion.status == ["ok"]
     across = motion.body("frame").nodes[0, :, :, 2]
-    for where, (start, end), wanted in PEAKS:
+    for where, (start, end), expected in PEAKS:
         own = across[(motion.t >= start) & (motion.t <= end), 10 if where == "elbow" else -1]
-        assert float(own[own.abs().argmax()]) == pytest.approx(wanted, rel=1e-2)
+        assert float(own[own.abs().argmax()]) == pytest.approx(expected, rel=1e-2)
 
 
 @pytest.mark.thorough
@@ -89,8 +89,8 @@ def test_flying_spaghetti_in_space():
     assert linear[-1].tolist() == pytest.approx([50.0, 0.0, 0.0], abs=1e-4)  # 20 N at most, for 5 s
     loads, tip = flying_loads(motion.t).T, motion.body("rod").nodes[0, :, -1]
     rate = loads[:, 3:] + torch.linalg.cross(tip, loads[:, :3])
-    wanted = angular[0] + torch.cumulative_trapezoid(rate, motion.t, dim=0)
-    assert float((angular[1:] - wanted).abs().max()) < 1e-4 * float(angular.abs().max())
+    expected = angular[0] + torch.cumulative_trapezoid(rate, motion.t, dim=0)
+    assert float((angular[1:] - expected).abs().max()) < 1e-4 * float(angular.abs().max())
     stored = motion.energies.stored[0, motion.t > 5.0]
     assert float((stored - stored[0]).abs().max()) < 1e-4 * float(stored[0])
     assert float(motion.energies.strain.max()) > 180.0

@@ -109,9 +109,9 @@ def compare(motion: Trajectory, u: np.ndarray, U: np.ndarray) -> None:
     """Deflection and energy of "rod" within 1 % of their largest values."""
     rod = motion.require_ok().body("rod")
     own = [rod.at(where).position[0, :, :2].numpy() for where in ("start", "end", "center")]
-    found = off_the_chord(*own)
-    wanted = off_the_chord(*(u[:, k, :2] for k in (0, -1, u.shape[1] // 2)))
-    assert np.abs(found - wanted).max() < 1e-2 * np.abs(wanted).max()
+    result = off_the_chord(*own)
+    expected = off_the_chord(*(u[:, k, :2] for k in (0, -1, u.shape[1] // 2)))
+    assert np.abs(result - expected).max() < 1e-2 * np.abs(expected).max()
     assert np.abs(rod.strain_energy[0].numpy() - U).max() < 1e-2 * U.max()
     balance, kinetic = (x[0].abs().max() for x in (motion.energies.balance, motion.energies.kinetic))
     assert float(balance) < 1e-3 * float(kinetic)
@@ -200,10 +200,10 @@ def exact_blade(rate: float, duration: float, steps: int) -> np.ndarray:
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_spin_up_at_low_speed():
     """0.3 rad/s, a thirteenth of the first frequency."""
-    motion, found = spun(0.3, 16.0, 160)
+    motion, result = spun(0.3, 16.0, 160)
     exact = exact_blade(0.3, 16.0, 320)[::2]
     assert np.abs(exact[:, 0]).max() > 0.03
-    assert np.abs(found[:, 0] - exact[:, 0]).max() < 1e-2 * np.abs(exact[:, 0]).max()
+    assert np.abs(result[:, 0] - exact[:, 0]).max() < 1e-2 * np.abs(exact[:, 0]).max()
     assert float(motion.stats["spin_ratio"]["part_0"]) == pytest.approx(0.3 / 3.803, rel=5e-3)
 
 
@@ -211,9 +211,9 @@ def test_spin_up_at_low_speed():
 def test_faster_a_warning_gives_the_ratio():
     """At 2 rad/s the deflection is off by far more; the exact beam is checked by its published stretch."""
     with pytest.warns(UserWarning, match=r"body 'part_0' turns at 0\.5 of its first frequency: centrifugal stiffening"):
-        _, found = spun(2.0, 12.0, 120)
+        _, result = spun(2.0, 12.0, 120)
     exact = exact_blade(2.0, 12.0, 240)[::2]
-    assert np.abs(found[:, 0] - exact[:, 0]).max() > 0.1 * np.abs(exact[:, 0]).max()
+    assert np.abs(result[:, 0] - exact[:, 0]).max() > 0.1 * np.abs(exact[:, 0]).max()
 
 
 @pytest.mark.thorough

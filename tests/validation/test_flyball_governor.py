@@ -94,14 +94,14 @@ def test_the_slider_and_the_balls(duration):
     steps = round(500 * duration)
     coarse, fine = place(steps, duration, steps // 20), place(2 * steps, duration, steps // 10)
     _, al, s = reference(duration, 21)
-    for one, two, wanted in zip(coarse, fine, (s, -np.sin(al)), strict=True):
-        assert np.abs(wanted - wanted[0]).max() > 1e-2
-        assert np.abs(two - wanted).max() < 1e-4
-        assert np.abs((4.0 * two - one) / 3.0 - wanted).max() < 1e-6
+    for one, two, expected in zip(coarse, fine, (s, -np.sin(al)), strict=True):
+        assert np.abs(expected - expected[0]).max() > 1e-2
+        assert np.abs(two - expected).max() < 1e-4
+        assert np.abs((4.0 * two - one) / 3.0 - expected).max() < 1e-6
 
 
 def test_rows_and_freedoms():
     """The turn of the shaft, the slider and the two rods are free."""
-    found = governor().describe()
-    assert (found.rows, found.rank, found.freedoms) == (20, 20, 4)
-    assert found.mass == pytest.approx(2 * BALL + 3 * BAR + CUBE)
+    result = governor().describe()
+    assert (result.rows, result.rank, result.freedoms) == (20, 20, 4)
+    assert result.mass == pytest.approx(2 * BALL + 3 * BAR + CUBE)

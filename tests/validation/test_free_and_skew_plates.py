@@ -56,10 +56,10 @@ def skew_center(n):
 @pytest.mark.thorough
 def test_morley_skew_plate():
     """The obtuse corners make this slow for every element: 16 x 16 cells are within 2 %, 32 x 32 within 1 %."""
-    found = [skew_center(n) for n in (8, 16, 32)]
-    assert found[1] == pytest.approx(0.423, rel=0.02)
-    assert found[2] == pytest.approx(0.423, rel=0.01)
-    assert found[0] > found[1] > found[2]
+    result = [skew_center(n) for n in (8, 16, 32)]
+    assert result[1] == pytest.approx(0.423, rel=0.02)
+    assert result[2] == pytest.approx(0.423, rel=0.01)
+    assert result[0] > result[1] > result[2]
 
 
 def clamped_center(n, kind):
@@ -79,7 +79,7 @@ def test_slanted_quadrilaterals_bend_as_fine_triangles_say():
     """Errors fall as the square of the size: triangles at 24 and 36 cells tell the limit. Published DKMQ with 8 x 8: 1.38."""
     coarse, fine = clamped_center(24, "triangle"), clamped_center(36, "triangle")
     limit = (36**2 * fine - 24**2 * coarse) / (36**2 - 24**2)
-    found = [clamped_center(n, "quad") / limit for n in (8, 16, 32)]
-    assert found == pytest.approx([1.0, 1.0, 1.0], abs=0.06)
-    assert found[1:] == pytest.approx([1.0, 1.0], abs=0.02)
-    assert found[2] == pytest.approx(1.0, abs=0.006)
+    result = [clamped_center(n, "quad") / limit for n in (8, 16, 32)]
+    assert result == pytest.approx([1.0, 1.0, 1.0], abs=0.06)
+    assert result[1:] == pytest.approx([1.0, 1.0], abs=0.02)
+    assert result[2] == pytest.approx(1.0, abs=0.006)

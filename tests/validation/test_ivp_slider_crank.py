@@ -27,25 +27,25 @@ NEAR = {"phi2": 1e-6, "x3": 1e-6, "q1": 5e-3, "q2": 1e-3, "q3": 5e-3, "q4": 5e-3
 @pytest.mark.slow
 @pytest.mark.parametrize(("nonlinear", "wanted"), [(False, PUBLISHED), (True, NONLINEAR)])
 def test_motion_at_the_end(nonlinear: bool, wanted: dict[str, float], native: None):
-    found = ours(nonlinear, 10_000)
+    result = ours(nonlinear, 10_000)
     for name, value in wanted.items():
-        assert found[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
+        assert result[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_motion_is_that_of_the_equations_of_the_source(nonlinear: bool, native: None):
     """After a third of a turn."""
-    wanted, found = reference(nonlinear, 1e-8, 0.014), ours(nonlinear, 700, 0.014)
-    for name, value in wanted.items():
-        assert found[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
+    expected, result = reference(nonlinear, 1e-8, 0.014), ours(nonlinear, 700, 0.014)
+    for name, value in expected.items():
+        assert result[name] == pytest.approx(value, rel=NEAR.get(name, 5e-3)), name
 
 
 @pytest.mark.thorough
 def test_the_equations_of_the_source_have_the_published_numbers():
-    found = reference(accuracy=1e-7)
+    result = reference(accuracy=1e-7)
     for name, value in PUBLISHED.items():
-        assert found[name] == pytest.approx(value, rel=1e-4), name
+        assert result[name] == pytest.approx(value, rel=1e-4), name
 
 
 @pytest.mark.thorough

@@ -49,8 +49,8 @@ def test_hookes_joint_turns_unevenly(bend):
     arm = (driven.axes.T @ motion.body("driven").A[0])[:, :, 1]  # the cross's second arm, in the shaft's own axes
     assert_close(arm, torch.stack([0.0 * phi, torch.cos(phi), torch.sin(phi)], 1), rtol=0, atol=1e-7)
     ratio = math.cos(b) / (1.0 - (math.sin(b) * torch.sin(th)) ** 2)
-    found = motion.body("driven").omega[0, :, 0] / speed
-    assert_close(found, ratio, rtol=0, atol=2e-3)
+    result = motion.body("driven").omega[0, :, 0] / speed
+    assert_close(result, ratio, rtol=0, atol=2e-3)
     assert float(ratio.max()) == pytest.approx(1.0 / math.cos(b), rel=1e-3)
 
 
@@ -114,12 +114,12 @@ def test_a_link_carries_a_conical_pendulum():
     bob = ball(position=(r, 0.0, -L * math.cos(al)), velocity=(0.0, rate * r, 0.0))
     system = mbd.System([bob], [mbd.Distance(GROUND.at(), bob.at(), L, name="link")], gravity=HANG)
     motion = run(system, 2.0 * math.pi / rate, 200)
-    wanted = [
+    expected = [
         r * torch.cos(rate * motion.t),
         r * torch.sin(rate * motion.t),
         torch.full_like(motion.t, -L * math.cos(al)),
     ]
-    assert_close(motion.body("ball").r[0], torch.stack(wanted, 1), rtol=0, atol=1e-3 * r)
+    assert_close(motion.body("ball").r[0], torch.stack(expected, 1), rtol=0, atol=1e-3 * r)
     force = motion.reaction("link").force[0].norm(dim=1)
     assert_close(force[5:], torch.full_like(force[5:], 2.0 * G / math.cos(al)), rtol=2e-3, atol=0)
 

@@ -16,8 +16,8 @@ LONG, WIDE, THICK = 3.0, 0.5, 0.01
 
 def deflection(angles, cells):
     laminate = Laminate(CARBON, deg(angles), THICK / len(angles))
-    found = cantilever(lambda s, t: (LONG * s, WIDE * t, 0.0), cells, "quad", laminate, {1: 1.0, 2: 1.0})
-    return found["v"], found["w"]
+    result = cantilever(lambda s, t: (LONG * s, WIDE * t, 0.0), cells, "quad", laminate, {1: 1.0, 2: 1.0})
+    return result["v"], result["w"]
 
 
 @pytest.mark.thorough
@@ -35,5 +35,5 @@ def test_slanted_fibers(angles):
     """In the plane and out of it."""
     fine = deflection(angles, (48, 8))
     for cells, errors in (((6, 1), (0.03, 0.025)), ((12, 2), (0.02, 0.01))):
-        for found, limit, error in zip(deflection(angles, cells), fine, errors, strict=True):
-            assert found == pytest.approx(limit, rel=error)
+        for result, limit, error in zip(deflection(angles, cells), fine, errors, strict=True):
+            assert result == pytest.approx(limit, rel=error)

@@ -104,15 +104,15 @@ def test_wrapped_thick_cylinder(kind):
     u = solved(stiffness(plate, laminate), load.ravel(), np.unique(np.concatenate(held)))
     stress = ply_basis(plate, laminate, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach()
     layer = ply_points(plate, laminate)[:, 1]
-    found = [float(stress[layer == k, 0].mean()) for k in (0, 1)]
+    result = [float(stress[layer == k, 0].mean()) for k in (0, 1)]
     A = laminate.stiffness().A.detach()
     hoop, axial = torch.linalg.solve(A[:2, :2], torch.tensor([4600.0, 0.0], dtype=torch.float64)).tolist()
     exact = [
         E / (1 - nu12 * nu21) * (hoop + nu21 * axial) for E, nu12, nu21 in ((2.1e5, 0.3, 0.3), (1.3e5, 0.25, 0.25 / 26))
     ]
-    assert found == pytest.approx(exact, rel=0.005)
-    assert found[0] == pytest.approx((1565.3 + 1429.7) / 2, rel=0.055)
-    assert found[1] == pytest.approx((874.7 + 759.1) / 2, rel=0.08)
+    assert result == pytest.approx(exact, rel=0.005)
+    assert result[0] == pytest.approx((1565.3 + 1429.7) / 2, rel=0.055)
+    assert result[1] == pytest.approx((874.7 + 759.1) / 2, rel=0.08)
 
 
 @pytest.mark.thorough

@@ -62,11 +62,11 @@ def field_error(laminate: Laminate, n: int, kind: str) -> np.ndarray:
     force = np.zeros(6 * len(x))
     force[2::6] = matrices.area.numpy() * np.sin(math.pi * x) * np.sin(math.pi * y)
     u = solved(stiffness(matrices, laminate), force, supports(mesh, "SS-1"))
-    found = ply_basis(matrices, laminate, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach().numpy()
+    result = ply_basis(matrices, laminate, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach().numpy()
     cell, layer, face = ply_points(matrices, laminate).T.numpy()
     center = centers(mesh).numpy()[:, :2] + 0.5
     (sx, sy), (cx, cy) = np.sin(math.pi * center).T, np.cos(math.pi * center).T
     shapes = np.stack([sx * sy, sx * sy, cx * cy, sx * sy, sx * sy, cx * cy, cx * sy, sx * cy], -1)
     maps = ply_maps(laminate).stress.detach().numpy()
     exact = np.einsum("pcs,ps->pc", maps[layer, face], shapes[cell] * series_amplitudes(laminate))
-    return np.sqrt(((found - exact) ** 2).mean(0)) / np.abs(exact).max(0)
+    return np.sqrt(((result - exact) ** 2).mean(0)) / np.abs(exact).max(0)

@@ -17,9 +17,9 @@ def first_in_plane(cells, radius):
     mesh = mbd.mesh.rectangle(length=0.304, width=0.04, cells=cells, kind="triangle")
     laminate = mbd.Laminate(CARBON, angles=mbd.deg([45, -45, 45]), thickness=2.5e-3 / 3)
     reference = mesh.within(radius) if radius else "center"
-    made = mbd.FlexibleBody.plate("rod", mesh, laminate, modes=10, reference=reference).structure()
-    values, vectors = torch.linalg.eigh(made["Kr"].detach())
-    size = (made["psi"].detach() @ vectors).square().sum(0)  # of the six freedoms [6, modes]
+    result = mbd.FlexibleBody.plate("rod", mesh, laminate, modes=10, reference=reference).structure()
+    values, vectors = torch.linalg.eigh(result["Kr"].detach())
+    size = (result["psi"].detach() @ vectors).square().sum(0)  # of the six freedoms [6, modes]
     frequency, flat = values.sqrt() / (2 * torch.pi), size[:2].sum(0) > size[2]
     return float(frequency[flat][0]), float(frequency[~flat][0])
 

@@ -62,8 +62,8 @@ def check(motion: mbd.Trajectory, found: torch.Tensor, wanted: np.ndarray, error
 def test_simple_pendulum(duration):
     """A01; the library asks for 1e-5 J of drift in 10 s at its high precision."""
     motion = run(simple_pendulum(), duration, 20)
-    found = motion.body("bob").at((-1.0, 0.0, 0.0)).position[0, :, :2]
-    check(motion, found, simple_pendulum_at(motion.t.numpy()), 1e-6)
+    result = motion.body("bob").at((-1.0, 0.0, 0.0)).position[0, :, :2]
+    check(motion, result, simple_pendulum_at(motion.t.numpy()), 1e-6)
 
 
 @pytest.mark.thorough
@@ -74,9 +74,9 @@ def test_n_four_bar_through_its_singular_positions(duration):
     th = n_four_bar_at(motion.t.numpy())
     assert th[-1] > np.pi / 2 + 0.3
     for k in range(3):
-        found = motion.body(f"upright_{k}").at((0.0, 0.5, 0.0)).position[0, :, :2]
-        wanted = np.stack([k + np.sin(th), np.cos(th)], -1)
-        assert np.abs(found.numpy() - wanted).max() < 1e-6
+        result = motion.body(f"upright_{k}").at((0.0, 0.5, 0.0)).position[0, :, :2]
+        expected = np.stack([k + np.sin(th), np.cos(th)], -1)
+        assert np.abs(result.numpy() - expected).max() < 1e-6
     kinetic, total = energy(motion)
     assert np.abs(total - total[0]).max() < 1e-6 * kinetic.max()
 
@@ -89,8 +89,8 @@ def test_n_four_bar_with_the_structural_integrator(duration):
     for steps in (round(100 * duration), round(200 * duration)):
         motion = mbd.simulate(n_four_bar(), duration, steps=steps, refresh=0).require_ok()
         th = n_four_bar_at(motion.t.numpy())
-        found = motion.body("upright_2").at((0.0, 0.5, 0.0)).position[0, :, :2].numpy()
-        errors.append(np.abs(found - np.stack([2.0 + np.sin(th), np.cos(th)], -1)).max())
+        result = motion.body("upright_2").at((0.0, 0.5, 0.0)).position[0, :, :2].numpy()
+        errors.append(np.abs(result - np.stack([2.0 + np.sin(th), np.cos(th)], -1)).max())
         total = energy(motion)[1]
         drifts.append(np.abs(total - total[0]).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
@@ -100,9 +100,9 @@ def test_n_four_bar_with_the_structural_integrator(duration):
 
 
 def test_bricard_has_30_rows_of_rank_29():
-    found = bricard().describe()
-    assert (found.rows, found.rank, found.freedoms, len(found.redundant)) == (30, 29, 1, 1)
-    assert found.redundant[0].startswith("hinge_")
+    result = bricard().describe()
+    assert (result.rows, result.rank, result.freedoms, len(result.redundant)) == (30, 29, 1, 1)
+    assert result.redundant[0].startswith("hinge_")
 
 
 @pytest.mark.thorough
@@ -110,20 +110,20 @@ def test_bricard_has_30_rows_of_rank_29():
 def test_bricard(duration):
     """A04: the closed chain of six hinges moves, by the one freedom that Gruebler's count denies it."""
     motion = run(bricard(), duration, 16, rtol=1e-9, atol=1e-10)
-    wanted = bricard_at(motion.t.numpy())
-    found = torch.stack([motion.body(f"rod_{k}").at((0.0, 0.5, 0.0)).position[0] for k in range(5)], 1)
-    assert np.abs(wanted - wanted[0]).max() > 0.3
-    check(motion, found, wanted, 1e-6)
+    expected = bricard_at(motion.t.numpy())
+    result = torch.stack([motion.body(f"rod_{k}").at((0.0, 0.5, 0.0)).position[0] for k in range(5)], 1)
+    assert np.abs(expected - expected[0]).max() > 0.3
+    check(motion, result, expected, 1e-6)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("duration", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_heavy_top(duration):
     motion = run(heavy_top(), duration, 20)
-    found = motion.body("top").at((0.0, 1.0, 0.0)).position[0, :, 2]
-    wanted = heavy_top_at(motion.t.numpy())
-    assert np.abs(wanted).max() > 0.05
-    check(motion, found, wanted, 1e-6)
+    result = motion.body("top").at((0.0, 1.0, 0.0)).position[0, :, 2]
+    expected = heavy_top_at(motion.t.numpy())
+    assert np.abs(expected).max() > 0.05
+    check(motion, result, expected, 1e-6)
 
 
 @pytest.mark.thorough
@@ -132,6 +132,6 @@ def test_heavy_top_with_the_structural_integrator():
     errors = []
     for steps in (500, 1000):
         motion = mbd.simulate(heavy_top(), 0.2, steps=steps, spectral_radius=0.9, iterations=(5, 5)).require_ok()
-        found = motion.body("top").at((0.0, 1.0, 0.0)).position[0, :, 2]
-        errors.append(np.abs(found.numpy() - heavy_top_at(motion.t.numpy())).max())
+        result = motion.body("top").at((0.0, 1.0, 0.0)).position[0, :, 2]
+        errors.append(np.abs(result.numpy() - heavy_top_at(motion.t.numpy())).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)

@@ -51,8 +51,8 @@ def test_cantilever_is_the_beam_of_the_free_strip(degrees):
 )
 def test_cantilever_agrees_with_an_independent_triangle(degrees, reference):
     """None: the reference's in-plane modes (constant-strain triangles) are 3 % from their own limit. On its own mesh."""
-    found = rod([degrees], (96, 16), "left_edge", 6)[0]
-    for f, other in zip(found, reference, strict=True):
+    result = rod([degrees], (96, 16), "left_edge", 6)[0]
+    for f, other in zip(result, reference, strict=True):
         assert other is None or f == pytest.approx(other, rel=0.007)
 
 

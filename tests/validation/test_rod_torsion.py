@@ -47,8 +47,8 @@ def test_the_shipped_rod():
 @pytest.mark.thorough
 @pytest.mark.parametrize("cells", [(12, 2), (24, 4), (48, 8)])
 def test_quadrilaterals_are_nearer_at_every_mesh(cells):
-    made = {kind: 1.0 - twist(mbd.mesh.rectangle(ROD, DEPTH, cells, kind)) for kind in ("quad", "triangle")}
-    assert 0.0 < made["quad"] < 0.8 * made["triangle"]
+    result = {kind: 1.0 - twist(mbd.mesh.rectangle(ROD, DEPTH, cells, kind)) for kind in ("quad", "triangle")}
+    assert 0.0 < result["quad"] < 0.8 * result["triangle"]
 
 
 @pytest.mark.thorough

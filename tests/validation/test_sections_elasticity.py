@@ -73,9 +73,9 @@ def test_circle(nu):
 def test_stresses_of_a_circle():
     """Torsion, bending and Saint-Venant's flexure, point by point."""
     R, nu = 0.04, 0.3
-    made = sections.circle(R, STEEL, cells=(8, 6))
+    result = sections.circle(R, STEEL, cells=(8, 6))
     inertia = math.pi * R**4 / 4
-    recovered = made.stress([0.0, 5e3, 0.0, 700.0, 300.0, 0.0])
+    recovered = result.stress([0.0, 5e3, 0.0, 700.0, 300.0, 0.0])
     y, z = recovered.points.unbind(-1)
     along = (3 + 2 * nu) / (8 * (1 + nu)) * (R**2 - y**2 - (1 - 2 * nu) / (3 + 2 * nu) * z**2)
     across = -(1 + 2 * nu) / (4 * (1 + nu)) * y * z
@@ -87,8 +87,8 @@ def test_stresses_of_a_circle():
         5: -700.0 * z / (2 * inertia) + 5e3 * along / inertia,
     }
     for component in range(6):
-        wanted = exact.get(component, torch.zeros_like(y))
-        assert float((stress[..., component] - wanted).abs().max()) < 2e-3 * scale
+        expected = exact.get(component, torch.zeros_like(y))
+        assert float((stress[..., component] - expected).abs().max()) < 2e-3 * scale
 
 
 @pytest.mark.parametrize("angles", [[30.0], [20.0, -50.0, 75.0], [0.0, 45.0]])
@@ -96,28 +96,28 @@ def test_wide_strip_is_a_laminated_plate(angles):
     """Unbalanced and unsymmetric stacks, b/h = 200: the beam's compliance is the laminate's abd, with its signs."""
     width, height = 0.2, 1e-3
     ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
-    made = sections.strip(width, ply, mbd.deg(angles), height / len(angles), cells=(60, 2))
-    S = made.compliance().detach() * width
+    result = sections.strip(width, ply, mbd.deg(angles), height / len(angles), cells=(60, 2))
+    S = result.compliance().detach() * width
     law = mbd.Laminate(ply, mbd.deg(angles), height / len(angles)).stiffness()
     abd = torch.linalg.inv(torch.cat([torch.cat([law.A, law.B], 1), torch.cat([law.B, law.D], 1)], 0)).detach()
     # eps = eps_xx, kappa_y = kappa_xx, kappa_x = -kappa_xy / 2; N = N_x b, M_y = M_x b, T = -2 M_xy b
     beam = {(0, 0): abd[0, 0], (4, 4): abd[3, 3], (3, 3): abd[5, 5] / 4}
     beam |= {(0, 4): abd[0, 3], (0, 3): -abd[0, 5] / 2, (3, 4): -abd[3, 5] / 2}
-    for (i, j), wanted in beam.items():
+    for (i, j), expected in beam.items():
         scale = float((S[i, i] * S[j, j]).sqrt())
-        assert float(S[i, j]) == pytest.approx(float(wanted), abs=0.006 * scale), (i, j)
+        assert float(S[i, j]) == pytest.approx(float(expected), abs=0.006 * scale), (i, j)
 
 
 def test_bars_of_two_materials_share_the_load():
     """nu equal, so that no stress acts between them: EA and EI are sums, the tension center their mean."""
     stiff, soft = Orthotropic.isotropic(200e9, 0.3, 8000.0), Orthotropic.isotropic(50e9, 0.3, 2000.0)
-    made = sections.strip(0.03, (soft, stiff), (0.0, 0.0), (0.01, 0.03), cells=(4, 2))
-    K = made.stiffness().detach()
+    result = sections.strip(0.03, (soft, stiff), (0.0, 0.0), (0.01, 0.03), cells=(4, 2))
+    K = result.stiffness().detach()
     EA, center = 0.03 * (0.01 * 50e9 + 0.03 * 200e9), 0.03 * (0.01 * 50e9 * -0.015 + 0.03 * 200e9 * 0.005)
     assert float(K[0, 0]) == pytest.approx(EA, rel=1e-9)
     assert float(K[0, 4]) == pytest.approx(center, rel=1e-9)
-    assert made.tension_center().tolist() == pytest.approx([0.0, center / EA], abs=1e-12)
-    M = made.mass()
+    assert result.tension_center().tolist() == pytest.approx([0.0, center / EA], abs=1e-12)
+    M = result.mass()
     assert float(M[0, 0]) == pytest.approx(0.03 * (0.01 * 2000 + 0.03 * 8000), rel=1e-12)
     assert float(M[0, 4]) == pytest.approx(0.03 * (0.01 * 2000 * -0.015 + 0.03 * 8000 * 0.005), rel=1e-12)
 

@@ -57,13 +57,13 @@ def test_vabs_pipe():
 
 def test_vabs_thick_tube():
     """Printed torsion is 3 % off the exact G pi (R^4 - r^4) / 2: compared with that."""
-    made = sections.tube(0.3, Orthotropic.isotropic(73e9, 0.33, 2800.0), (0.0,), 0.2, cells=(32, 6))
-    K = matrix(made)
+    result = sections.tube(0.3, Orthotropic.isotropic(73e9, 0.33, 2800.0), (0.0,), 0.2, cells=(32, 6))
+    K = matrix(result)
     main = {(1, 1): 1.835e10, (2, 2): 4.682e9, (3, 3): 4.682e9, (5, 5): 4.587e8, (6, 6): 4.587e8}
     assert cases.largest_error(K, main) < 0.001
     exact = 73e9 / 2.66 * torch.pi / 2 * (0.3**4 - 0.1**4)
     assert float(K[3, 3]) == pytest.approx(exact, rel=1e-4)
-    M = made.mass()
+    M = result.mass()
     assert cases.largest_error(M, {(1, 1): 7.037e2, (5, 5): 1.759e1, (6, 6): 1.759e1}) < 0.001
 
 
@@ -124,8 +124,8 @@ def test_becas_s2_on_its_mesh():
 )
 def test_becas_s3_on_its_mesh(angle, printed):
     """A fibre that leaves the beam's axis couples extension with shear and bending with torsion."""
-    made = sections.rectangle(0.1, 0.1, cases.ORTHOTROPIC, mbd.deg([angle]), cells=(10, 10), order=1)
-    assert cases.largest_error(becas(made), printed) < 3e-4
+    result = sections.rectangle(0.1, 0.1, cases.ORTHOTROPIC, mbd.deg([angle]), cells=(10, 10), order=1)
+    assert cases.largest_error(becas(result), printed) < 3e-4
 
 
 def test_becas_c1_tube():
@@ -142,8 +142,8 @@ def test_becas_c1_tube():
 
 
 def test_becas_c2_half_tube_and_its_centers():
-    made = cases.half_ring()
-    K = becas(made)
+    result = cases.half_ring()
+    K = becas(result)
     main = {
         (1, 1): 4.964e-2,
         (2, 2): 6.244e-2,
@@ -154,8 +154,8 @@ def test_becas_c2_half_tube_and_its_centers():
     }
     assert cases.largest_error(K, main) < 0.002
     assert cases.largest_error(K, {(3, 5): 1.805e-2, (2, 6): -7.529e-3}) < 0.002
-    assert made.shear_center().tolist() == pytest.approx([-0.1206, 0.0], abs=1e-4)
-    assert made.tension_center().tolist() == pytest.approx([-0.06051, 0.0], abs=5e-5)
+    assert result.shear_center().tolist() == pytest.approx([-0.1206, 0.0], abs=1e-4)
+    assert result.tension_center().tolist() == pytest.approx([-0.06051, 0.0], abs=5e-5)
 
 
 def test_anba4_square():
@@ -219,14 +219,14 @@ def test_anba4_channel_turned_and_moved():
         ],
         dtype=torch.float64,
     )
-    made = cases.channel(torch.pi / 6, (3.0, 1.0))
-    K = becas(made)
+    result = cases.channel(torch.pi / 6, (3.0, 1.0))
+    K = becas(result)
     scale = (printed.diagonal()[:, None] * printed.diagonal()).sqrt()
     assert float(((K - printed) / scale).abs().max()) < 1e-3  # other meshes at the inner corners
     torsion = 4.74048372e-4  # about its shear center
-    S = made.compliance().detach()
+    S = result.compliance().detach()
     assert 1 / float(S[3, 3]) == pytest.approx(torsion, rel=5e-3)
-    height = float(made.mass()[0, 4]) / 0.38
+    height = float(result.mass()[0, 4]) / 0.38
     assert height == pytest.approx(4.345e-1 / 0.38, rel=1e-9)
 
 
@@ -236,12 +236,12 @@ def test_stresses_in_the_pipe():
     N. Liu, Loss of accuracy using smeared properties in composite beam modeling (Purdue University), solid finite
     elements, as read off a figure in GXBeam.jl's tests (to 1.5 %): ksi at heights above the inner face.
     """
-    made = cases.racetrack()
-    recovered = made.stress([0.0, 0.0, 0.0, 0.0, -1000.0, 0.0])
+    result = cases.racetrack()
+    recovered = result.stress([0.0, 0.0, 0.0, 0.0, -1000.0, 0.0])
     y, z = recovered.points.unbind(-1)
     near = (y.abs() < 0.06) & (z > 0)
-    outer = (made.mesh.layer == 1)[:, None].expand_as(near) & near
-    inner = (made.mesh.layer == 0)[:, None].expand_as(near) & near
+    outer = (result.mesh.layer == 1)[:, None].expand_as(near) & near
+    inner = (result.mesh.layer == 0)[:, None].expand_as(near) & near
     stress = recovered.stress.detach() / 1e3
     for fibres, component, start, end in ((inner, 1, -0.2233, -0.2917), (outer, 0, -4.4166, -5.5196)):
         height = z[fibres] - (0.3 if component else 0.4)

@@ -38,12 +38,12 @@ def test_level(name):
 @pytest.mark.parametrize("name", ["with parallelograms", "with trapezoids", "curved beam"])
 def test_fine_meshes_are_within_two_percent(name):
     """24 x 4 cells. Out of the plane of the ring first-order plate theory itself ends at 0.993 (test_twisted_strip.py)."""
-    found = PROBLEMS[name]("quad", 4)
-    assert found["w"] == pytest.approx(0.993 if name == "curved beam" else 1.0, abs=0.015)
+    result = PROBLEMS[name]("quad", 4)
+    assert result["w"] == pytest.approx(0.993 if name == "curved beam" else 1.0, abs=0.015)
     exact = (
         1.014 if name == "curved beam" else 1.0
     )  # plane elasticity over the beam formula: Timoshenko and Goodier, art. 33
-    assert found["v"] == pytest.approx(exact, abs=0.005)
+    assert result["v"] == pytest.approx(exact, abs=0.005)
 
 
 @pytest.mark.thorough

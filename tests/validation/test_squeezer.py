@@ -14,8 +14,8 @@ from tests.validation.squeezer import ANGLES, BODIES, RATES, START, of_body, squ
 
 def test_loops_close_at_the_published_angles():
     system = squeezer()
-    found = system.describe()
-    assert (found.rows, found.rank, found.freedoms) == (50, 41, 1)
+    result = system.describe()
+    assert (result.rows, result.rank, result.freedoms) == (50, 41, 1)
     dynamics = system.dynamics()
     with torch.no_grad():
         q, v = dynamics.initial.solve(dynamics)

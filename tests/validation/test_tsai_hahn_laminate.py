@@ -25,8 +25,8 @@ T300 = Ply(E1=181e9, E2=10.3e9, G12=7.17e9, G13=7.17e9, G23=7.17e9, nu12=0.28, d
 def test_off_axis_stiffness(degrees, Q11, Q22, Q12, Q66, Q16, Q26):
     A = Laminate(T300, deg([degrees]), 1e-3).stiffness().A.detach() / 1e6
     expected = [Q11, Q22, Q12, Q66, Q16, Q26]
-    found = [A[0, 0], A[1, 1], A[0, 1], A[2, 2], A[0, 2], A[1, 2]]
-    assert [float(x) for x in found] == pytest.approx(expected, abs=0.06, rel=1e-3)
+    result = [A[0, 0], A[1, 1], A[0, 1], A[2, 2], A[0, 2], A[1, 2]]
+    assert [float(x) for x in result] == pytest.approx(expected, abs=0.06, rel=1e-3)
 
 
 def test_invariants():

@@ -49,10 +49,10 @@ def torsional_stiffness(across: int, slenderness: float, kind: str) -> float:
 )
 def test_torsional_stiffness(kind, slenderness, errors):
     """4 and 8 cells across; from 8 to 16 the error falls to less than a third."""
-    found = [torsional_stiffness(n, slenderness, kind) / EXACT - 1 for n in (4, 8, 16)]
-    assert found[0] == pytest.approx(0.0, abs=errors[0])
-    assert found[1] == pytest.approx(0.0, abs=errors[1])
-    assert 0.0 < found[2] < found[1] / 3
+    result = [torsional_stiffness(n, slenderness, kind) / EXACT - 1 for n in (4, 8, 16)]
+    assert result[0] == pytest.approx(0.0, abs=errors[0])
+    assert result[1] == pytest.approx(0.0, abs=errors[1])
+    assert 0.0 < result[2] < result[1] / 3
 
 
 @pytest.mark.parametrize(("across", "error"), [(1, 0.035), (2, 0.01)])
@@ -72,6 +72,6 @@ def test_edges_do_not_touch_constant_shear(cells):
     share[[0, -1]] = 0.5
     load[freedoms(end, [2])] = share / share.sum()
     K = stiffness(PlateMatrices(mesh, laminate), laminate)
-    found = load @ solved(K, load, freedoms(mesh.node_set("left_edge")))
+    result = load @ solved(K, load, freedoms(mesh.node_set("left_edge")))
     bending, shear = 4.0 / (0.4 * 0.2**3), 2.0 / (0.4 * 0.2) * 1.2
-    assert found == pytest.approx(bending + shear, rel=5e-4)
+    assert result == pytest.approx(bending + shear, rel=5e-4)

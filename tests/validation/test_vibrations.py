@@ -30,10 +30,10 @@ def supported(mesh: mbd.Mesh, tangents: bool) -> dict:
         + (("" if not tangents else " phi1") if edge in EDGES[:2] else ("" if not tangents else " phi2"))
         for edge in EDGES
     }
-    found: dict[tuple[int, ...] | str, str] = dict(held)
+    result: dict[tuple[int, ...] | str, str] = dict(held)
     lowest = mesh.node_set("corner_left_bottom")[0], mesh.node_set("corner_right_bottom")[0]
-    found[(lowest[0],)], found[(lowest[1],)] = "u1 u2", "u2"
-    return found
+    result[(lowest[0],)], result[(lowest[1],)] = "u1 u2", "u2"
+    return result
 
 
 NU = 0.3
@@ -47,7 +47,7 @@ def test_simply_supported_orthotropic_plate(kind):
     a, b = 1.2, 0.8
     laminate = mbd.Laminate(CARBON, [0.0, math.pi / 2, 0.0], [1e-3, 1e-3, 1e-3])
     body = plate(laminate, (a, b), (32, 22), kind)
-    found = mbd.frequencies(body, supported(body.mesh, True), number=4).frequencies
+    result = mbd.frequencies(body, supported(body.mesh, True), number=4).frequencies
     D, mass = laminate.stiffness().D.detach(), CARBON.density * 3e-3
 
     def frequency(m: int, n: int) -> float:
@@ -55,8 +55,8 @@ def test_simply_supported_orthotropic_plate(kind):
         k = D[0, 0] * p**4 + 2 * (D[0, 1] + 2 * D[2, 2]) * p**2 * q**2 + D[1, 1] * q**4
         return math.sqrt(float(k) / mass) / (2 * math.pi)
 
-    wanted = sorted(frequency(m, n) for m, n in product(range(1, 6), range(1, 5)))[:4]
-    assert found.tolist() == pytest.approx(wanted, rel=1e-2)
+    expected = sorted(frequency(m, n) for m, n in product(range(1, 6), range(1, 5)))[:4]
+    assert result.tolist() == pytest.approx(expected, rel=1e-2)
 
 
 @pytest.mark.thorough
@@ -72,7 +72,7 @@ def test_antisymmetric_angle_ply_plate(kind):
         "bottom_edge": "u2 u3 phi2",
         "top_edge": "u2 u3 phi2",
     }
-    found = mbd.frequencies(body, edges, number=3).frequencies
+    result = mbd.frequencies(body, edges, number=3).frequencies
     A, B, D, _ = (X.detach() for X in laminate.stiffness())
 
     def frequency(m: int, n: int) -> float:
@@ -84,8 +84,8 @@ def test_antisymmetric_angle_ply_plate(kind):
         k = t33 + (2 * t12 * t23 * t13 - t22 * t13**2 - t11 * t23**2) / (t11 * t22 - t12**2)
         return math.sqrt(float(k) / (CARBON.density * 2e-3)) / (2 * math.pi)
 
-    wanted = sorted(frequency(m, n) for m, n in product(range(1, 4), range(1, 4)))[:3]
-    assert found.tolist() == pytest.approx(wanted, rel=1e-2)
+    expected = sorted(frequency(m, n) for m, n in product(range(1, 4), range(1, 4)))[:3]
+    assert result.tolist() == pytest.approx(expected, rel=1e-2)
 
 
 SQUARE = {  # edges that are clamped, numbers omega a^2 (rho h / D)^1/2 of Leissa, table C and others of 1973
@@ -104,9 +104,9 @@ def test_square_plates_of_leissa(kind, name):
     mesh = mbd.mesh.rectangle(a, a, (28, 28), kind)
     mass = "lumped" if edges else "consistent"  # lumped masses at free edges have larger errors, of second order
     body = mbd.FlexibleBody.plate("plate", mesh, mbd.Laminate(ALUMINUM, [0.0], [h]), modes=2, mass=mass)
-    found = mbd.frequencies(body, dict.fromkeys(edges, "all"), number=6).frequencies
+    result = mbd.frequencies(body, dict.fromkeys(edges, "all"), number=6).frequencies
     D = 70e9 * h**3 / (12 * (1 - NU**2))
-    scaled = 2 * math.pi * found.detach() * a**2 * math.sqrt(2700.0 * h / D)
+    scaled = 2 * math.pi * result.detach() * a**2 * math.sqrt(2700.0 * h / D)
     assert scaled.tolist() == pytest.approx(numbers, rel=1e-2)
 
 
@@ -130,6 +130,6 @@ def rod(elements: int) -> mbd.FlexibleBody:
 def test_beams(supports, roots):
     """Both planes of bending, one stiffer by 2: the limit of meshes, whose errors are of second order."""
     coarse, fine = (mbd.frequencies(rod(n), supports, number=4).frequencies for n in (20, 40))
-    found = (4.0 * fine - coarse) / 3.0
+    result = (4.0 * fine - coarse) / 3.0
     base = [x**2 * math.sqrt(EI / MASS) / (2 * math.pi * LENGTH**2) for x in roots]
-    assert found.tolist() == pytest.approx(sorted([*base, *(math.sqrt(2) * f for f in base)]), rel=2e-4)
+    assert result.tolist() == pytest.approx(sorted([*base, *(math.sqrt(2) * f for f in base)]), rel=2e-4)

@@ -103,8 +103,8 @@ def test_designs_without_histories_have_no_curves_over_time(motion):
 def test_responses_over_the_iterations_are_in_their_units(problem, motion):
     evaluations = problem.evaluate(np.array([problem.start, [0.3, -0.2]]), False)
     history = [
-        Iterate(0, k, problem.start, found.objective, 0.0, found.constraints, k + 1)
-        for k, found in enumerate(evaluations)
+        Iterate(0, k, problem.start, result.objective, 0.0, result.constraints, k + 1)
+        for k, result in enumerate(evaluations)
     ]
     figure = mbd.viz.criteria_over_iterations(problem, {"start 0": history, "start 1": history[:1]}, best="start 0")
     rows = figure.axes
@@ -128,8 +128,8 @@ def test_responses_over_the_iterations_are_in_their_units(problem, motion):
 def test_min_max_problems_draw_their_constraints(motion):
     peaks = mbd.AtPeaks(ENERGY, count=2)
     problem = mbd.Problem(mbd.examples.arm(), 0.05, peaks, mbd.Max(ENERGY) <= 1.0, steps=40)
-    [found] = problem.evaluate(problem.start[None], False)
-    history = [Iterate(0, 0, problem.start, found.objective, 0.0, found.constraints, 1)]
+    [result] = problem.evaluate(problem.start[None], False)
+    history = [Iterate(0, 0, problem.start, result.objective, 0.0, result.constraints, 1)]
     figure = mbd.viz.criteria_over_iterations(problem, {"start 0": history})
     assert_allclose(curves(figure.axes[1])[0], float(mbd.Max(ENERGY)(motion)[0].detach()))
 

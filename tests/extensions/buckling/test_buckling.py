@@ -34,10 +34,10 @@ def check_gradients(model: Factors, name: str, step: float) -> None:
 
     reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
     with torch.no_grad():
-        wanted = richardson(f, x, step)
-    scale = float(wanted.abs().max())
+        expected = richardson(f, x, step)
+    scale = float(expected.abs().max())
     assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
-    assert_close(reverse, wanted, rtol=0.0, atol=1e-6 * scale)
+    assert_close(reverse, expected, rtol=0.0, atol=1e-6 * scale)
 
 
 @pytest.mark.thorough
@@ -91,8 +91,8 @@ def test_coinciding_factors_of_a_tube_have_the_mean_of_their_derivatives():
     reverse = torch.func.jacrev(lambda x: torch.func.functional_call(model, {name: x}, ()))(x)
     assert_close(reverse[0], reverse[1], rtol=1e-6, atol=1e-9 * float(reverse.abs().max()))
     with torch.no_grad():
-        wanted = richardson(mean, x, 1e-2)
-    assert_close(reverse[:1], wanted, rtol=0.0, atol=1e-6 * float(wanted.abs().max()))
+        expected = richardson(mean, x, 1e-2)
+    assert_close(reverse[:1], expected, rtol=0.0, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -112,10 +112,10 @@ def test_loads_that_only_stiffen_have_no_factor(cells):
     ply = mbd.Ply(E1=70e9, E2=70e9, G12=35e9, G13=35e9, G23=35e9, nu12=0.0, density=2700.0)
     mesh = mbd.mesh.rectangle(1.0, 0.7, cells, "quad")
     body = mbd.FlexibleBody.plate("panel", mesh, mbd.Laminate(ply, [0.0], [1e-3]), modes=2, reference="left_edge")
-    found = mbd.buckling(body, {"right_edge": (1e3, 0.0, 0.0)}, number=2)
-    assert torch.isinf(found.factors).all()
-    assert found.status.startswith("no buckling")
-    assert not bool(found.shapes.any())
+    result = mbd.buckling(body, {"right_edge": (1e3, 0.0, 0.0)}, number=2)
+    assert torch.isinf(result.factors).all()
+    assert result.status.startswith("no buckling")
+    assert not bool(result.shapes.any())
 
 
 @pytest.mark.thorough
@@ -134,10 +134,10 @@ def test_loads_are_spread_over_edges_areas_and_elements():
     mesh = mbd.mesh.rectangle(1.0, 0.6, (2, 3), "quad")
     edge = list(mesh.node_sets["right_edge"])
     total = torch.tensor([6.0, 0.0, 12.0], dtype=torch.float64)
-    found = spread(mesh, edge, total, mesh.nodes)
-    assert_close(found.sum(0)[:3], total)
-    assert_close(found[edge, 0].sort().values, torch.tensor([1.0, 1.0, 2.0, 2.0], dtype=torch.float64))
-    ends = found[sorted(edge, key=lambda i: float(mesh.nodes[i, 1]))][[0, -1], 3:]
+    result = spread(mesh, edge, total, mesh.nodes)
+    assert_close(result.sum(0)[:3], total)
+    assert_close(result[edge, 0].sort().values, torch.tensor([1.0, 1.0, 2.0, 2.0], dtype=torch.float64))
+    ends = result[sorted(edge, key=lambda i: float(mesh.nodes[i, 1]))][[0, -1], 3:]
     assert_close(ends, torch.tensor([[1.0, 0.0, -0.5], [-1.0, 0.0, 0.5]], dtype=torch.float64) * 4.0 * 0.2 / 12.0)
     whole = spread(mesh, range(len(mesh.nodes)), total, mesh.nodes)[:, 0]
     assert float(whole.max()) == pytest.approx(4 * float(whole.min()))

@@ -69,9 +69,9 @@ def test_a_slow_motion_has_the_factor_of_static_loads(make: Callable, root: str,
     motion = finished(mbd.simulate(loaded(body, root, end, force, 2.0), 2.0, steps=40, backend="eager"))
     for number in (1, 2):
         index = mbd.BucklingIndex("rod", number=number)(motion)[0]
-        wanted = 1.0 / mbd.buckling(body, {end: force}, number=number).factors[-1]
+        expected = 1.0 / mbd.buckling(body, {end: force}, number=number).factors[-1]
         share = torch.sin(0.25 * math.pi * motion.t) ** 2
-        assert_close(index[10:], (wanted * share)[10:], rtol=2e-4, atol=0.0)
+        assert_close(index[10:], (expected * share)[10:], rtol=2e-4, atol=0.0)
     assert_close(mbd.BucklingFactor("rod")(motion)[0], mbd.buckling(body, {end: force}).factors[0], rtol=2e-4, atol=0.0)
 
 
@@ -94,8 +94,8 @@ def test_a_column_under_its_own_weight(reference):
     assert bool((body.axes @ torch.tensor([1.0, 0, 0], dtype=torch.float64))[1] == 1.0)
     upright = mbd.BucklingIndex("rod", supports)(mbd.simulate(system, 0.1, steps=10, backend="eager"))[0]
     hanging = mbd.BucklingIndex("rod", supports)(mbd.simulate(fall, 0.1, steps=10, backend="eager"))[0]
-    wanted = 2.0 * 9.81 * LENGTH**3 / (7.8373 * EI)
-    assert_close(upright, torch.full_like(upright, wanted), rtol=5e-3, atol=0.0)
+    expected = 2.0 * 9.81 * LENGTH**3 / (7.8373 * EI)
+    assert_close(upright, torch.full_like(upright, expected), rtol=5e-3, atol=0.0)
     assert not bool(hanging.any())
 
 
@@ -122,10 +122,10 @@ def test_euler_column_on_a_slider_crank(where):
     motion = finished(mbd.simulate(system, 4.0, steps=40, backend="eager"))
     index = mbd.BucklingIndex("rod", PINNED)(motion)[0]
     lean = r * torch.sin(0.5 * motion.t) / LENGTH
-    wanted = force / torch.sqrt(1.0 - lean**2) * LENGTH**2 / (math.pi**2 * EI)
-    assert_close(index[2:], wanted[2:], rtol=2e-3, atol=0.0)
+    expected = force / torch.sqrt(1.0 - lean**2) * LENGTH**2 / (math.pi**2 * EI)
+    assert_close(index[2:], expected[2:], rtol=2e-3, atol=0.0)
     peak = mbd.BucklingFactor("rod", supports=PINNED)(motion).item()
-    assert peak == pytest.approx(1.0 / float(wanted.max()), rel=2e-3)
+    assert peak == pytest.approx(1.0 / float(expected.max()), rel=2e-3)
 
 
 @pytest.mark.thorough
@@ -134,8 +134,8 @@ def test_a_frame_on_several_nodes_spreads_its_force():
     frame = list(body.mesh.node_sets["right_edge"])
     motion = finished(mbd.simulate(loaded(body, "left_edge", frame, force, 2.0), 2.0, steps=40, backend="eager"))
     nodal = {(int(k),): tuple(x / len(frame) for x in force) for k in frame}
-    wanted = 1.0 / mbd.buckling(body, nodal).factors[0]
-    assert_close(mbd.BucklingIndex("rod")(motion)[0, -1], wanted, rtol=1e-4, atol=0.0)
+    expected = 1.0 / mbd.buckling(body, nodal).factors[0]
+    assert_close(mbd.BucklingIndex("rod")(motion)[0, -1], expected, rtol=1e-4, atol=0.0)
 
 
 @pytest.mark.thorough
@@ -149,13 +149,13 @@ def test_the_small_basis_against_the_full_eigenproblem(supports):
         moved = torch.cat([view.psi, UnitLoads(body, interpolations(system, body))(view.psi, view.stiffness[0])], -1)
         c = torch.cat([view.w, loads.inertia, loads.concentrated.flatten(2)], -1)
         series = BucklingSeries(body, supports)
-        found, supported = series(moved, c, 3), series.supported
+        result, supported = series(moved, c, 3), series.supported
         Kg = torch.einsum("tk,kn->tn", c[0], supported.geometric(moved).reshape(c.shape[-1], -1))
         K = supported.restricted(supported.assembly.stiffness()).dense().numpy()
-    for got, values in zip(found[0], Kg, strict=True):
+    for got, values in zip(result[0], Kg, strict=True):
         full = supported.pattern.to_scipy(values).toarray()
-        wanted = -scipy.linalg.eigvalsh(full, K)[:3]
-        np.testing.assert_allclose(got.numpy(), np.maximum(wanted, 0.0), rtol=0.0, atol=1e-8 * wanted.max())
+        expected = -scipy.linalg.eigvalsh(full, K)[:3]
+        np.testing.assert_allclose(got.numpy(), np.maximum(expected, 0.0), rtol=0.0, atol=1e-8 * expected.max())
 
 
 @pytest.mark.thorough
@@ -220,9 +220,9 @@ def test_gradients_by_torch_func_and_differences(name, step):
         motion = mbd.simulate(system, 0.01, designs={key: x[None]}, **options)
         return index(motion)[0, [0, 4, 8]]
 
-    wanted = differences(lambda y: f(y, "none").detach(), x, step)
-    for found in (torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)):
-        assert_close(found, wanted, rtol=0.0, atol=1e-6 * float(wanted.abs().max()))
+    expected = differences(lambda y: f(y, "none").detach(), x, step)
+    for result in (torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)):
+        assert_close(result, expected, rtol=0.0, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -242,8 +242,8 @@ def test_coinciding_indices_have_the_mean_of_their_derivatives():
     first, second = torch.func.jacrev(f)(zero)
     assert_close(first, second, rtol=1e-6, atol=0.0)
     with torch.no_grad():
-        wanted = differences(lambda s: f(s).mean()[None], zero, 1e-2)[0]
-    assert_close(first, wanted, rtol=1e-6, atol=0.0)
+        expected = differences(lambda s: f(s).mean()[None], zero, 1e-2)[0]
+    assert_close(first, expected, rtol=1e-6, atol=0.0)
 
 
 @pytest.mark.thorough
@@ -260,8 +260,8 @@ def test_lanes_backends_and_a_problem():
     assert_close(both, eager, rtol=1e-7, atol=1e-9 * float(both.max()))
     options: dict[str, Any] = {"duration": 0.01, "steps": 10}
     problem = mbd.Problem(system, minimize=mbd.Max(index), subject_to=[mbd.BucklingFactor("rod") >= 1.0], **options)
-    found = problem.evaluate(designs["rod.laminate.angles"].numpy(), gradients=True)
-    for lane, evaluation in enumerate(found):
+    result = problem.evaluate(designs["rod.laminate.angles"].numpy(), gradients=True)
+    for lane, evaluation in enumerate(result):
         peak = float(both[lane].max())
         assert evaluation.objective == pytest.approx(peak, rel=1e-3)
         assert evaluation.constraints == pytest.approx([1.0 - 1.0 / evaluation.objective])

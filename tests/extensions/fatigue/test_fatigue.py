@@ -27,25 +27,25 @@ def one_by_one(y: list[float]) -> list[tuple[float, float, float]]:
     """The rules of ASTM E1049-85, section 5.4.4, word by word: (range, mean, count)."""
     kept = [x for k, x in enumerate(y) if k == 0 or x != y[k - 1]]
     points = [x for k, x in enumerate(kept) if k in (0, len(kept) - 1) or (kept[k - 1] - x) * (kept[k + 1] - x) > 0]
-    found, stack = [], []
+    result, stack = [], []
     for point in points:
         stack.append(point)
         while len(stack) >= 3 and abs(stack[-1] - stack[-2]) >= abs(stack[-2] - stack[-3]):
             a, b = stack[-3], stack[-2]
             if len(stack) == 3:
-                found.append((abs(b - a), (a + b) / 2, 0.5))
+                result.append((abs(b - a), (a + b) / 2, 0.5))
                 stack.pop(0)
             else:
-                found.append((abs(b - a), (a + b) / 2, 1.0))
+                result.append((abs(b - a), (a + b) / 2, 1.0))
                 del stack[-3:-1]
-    return found + [(abs(b - a), (a + b) / 2, 0.5) for a, b in pairwise(stack)]
+    return result + [(abs(b - a), (a + b) / 2, 0.5) for a, b in pairwise(stack)]
 
 
 @pytest.mark.parametrize("y", [STANDARD, torch.tensor(STANDARD), np.array(STANDARD, dtype=int)])
 def test_the_example_of_the_standard(y):
     cycles = rainflow(y)
-    found = {r: float(cycles.count[cycles.range == r].sum()) for r in (3.0, 4.0, 6.0, 8.0, 9.0)}
-    assert found == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
+    result = {r: float(cycles.count[cycles.range == r].sum()) for r in (3.0, 4.0, 6.0, 8.0, 9.0)}
+    assert result == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
     assert float(cycles.count.sum()) == 4.0
 
 
@@ -57,8 +57,8 @@ def test_stacked_as_one_by_one(rows):
     cycles = rainflow(y)
     for k, row in enumerate(rows):
         parts = zip(*(x[k].tolist() for x in cycles), strict=True)
-        found = sorted(x for x in parts if x[2] and x[0])
-        assert found == sorted(x for x in one_by_one([float(v) for v in row]) if x[0])
+        result = sorted(x for x in parts if x[2] and x[0])
+        assert result == sorted(x for x in one_by_one([float(v) for v in row]) if x[0])
 
 
 def test_ranges_and_means_have_derivatives():
@@ -116,14 +116,14 @@ def sine(amplitude: float, mean: float, cycles: float) -> tuple[mbd.System, dict
 
 @pytest.mark.thorough
 def test_equivalent_load_and_damage_of_a_sine_in_closed_form():
-    system, made = sine(30e6, 10e6, 4.0)
+    system, result = sine(30e6, 10e6, 4.0)
     motion = mbd.simulate(system, 1.0, steps=400)
-    load = EquivalentLoad(made["stress"], exponent=6.0, cycles=1.0)(motion)
+    load = EquivalentLoad(result["stress"], exponent=6.0, cycles=1.0)(motion)
     # Three whole cycles of the full range, two halves of it, and two halves of half the range at both ends.
     expected = 60e6 * (3.5 + 0.5 * (0.5**6) * 2) ** (1 / 6)
     assert float(load) == pytest.approx(expected, rel=1e-3)
     curve = SNCurve([(1e3, 100e6), (1e6, 50e6)], tension=200e6)
-    damage = Damage(made["stress"], curve=curve, repeats=10.0)(motion)
+    damage = Damage(result["stress"], curve=curve, repeats=10.0)(motion)
     exponent = 3.0 / math.log10(2.0)
     whole = (30e6 / (1 - 0.05) / 100e6) ** exponent / 1e3
     halves = sum((15e6 / (1 - mean / 200e6) / 100e6) ** exponent / 1e3 for mean in (25e6, -5e6))
@@ -133,10 +133,10 @@ def test_equivalent_load_and_damage_of_a_sine_in_closed_form():
 
 
 def test_a_history_at_rest_does_no_damage():
-    system, made = sine(0.0, 5e6, 1.0)
+    system, result = sine(0.0, 5e6, 1.0)
     motion = mbd.simulate(system, 1.0, steps=20)
-    assert float(EquivalentLoad(made["stress"])(motion)) == 0.0
-    assert float(Damage(made["stress"], curve=SNCurve([(1, 2e6), (10, 1e6)]))(motion)) == 0.0
+    assert float(EquivalentLoad(result["stress"])(motion)) == 0.0
+    assert float(Damage(result["stress"], curve=SNCurve([(1, 2e6), (10, 1e6)]))(motion)) == 0.0
 
 
 def test_lives_in_closed_form():

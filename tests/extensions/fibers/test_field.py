@@ -99,9 +99,9 @@ def motion_of(body):
 @pytest.mark.thorough
 def test_ply_stresses_of_cells(same):
     """Points of the steered body are those of its cells, in the same order, with the same stress."""
-    found = [mbd.PlyHistory(motion_of(body), "plate") for body in same]
-    order = [x.points[:, 0].argsort(stable=True) for x in found]
-    one, other = (x.stress(slice(-1, None))[0, 0][k] for x, k in zip(found, order, strict=True))
+    result = [mbd.PlyHistory(motion_of(body), "plate") for body in same]
+    order = [x.points[:, 0].argsort(stable=True) for x in result]
+    one, other = (x.stress(slice(-1, None))[0, 0][k] for x, k in zip(result, order, strict=True))
     assert (one - other).norm() < 5e-3 * other.norm()
 
 

@@ -93,9 +93,9 @@ def folder(rig, tmp_path, empty_store, monkeypatch) -> Path:
 
 
 def plan(*overrides: str) -> IdentificationPlan:
-    _, made = load("study.yaml", overrides)
-    assert isinstance(made, IdentificationPlan)
-    return made
+    _, result = load("study.yaml", overrides)
+    assert isinstance(result, IdentificationPlan)
+    return result
 
 
 def artifacts(folder: Path) -> Path:
@@ -232,9 +232,9 @@ def other_kinds(folder: Path) -> None:
 
 def test_static_curves_frequencies_and_responses(folder):
     other_kinds(folder)
-    _, made = load("kinds.yaml")
-    assert isinstance(made, IdentificationPlan)
-    assert run_identification(made, Console(file=io.StringIO())) == 0
+    _, result = load("kinds.yaml")
+    assert isinstance(result, IdentificationPlan)
+    assert run_identification(result, Console(file=io.StringIO())) == 0
     values = {row["unknown"]: float(row["value"]) for row in table(artifacts(folder) / "unknowns.csv")}
     assert values["spring.stiffness[0]"] == pytest.approx(200.0, rel=1e-4)
     assert values["block.mass[0]"] == pytest.approx(2.0, rel=1e-4)
@@ -355,9 +355,9 @@ def test_the_rig_of_the_tutorial(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     from experiments.models.pendulum_rig import DELAY, TRUTH, measured
 
-    _, made = load(CONFIG)
-    assert isinstance(made, IdentificationPlan)
-    fit = mbd.identify(made.experiments, validation=made.validation, **made.arguments)
+    _, result = load(CONFIG)
+    assert isinstance(result, IdentificationPlan)
+    fit = mbd.identify(result.experiments, validation=result.validation, **result.arguments)
     for name, truth in (TRUTH | {"release_40.angle.delay": DELAY}).items():
         k = fit.names.index(f"{name}[0]")
         assert abs(fit.x[k] - truth) < 3.0 * fit.deviation[k], name

@@ -101,8 +101,8 @@ def test_delay_gain_and_offset_are_recovered(compiled):
     fit = mbd.identify(
         pendulum.experiment(numbers, start=1.1, **late), pendulum.UNKNOWNS, bounds={"angle.delay": (-0.05, 0.05)}
     )
-    found = [fit["angle.delay"], fit["angle.gain"], fit["angle.offset"], *(fit[name] for name in pendulum.UNKNOWNS)]
-    np.testing.assert_allclose(found, [0.023, 1.3, 0.04, *pendulum.TRUTH.values()], rtol=1e-4)
+    result = [fit["angle.delay"], fit["angle.gain"], fit["angle.offset"], *(fit[name] for name in pendulum.UNKNOWNS)]
+    np.testing.assert_allclose(result, [0.023, 1.3, 0.04, *pendulum.TRUTH.values()], rtol=1e-4)
 
 
 def test_a_combination_that_is_not_seen_is_named(compiled):

@@ -35,23 +35,23 @@ def half(angles: list[float]) -> list[float]:
 )
 def test_stacks_that_exist_are_found(stacks):
     zones = {name: asked(list(map(float, degrees))) for name, degrees in stacks.items()}
-    found = mbd.recover_blended_stacks(zones, {name: len(x) for name, x in stacks.items()}, QUARTERS)
+    result = mbd.recover_blended_stacks(zones, {name: len(x) for name, x in stacks.items()}, QUARTERS)
     for name, degrees in stacks.items():
-        assert found[name].distance < 1e-9
-        assert torch.tensor(found[name].angles).rad2deg().tolist() == pytest.approx(degrees)
-        assert float(found[name].laminate.total_thickness) == pytest.approx(1.25e-4 * len(degrees))
+        assert result[name].distance < 1e-9
+        assert torch.tensor(result[name].angles).rad2deg().tolist() == pytest.approx(degrees)
+        assert float(result[name].laminate.total_thickness) == pytest.approx(1.25e-4 * len(degrees))
 
 
 @pytest.mark.thorough
 def test_all_stacks_of_a_small_case():
     """Three zones of 6, 4 and 2 plies from three angles, parameters of no such stacks: no blend is nearer."""
     allowed = mbd.deg([0, 45, 90])
-    wanted = {"a": [30, 60, -15, -15, 60, 30], "b": [10, 75, 75, 10], "c": [50, 50]}
-    zones = {name: asked(list(map(float, degrees))) for name, degrees in wanted.items()}
+    expected = {"a": [30, 60, -15, -15, 60, 30], "b": [10, 75, 75, 10], "c": [50, 50]}
+    zones = {name: asked(list(map(float, degrees))) for name, degrees in expected.items()}
     plies, areas = {"a": 6, "b": 4, "c": 2}, {"a": 3.0, "b": 2.0, "c": 1.0}
-    found = mbd.recover_blended_stacks(zones, plies, allowed, areas=areas)
-    assert is_blended(half(found["b"].angles), half(found["a"].angles))
-    assert is_blended(half(found["c"].angles), half(found["b"].angles))
+    result = mbd.recover_blended_stacks(zones, plies, allowed, areas=areas)
+    assert is_blended(half(result["b"].angles), half(result["a"].angles))
+    assert is_blended(half(result["c"].angles), half(result["b"].angles))
 
     def distance(name: str, stack: tuple[float, ...]) -> float:
         angles = torch.tensor([*stack, *stack[::-1]], dtype=torch.float64)
@@ -68,7 +68,7 @@ def test_all_stacks_of_a_small_case():
         for two in itertools.combinations(guide, 2)
         for one in itertools.combinations(two, 1)
     )
-    assert sum(areas[n] / total * found[n].distance ** 2 for n in areas) == pytest.approx(best, rel=1e-9)
+    assert sum(areas[n] / total * result[n].distance ** 2 for n in areas) == pytest.approx(best, rel=1e-9)
 
 
 @pytest.mark.thorough
@@ -78,10 +78,10 @@ def test_rules_of_every_zone():
         for name, n in (("a", 12), ("b", 8))
     }
     rules = mbd.LaminationRules(symmetric=True, balanced=True)
-    found = mbd.recover_blended_stacks(zones, {"a": 12, "b": 8}, QUARTERS, rules)
-    assert not found["a"].broken
-    assert not found["b"].broken
-    assert is_blended(half(found["b"].angles), half(found["a"].angles))
+    result = mbd.recover_blended_stacks(zones, {"a": 12, "b": 8}, QUARTERS, rules)
+    assert not result["a"].broken
+    assert not result["b"].broken
+    assert is_blended(half(result["b"].angles), half(result["a"].angles))
 
 
 def test_bad_input_is_named():

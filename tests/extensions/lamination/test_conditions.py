@@ -24,9 +24,9 @@ def parameters(angles: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(0.01, 1)), min_size=1, max_size=8))
 def test_all_stacks_keep_the_conditions(plies):
     angles, t = torch.tensor(plies, dtype=torch.float64).T
-    found = conditions(*parameters(angles, t / t.sum()))
-    assert found.shape == (CONDITIONS,)
-    assert float(found.max()) <= 1 + 1e-12
+    result = conditions(*parameters(angles, t / t.sum()))
+    assert result.shape == (CONDITIONS,)
+    assert float(result.max()) <= 1 + 1e-12
     assert infeasibility_reasons(*parameters(angles, t / t.sum())) == [""]
 
 
@@ -40,9 +40,9 @@ def reach(direction: np.ndarray, layers: int = 40, count: int = 36) -> float:
     A = np.block([[rows, -direction.reshape(12, 1)], [sums, np.zeros((layers, 1))]])
     cost = np.zeros(A.shape[1])
     cost[-1] = -1.0
-    found = scipy.optimize.linprog(cost, A_eq=A, b_eq=np.r_[np.zeros(12), np.ones(layers)], bounds=(0, None))
-    assert found.status == 0
-    return float(found.x[-1])
+    result = scipy.optimize.linprog(cost, A_eq=A, b_eq=np.r_[np.zeros(12), np.ones(layers)], bounds=(0, None))
+    assert result.status == 0
+    return float(result.x[-1])
 
 
 @pytest.mark.thorough

@@ -54,9 +54,9 @@ def test_frequencies_are_those_of_the_stack_also_by_fields():
     mesh = mbd.mesh.rectangle(0.4, 0.2, cells=(6, 3))
     angles, t = mbd.deg([30.0, -50.0, -50.0, 30.0]), torch.full((4,), 5e-4, dtype=torch.float64)
     known = parameters_of(torch.as_tensor(angles), t)
-    wanted = squares(plate(mbd.Laminate(CARBON, angles, t, shear_correction=5 / 6), mesh))
+    expected = squares(plate(mbd.Laminate(CARBON, angles, t, shear_correction=5 / 6), mesh))
     own = mbd.LaminationParameters(CARBON, 2e-3, known["membrane"], known["bending"])
-    assert_close(squares(plate(own, mesh)), wanted, rtol=1e-8, atol=0)
+    assert_close(squares(plate(own, mesh)), expected, rtol=1e-8, atol=0)
     field = mbd.FiberField(mesh, (3, 2), degree=1)
     varied = mbd.LaminationParameters(CARBON, [2e-3] * 6, known["membrane"], known["bending"], field=field)
     assert [(name, tuple(x.shape)) for name, x in plate(varied, mesh).named_parameters()] == [
@@ -64,7 +64,7 @@ def test_frequencies_are_those_of_the_stack_also_by_fields():
         ("laminate.bending", (6, 4)),
         ("laminate.thickness", (6,)),
     ]
-    assert_close(squares(plate(varied, mesh)), wanted, rtol=1e-8, atol=0)
+    assert_close(squares(plate(varied, mesh)), expected, rtol=1e-8, atol=0)
 
 
 def test_bending_follows_membrane_where_it_is_not_given():
@@ -102,9 +102,9 @@ def test_what_needs_plies_says_that_there_are_none():
 )
 def test_bad_input(options, words):
     given = {"ply": CARBON, "thickness": 2e-3} | options
-    with pytest.raises(mbd.InputError) as found:
+    with pytest.raises(mbd.InputError) as result:
         mbd.LaminationParameters(**given)
-    assert words in str(found.value)
+    assert words in str(result.value)
 
 
 def test_an_infeasible_control_is_named():

@@ -72,14 +72,14 @@ def deflections(n: int, D: np.ndarray, As: np.ndarray) -> list[tuple[float, floa
     force, pressure = np.zeros(3 * number.size), np.zeros(3 * number.size)
     force[3 * number[n // 2, n // 2]] = 1e3
     np.add.at(pressure, 3 * cells.ravel(), 1e4 * h**2 / 4)
-    found = []
+    result = []
     for f in (force, pressure):
         u = np.zeros_like(f)
         u[free] = np.linalg.solve(K[np.ix_(free, free)], f[free])
         w = 10.0 * np.stack([shapes(r, s)[0] for r in GAUSS for s in GAUSS]) @ u[3 * cells.T]
         smooth = w.max() + np.log((h**2 / 4 * np.exp(10.0 * (w - w.max()))).sum()) / 10.0
-        found.append((float(f @ u), float(smooth)))
-    return found
+        result.append((float(f @ u), float(smooth)))
+    return result
 
 
 @pytest.mark.thorough
@@ -130,9 +130,9 @@ def ours(n: int) -> list[tuple[float, float]]:
     force[6 * mesh.node("center") + np.array([1, 2])] = 1e2, 1e3
     area = plate.area.numpy()
     pressure[2::6] = 1e4 * area
-    found = []
+    result = []
     for f in (force, pressure):
         u = solved(stiffness(plate, own), f, held)
         w = 10.0 * u[2::6]
-        found.append((float(f @ u), float(w.max() + np.log((area * np.exp(10.0 * (w - w.max()))).sum()) / 10.0)))
-    return found
+        result.append((float(f @ u), float(w.max() + np.log((area * np.exp(10.0 * (w - w.max()))).sum()) / 10.0)))
+    return result

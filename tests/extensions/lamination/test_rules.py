@@ -48,7 +48,7 @@ def test_each_rule(rules, angles, sentence):
     if sentence is None:
         assert broken == []
     else:
-        assert any(sentence in found for found in broken)
+        assert any(sentence in result for result in broken)
     assert LaminationRules(**rules).admits(angles) == (sentence is None)
 
 

@@ -22,10 +22,10 @@ def asked(degrees: list[float], **given) -> mbd.LaminationParameters:
 @pytest.mark.parametrize("degrees", [[45, -45, 0, 90, 90, 0, -45, 45], [30, 0, -60, 0, 30], [0, 45, 90, -15, 60]])
 def test_a_stack_that_exists_is_found(degrees):
     laminate = asked(degrees)
-    found = mbd.recover_stacks(laminate, len(degrees), ANGLES)[0]
-    assert found.distance < 1e-9
-    assert torch.tensor(found.angles).rad2deg().tolist() == pytest.approx(degrees)
-    one, two = laminate.stiffness(), found.laminate.stiffness()
+    result = mbd.recover_stacks(laminate, len(degrees), ANGLES)[0]
+    assert result.distance < 1e-9
+    assert torch.tensor(result.angles).rad2deg().tolist() == pytest.approx(degrees)
+    one, two = laminate.stiffness(), result.laminate.stiffness()
     torch.testing.assert_close(two.D, one.D, rtol=1e-9, atol=1e-9 * float(one.D.abs().max()))
 
 
@@ -55,6 +55,6 @@ def test_rules_come_first_and_several_are_sorted():
 )
 def test_bad_input(options, words):
     given = {"laminate": asked([0, 90, 0]), "plies": 3, "angles": ANGLES} | options
-    with pytest.raises(mbd.InputError) as found:
+    with pytest.raises(mbd.InputError) as result:
         mbd.recover_stacks(**given)
-    assert words in str(found.value)
+    assert words in str(result.value)

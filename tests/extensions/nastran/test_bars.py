@@ -67,9 +67,9 @@ def test_offsets_along_and_different_at_the_ends(tmp_path):
     path = tmp_path / "model.bdf"
     more = "\n,,,,,,.05,0.02,0."
     path.write_text("\n".join(["BEGIN BULK", *HEAD, *beam("", more), "ENDDATA"]))
-    made = bulk_body(path)
-    assert len(made.mesh.nodes) == CELLS + 2
-    assert_close(made.mesh.nodes[-1], torch.tensor([1.05, 0.02, 0.0], dtype=torch.float64))
+    result = bulk_body(path)
+    assert len(result.mesh.nodes) == CELLS + 2
+    assert_close(result.mesh.nodes[-1], torch.tensor([1.05, 0.02, 0.0], dtype=torch.float64))
     mass = float(mbd.read_bdf(path, "body", 2).structure()["mass"])
     length = 11 / 12 + math.hypot(1 / 12 + 0.05, 0.02)
     assert mass == pytest.approx(RHO * A * length)
@@ -86,8 +86,8 @@ def test_offsets_along_and_different_at_the_ends(tmp_path):
 )
 def test_axes_of_offsets(more, frequencies):
     """Along the basic axes all words say the same: a beam beside its grids is as stiff as on them in plane 2."""
-    found = frequencies(*beam(more, more, more))
-    assert found[0] == pytest.approx(bending(1.87510), rel=5e-3)
+    result = frequencies(*beam(more, more, more))
+    assert result[0] == pytest.approx(bending(1.87510), rel=5e-3)
 
 
 def test_a_cylindrical_system_turns_the_vector(tmp_path):
@@ -101,6 +101,6 @@ def test_a_cylindrical_system_turns_the_vector(tmp_path):
         "CBAR,1,5,1,2,0.,1.,0.",
     ]
     path.write_text("\n".join(["BEGIN BULK", *HEAD, *text, "ENDDATA"]))
-    made = bulk_body(path)
-    axes = made.parts["pbar_5"].matrices.axes[0]
+    result = bulk_body(path)
+    axes = result.parts["pbar_5"].matrices.axes[0]
     assert_close(axes, torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]], dtype=torch.float64), atol=1e-12, rtol=0)

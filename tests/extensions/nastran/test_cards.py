@@ -55,12 +55,12 @@ def test_a_file_with_comments_case_control_tabs_and_includes(tmp_path):
     file = tmp_path / "model.bdf"
     file.write_text("SOL 103\nCEND\nMETHOD = 1\nBEGIN BULK\n$ a comment\nGRID,1,,0.,0.,0. $ another\n"
                     "INCLUDE 'part.bdf'\nENDDATA\nGRID,9,,0.,0.,0.\n")  # fmt: skip
-    found = read_cards(file)
-    assert [(card.name, card.fields[0], card.where) for card in found] == [
+    result = read_cards(file)
+    assert [(card.name, card.fields[0], card.where) for card in result] == [
         ("GRID", "1", "model.bdf, line 6"),
         ("GRID", "2", "part.bdf, line 1"),
     ]
-    assert found[1].real(5, "X3") == 3.0
+    assert result[1].real(5, "X3") == 3.0
 
 
 @pytest.mark.parametrize(

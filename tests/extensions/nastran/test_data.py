@@ -20,19 +20,19 @@ def test_grids_in_rectangular_and_cylindrical_systems_that_refer_to_each_other()
         "CORD2C,2,1,0.,0.,0.,1.,0.,0.\n,0.,1.,0.\nCORD2R,1,0,10.,0.,0.,10.,0.,1.\n,11.,0.,0.\n"
         "GRID,7,2,3.,90.,4.\nGRID,8,1,1.,2.,3.\nGRID,9,,1.,2.,3."
     )
-    found = data(text)
-    assert found.grids[8] == pytest.approx((11.0, 2.0, 3.0))
-    assert found.grids[9] == (1.0, 2.0, 3.0)
+    result = data(text)
+    assert result.grids[8] == pytest.approx((11.0, 2.0, 3.0))
+    assert result.grids[9] == (1.0, 2.0, 3.0)
     # z of system 2 is basic x, its x is basic y, so its y is basic z: at 90 degrees the radius points along basic z.
-    assert found.grids[7] == pytest.approx((14.0, 0.0, 3.0))
+    assert result.grids[7] == pytest.approx((14.0, 0.0, 3.0))
 
 
 def test_a_system_by_grids():
     text = "GRID,1,,1.,1.,0.\nGRID,2,,1.,1.,5.\nGRID,3,,1.,4.,0.\nCORD1R,6,1,2,3\nGRID,4,6,2.,0.,0."
-    found = data(text)
-    assert found.grids[4] == pytest.approx((1.0, 3.0, 0.0))
-    card = found.grid_cards[4]
-    assert found.systems.axes(6, card, np.zeros(3))[0].tolist() == pytest.approx([0.0, 1.0, 0.0])
+    result = data(text)
+    assert result.grids[4] == pytest.approx((1.0, 3.0, 0.0))
+    card = result.grid_cards[4]
+    assert result.systems.axes(6, card, np.zeros(3))[0].tolist() == pytest.approx([0.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -54,25 +54,25 @@ GRIDS = "\n".join(f"GRID,{k},,{k}.,0.,0." for k in range(1, 10))
 
 def test_rigid_elements():
     """RBE2 with a range; RBE3 with two weights, its end marked by UM."""
-    found = data(f"{GRIDS}\nRBE2,30,1,123456,2,THRU,5\nRBE3,31,,9,123456,1.5,123,6,7\n,2.,123,8,UM,1,1")
-    two, three = found.rigids
+    result = data(f"{GRIDS}\nRBE2,30,1,123456,2,THRU,5\nRBE3,31,,9,123456,1.5,123,6,7\n,2.,123,8,UM,1,1")
+    two, three = result.rigids
     assert (two.grid, two.others, two.weights) == (1, (2, 3, 4, 5), ())
     assert (three.grid, three.others, three.weights) == (9, (6, 7, 8), (1.5, 1.5, 2.0))
 
 
 def test_supports_of_both_kinds():
-    found = data(f"{GRIDS}\nSPC1,4,123,1,THRU,3\nSPC,5,7,12345,0.,8,3")
-    assert [(s.set, s.components, s.grids) for s in found.supports] == [
+    result = data(f"{GRIDS}\nSPC1,4,123,1,THRU,3\nSPC,5,7,12345,0.,8,3")
+    assert [(s.set, s.components, s.grids) for s in result.supports] == [
         (4, "123", (1, 2, 3)), (5, "12345", (7,)), (5, "3", (8,)),
     ]  # fmt: skip
     assert data(f"{GRIDS}\nSPC,5,7,1,.3").ignored == {"enforced displacement of SPC": 1}
 
 
 def test_masses_and_properties():
-    found = data(f"{GRIDS}\nCONM2,1,3,0,2.5\n,3.,,6.,,,9.\nPARAM,WTMASS,.00259\nMAT1,1,7.+10,,.3,2700.")
-    (mass,) = found.masses
+    result = data(f"{GRIDS}\nCONM2,1,3,0,2.5\n,3.,,6.,,,9.\nPARAM,WTMASS,.00259\nMAT1,1,7.+10,,.3,2700.")
+    (mass,) = result.masses
     assert (mass.grid, mass.mass, mass.rotary) == (3, 2.5, 6.0)
-    assert found.weight_to_mass == 0.00259
+    assert result.weight_to_mass == 0.00259
     with pytest.raises(InputError, match=r"MAT8 1 \(line 12\): the number 1 is taken by MAT1 1 \(line 11\)"):
         data(f"{GRIDS}\nPARAM,POST,0\nMAT1,1,7.+10,,.3,2700.\nMAT8,1,1.,1.,.3,1.")
 
@@ -85,19 +85,19 @@ def test_thickness_at_corners_is_refused():
 
 def test_a_grid_may_hold_itself():
     """Permanent constraints are supports of set 0."""
-    found = data("GRID,1,,0.,0.,0.,,123456\nGRID,2,,1.,0.,0.,,6")
-    assert [(s.set, s.components, s.grids) for s in found.supports] == [(0, "123456", (1,)), (0, "6", (2,))]
+    result = data("GRID,1,,0.,0.,0.,,123456\nGRID,2,,1.,0.,0.,,6")
+    assert [(s.set, s.components, s.grids) for s in result.supports] == [(0, "123456", (1,)), (0, "6", (2,))]
 
 
 def test_x_of_a_cylindrical_system_is_the_radius_at_the_place():
     """Axis along z through (1, 1, 0); at (1, 4, 7) the radius points along y, at (-1, -1, 0) to both sides."""
-    found = data("CORD2C,2,0,1.,1.,0.,1.,1.,1.\n,2.,1.,0.\nGRID,1,,1.,4.,7.")
-    axes = found.systems.axes(2, found.grid_cards[1], np.array([1.0, 4.0, 7.0]))
+    result = data("CORD2C,2,0,1.,1.,0.,1.,1.,1.\n,2.,1.,0.\nGRID,1,,1.,4.,7.")
+    axes = result.systems.axes(2, result.grid_cards[1], np.array([1.0, 4.0, 7.0]))
     assert axes.tolist() == [pytest.approx(row) for row in ([0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0])]
-    aslant = found.systems.axes(2, found.grid_cards[1], np.array([-1.0, -1.0, 0.0]))[0]
+    aslant = result.systems.axes(2, result.grid_cards[1], np.array([-1.0, -1.0, 0.0]))[0]
     assert aslant.tolist() == pytest.approx([-math.sqrt(0.5), -math.sqrt(0.5), 0.0])
     with pytest.raises(InputError, match="lies on the axis of system 2"):
-        found.systems.axes(2, found.grid_cards[1], np.array([1.0, 1.0, 3.0]))
+        result.systems.axes(2, result.grid_cards[1], np.array([1.0, 1.0, 3.0]))
 
 
 @pytest.mark.parametrize("card", ["CPYRAM,1,2,3,4,5,6,7", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])

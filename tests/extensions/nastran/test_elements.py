@@ -25,9 +25,9 @@ def stiffness(tmp_path):
     def made(*lines: str, units: str = "m"):
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *lines, "ENDDATA"]))
-        found = bulk_body(path, units)
-        full = sum(part.pattern.to_scipy(part.values()).toarray() for part in found.parts.values())
-        return np.asarray(full), float(Assembly(found.mesh, found.parts).masses().mass.sum())
+        result = bulk_body(path, units)
+        full = sum(part.pattern.to_scipy(part.values()).toarray() for part in result.parts.values())
+        return np.asarray(full), float(Assembly(result.mesh, result.parts).masses().mass.sum())
 
     return made
 
@@ -111,12 +111,12 @@ def test_a_bar_of_solids(card, stiff, tmp_path):
     path = tmp_path / "model.bdf"
     path.write_text("\n".join(["BEGIN BULK", *brick_model(card), "ENDDATA"]))
     body = mbd.read_bdf(path, "bar", modes=4)
-    made = body.structure()
-    assert float(made["mass"]) == pytest.approx(27.0)
-    first = math.sqrt(float(torch.linalg.eigvalsh(made["Kr"])[0]))
+    result = body.structure()
+    assert float(result["mass"]) == pytest.approx(27.0)
+    first = math.sqrt(float(torch.linalg.eigvalsh(result["Kr"])[0]))
     beam = 1.8751**2 * math.sqrt(70e9 * 0.1**4 / 12 / (2700.0 * 0.01))
     assert 0.96 < first / beam < stiff
-    bend = made["psi"][-1]
+    bend = result["psi"][-1]
     axis = bend[1:3, 0].abs().argmax() + 1
     slope = bend[5, 0] if axis == 1 else -bend[4, 0]
     assert float(slope / bend[axis, 0]) == pytest.approx(1.3765, rel=0.1)  # rotation of the end of a clamped beam
@@ -170,9 +170,9 @@ def test_masses_on_arms_and_defaults_of_grids(stiffness, tmp_path):
         "CONM2,9,1,4,5.,.5",
     ]
     (tmp_path / "model.bdf").write_text("\n".join(["BEGIN BULK", *lines, "ENDDATA"]))
-    found = bulk_body(tmp_path / "model.bdf")
-    np.testing.assert_allclose(found.mesh.nodes.numpy(), [[1.0, 0.0, 0.0], [1.0, 2.0, 0.0]], atol=1e-15)
-    points = found.parts["conm2"].masses()
+    result = bulk_body(tmp_path / "model.bdf")
+    np.testing.assert_allclose(result.mesh.nodes.numpy(), [[1.0, 0.0, 0.0], [1.0, 2.0, 0.0]], atol=1e-15)
+    points = result.parts["conm2"].masses()
     assert points.arm is not None
     np.testing.assert_allclose(points.arm.numpy(), [[0.0, 0.5, 0.0]], atol=1e-15)
 

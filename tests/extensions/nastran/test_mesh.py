@@ -23,20 +23,20 @@ def made(text, **given):
 
 def test_nodes_zones_directions_and_names():
     text = f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nSPC1,5,123456,10,40\nCONM2,9,50,0,1.\nRBE2,8,50,123456,20"
-    found = made(text, length=0.1)
-    mesh = found.mesh
-    assert_close(mesh.nodes[found.index[30]], torch.tensor([0.0, 0.2, 0.2], dtype=torch.float64))
-    assert {key: len(own) for key, own in found.zones.items()} == {(1, 0.0): 1, (2, 0.0): 1}
+    result = made(text, length=0.1)
+    mesh = result.mesh
+    assert_close(mesh.nodes[result.index[30]], torch.tensor([0.0, 0.2, 0.2], dtype=torch.float64))
+    assert {key: len(own) for key, own in result.zones.items()} == {(1, 0.0): 1, (2, 0.0): 1}
     assert (len(mesh.triangles), len(mesh.quads)) == (1, 1)
     assert mesh.cell_name(1) == "CQUAD4 1 (line 8)"
-    assert mesh.node_set("spc_5") == (found.index[10], found.index[40])
-    assert mesh.node("conm2_9") == mesh.node("rbe2_8") == mesh.node("grid_50") == found.index[50]
-    assert mesh.lines.tolist() == [[found.index[50], found.index[20]]]
+    assert mesh.node_set("spc_5") == (result.index[10], result.index[40])
+    assert mesh.node("conm2_9") == mesh.node("rbe2_8") == mesh.node("grid_50") == result.index[50]
+    assert mesh.lines.tolist() == [[result.index[50], result.index[20]]]
     # The quadrilateral lies in the y-z plane, normal +x: 30 degrees from its first side (y) towards z.
     expected = torch.tensor([0.0, math.cos(math.pi / 6), math.sin(math.pi / 6)], dtype=torch.float64)
-    for k in found.zones[2, 0.0]:
-        assert_close(found.direction[k] / found.direction[k].norm(), expected)
-    assert_close(found.direction[found.zones[1, 0.0][0]], torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    for k in result.zones[2, 0.0]:
+        assert_close(result.direction[k] / result.direction[k].norm(), expected)
+    assert_close(result.direction[result.zones[1, 0.0][0]], torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     assert_close(mesh.normals[:, 0], torch.ones(2, dtype=torch.float64))
 
 
@@ -54,8 +54,8 @@ def test_grids_at_one_place_and_loose_masses():
     """Grids of a seam stay apart and are joined by what the file says; a mass at a grid of no element is left out, by name."""
     text = f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nGRID,60,,0.,2.,0.\nGRID,70,,0.,2.,2.\nGRID,80,,0.,3.,1.\nCTRIA3,7,1,60,80,70,0.\n"
     with pytest.warns(UserWarning, match=r"CONM2 9 .*no element holds its grid; 2 CONM2 of 5"):
-        found = made(f"{text}RBE2,8,20,123456,60\nGRID,90,,5.,5.,5.\nCONM2,9,90,,2.\nCONM2,11,90,,3.")
-    assert len(found.mesh.nodes) == 8
-    assert 90 not in found.index
+        result = made(f"{text}RBE2,8,20,123456,60\nGRID,90,,5.,5.,5.\nCONM2,9,90,,2.\nCONM2,11,90,,3.")
+    assert len(result.mesh.nodes) == 8
+    assert 90 not in result.index
     with pytest.raises(InputError, match="2 disconnected parts"):
         made(text)

@@ -120,7 +120,7 @@ def test_mass_lies_where_the_laminate_lies(tmp_path):
     """NSM of a card and that of a PSHELL give the same mass matrix of rigid motions, also with an offset and in millimeters."""
     above = "SOL 103\nCEND\nNSM = 5\nBEGIN BULK\nGRID,1,,0.,0.,0.\nGRID,2,,900.,0.,0.\nGRID,3,,900.,500.,0.\n"
     above += "GRID,4,,0.,500.,0.\nCQUAD4,1,1,1,2,3,4,,40.\nMAT1,9,70.+3,,.3,2.-9\n"
-    path, found = tmp_path / "model.bdf", []
+    path, result = tmp_path / "model.bdf", []
     for cards in ("PSHELL,1,9,2.,9,,,,3.-9", "PSHELL,1,9,2.,9\nNSM,5,PSHELL,1,3.-9"):
         path.write_text(above + cards)
         body = mbd.read_bdf(path, "b", modes=2, units="mm")
@@ -130,11 +130,11 @@ def test_mass_lies_where_the_laminate_lies(tmp_path):
         rigid[:, range(6), range(6)] = 1.0
         rigid[:, 0, 4], rigid[:, 0, 5], rigid[:, 1, 5] = x[:, 2], -x[:, 1], x[:, 0]
         rigid[:, 1, 3], rigid[:, 2, 3], rigid[:, 2, 4] = -x[:, 2], x[:, 1], -x[:, 0]
-        found.append(rigid.reshape(-1, 6).T @ M @ rigid.reshape(-1, 6))
-    assert found[0] == pytest.approx(
-        found[1], rel=1e-4, abs=1e-9
+        result.append(rigid.reshape(-1, 6).T @ M @ rigid.reshape(-1, 6))
+    assert result[0] == pytest.approx(
+        result[1], rel=1e-4, abs=1e-9
     )  # that of the PSHELL has rotary inertia of its thickness
-    assert found[0][0, 0] == pytest.approx(7e-9 * 900 * 500 * 1e3, rel=1e-12)
+    assert result[0][0, 0] == pytest.approx(7e-9 * 900 * 500 * 1e3, rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -64,12 +64,12 @@ def turned_shear(angle: float) -> torch.Tensor:
 @pytest.mark.thorough
 def test_a_laminated_model_is_the_body_made_by_hand(body):
     """Same mesh, laminate and clamp: the same modes; PCOMP angles are the parameters."""
-    made = body(model())
-    assert [name for name, x in made.named_parameters() if x.requires_grad] == ["laminate.angles"]
-    assert torch.rad2deg(made.laminate.angles.detach()).tolist() == pytest.approx([20.0, -50.0, 75.0])
-    assert made.laminate.layer_plies[0].strength.Yc == pytest.approx(2.46e8)
-    assert made.reference == list(made.mesh.node_set("spc_1"))
-    assert_close(values(made), by_hand(), rtol=1e-9, atol=0)
+    result = body(model())
+    assert [name for name, x in result.named_parameters() if x.requires_grad] == ["laminate.angles"]
+    assert torch.rad2deg(result.laminate.angles.detach()).tolist() == pytest.approx([20.0, -50.0, 75.0])
+    assert result.laminate.layer_plies[0].strength.Yc == pytest.approx(2.46e8)
+    assert result.reference == list(result.mesh.node_set("spc_1"))
+    assert_close(values(result), by_hand(), rtol=1e-9, atol=0)
 
 
 @pytest.mark.thorough
@@ -93,9 +93,9 @@ def test_units_elements_and_material_directions(given, body):
     """The same plate written otherwise is the same plate. (Triangles need THETA 0 along their first side: here x.)"""
     if given.get("triangles"):
         given = given | {"theta": "0"}  # the basic system's x axis
-    made = body(model(**given), units="mm" if given.get("millimeters") else "m")
+    result = body(model(**given), units="mm" if given.get("millimeters") else "m")
     kind = "triangle" if given.get("triangles") else "quad"
-    assert_close(values(made), by_hand(kind=kind), rtol=1e-9, atol=0)
+    assert_close(values(result), by_hand(kind=kind), rtol=1e-9, atol=0)
 
 
 @pytest.mark.thorough
@@ -116,30 +116,30 @@ RIGID_END = ["GRID,900,,.2,0.,.03", "RBE2,30,900,123456,601,602,603", "CONM2,31,
 @pytest.mark.thorough
 def test_rbe2_and_conm2(body):
     """A rigid end with a mass on an arm: its motion is rigid, mass and center are right, and a frame may sit there."""
-    made = body(model(extra=RIGID_END), modes=2)
-    psi = made.structure()["psi"].detach()
-    tip = made.mesh.node("rbe2_30")
-    assert made.mesh.node("conm2_31") == made.mesh.node("grid_900") == tip
+    result = body(model(extra=RIGID_END), modes=2)
+    psi = result.structure()["psi"].detach()
+    tip = result.mesh.node("rbe2_30")
+    assert result.mesh.node("conm2_31") == result.mesh.node("grid_900") == tip
     for grid in (601, 602, 603):
-        node = made.mesh.node(f"grid_{grid}")
-        d = (made.mesh.nodes[node] - made.mesh.nodes[tip])[:, None].expand(3, 2)
+        node = result.mesh.node(f"grid_{grid}")
+        d = (result.mesh.nodes[node] - result.mesh.nodes[tip])[:, None].expand(3, 2)
         assert_close(psi[node, :3], psi[tip, :3] + torch.linalg.cross(psi[tip, 3:], d, dim=0), rtol=1e-9, atol=1e-9)
-    plain, loaded = body(model()).structure(), made.structure()
+    plain, loaded = body(model()).structure(), result.structure()
     assert_close(loaded["mass"] - plain["mass"], torch.tensor(0.7, dtype=torch.float64))
     assert_close(loaded["S0"] - plain["S0"], 0.7 * torch.tensor([0.35, 0.0, 0.03], dtype=torch.float64))
     assert_close(loaded["mu"] - plain["mu"], torch.tensor(1e-4, dtype=torch.float64))
-    assert made.at("rbe2_30").point.tolist() == pytest.approx([0.35, 0.0, 0.03])
-    assert float(values(made)[0]) < 0.1 * float(values(body(model()))[0])
+    assert result.at("rbe2_30").point.tolist() == pytest.approx([0.35, 0.0, 0.03])
+    assert float(values(result)[0]) < 0.1 * float(values(body(model()))[0])
 
 
 @pytest.mark.thorough
 def test_rbe3_is_the_mean_and_adds_no_stiffness(body):
     extra = ["GRID,901,,.1,0.,0.", "RBE3,40,,901,123456,1.,123,401,403", ",501,503"]
-    made = body(model(extra=extra))
-    assert_close(values(made), values(body(model())), rtol=1e-9, atol=0)
-    psi, x = made.structure()["psi"].detach(), made.mesh.nodes
-    mean = made.mesh.node("rbe3_40")
-    grids = [made.mesh.node(f"grid_{k}") for k in (401, 403, 501, 503)]
+    result = body(model(extra=extra))
+    assert_close(values(result), values(body(model())), rtol=1e-9, atol=0)
+    psi, x = result.structure()["psi"].detach(), result.mesh.nodes
+    mean = result.mesh.node("rbe3_40")
+    grids = [result.mesh.node(f"grid_{k}") for k in (401, 403, 501, 503)]
     # The center of the four grids lies at x = 0.075: their mean displacement is the average's motion there.
     at = psi[mean, :3] + torch.linalg.cross(psi[mean, 3:], (x[grids].mean(0) - x[mean])[:, None].expand(3, 4), dim=0)
     assert_close(at, psi[grids, :3].mean(0), rtol=1e-9, atol=1e-9)
@@ -150,10 +150,10 @@ def test_a_shell_of_metal_with_a_stack_beside_it(body):
     """Two properties are two parts; the angle of the metal is no design variable, and its extra mass counts."""
     text = model().replace("CQUAD4,1,7", "CQUAD4,1,8").replace("CQUAD4,2,7", "CQUAD4,2,8")
     extra = "MAT1,2,70.+9,,.3,2700.\nPSHELL,8,2,4.-3,2,,2,,1.5\nENDDATA"
-    made = body(text.replace("ENDDATA", extra))
-    assert [name for name, x in made.named_parameters() if x.requires_grad] == ["pcomp_7.angles"]
-    assert made.pshell_8.layer_plies[0].density * 4e-3 == pytest.approx(2700 * 4e-3 + 1.5)
-    both = float(made.structure()["mass"])
+    result = body(text.replace("ENDDATA", extra))
+    assert [name for name, x in result.named_parameters() if x.requires_grad] == ["pcomp_7.angles"]
+    assert result.pshell_8.layer_plies[0].density * 4e-3 == pytest.approx(2700 * 4e-3 + 1.5)
+    both = float(result.structure()["mass"])
     assert both == pytest.approx(0.03 * 10 / 12 * 1586 * 4.5e-3 + 0.03 * 2 / 12 * (2700 * 4e-3 + 1.5))
 
 
@@ -205,10 +205,10 @@ def test_a_stack_of_numbered_plies(body):
 
 def test_a_symmetric_stack_repeats_its_blank_fields(body):
     text = model().replace("PCOMP,7,,,,TSAI", "PCOMP,7,,,,TSAI,,,SYM").replace(",1,0.0015,75.,YES", ",,,75.,YES")
-    made = body(text)
-    assert made.laminate.symmetric
-    assert made.laminate.thickness.tolist() == [1e-3, 2e-3, 2e-3]
-    assert float(made.laminate.total_thickness) == pytest.approx(10e-3)
+    result = body(text)
+    assert result.laminate.symmetric
+    assert result.laminate.thickness.tolist() == [1e-3, 2e-3, 2e-3]
+    assert float(result.laminate.total_thickness) == pytest.approx(10e-3)
 
 
 SECTIONS = {
@@ -228,8 +228,8 @@ def test_shear_factors_of_a_beam(end, body):
         "MAT1,2,70.+9,,.3,2700.",
         "SPC1,1,123456,1",
     ]
-    made = body("\n".join([*lines, "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9", ",", f",{end}.25,0."]), modes=2)
-    K = made.assembly.parts["pbeam_5"].section.stiffness()
+    result = body("\n".join([*lines, "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9", ",", f",{end}.25,0."]), modes=2)
+    K = result.assembly.parts["pbeam_5"].section.stiffness()
     assert float(K[1, 1]) == pytest.approx(0.25 * 2e-4 * 70e9 / 2.6)
     assert float(K[2, 2]) > 1e5 * float(K[1, 1])
 
@@ -241,10 +241,10 @@ def test_beams_of_bars(section, body):
     lines = [f"GRID,{k},,{0.06 * k},0.,0." for k in range(1, 12)]
     lines += [f"{name},{k},5,{k},{k + 1},0.,1.,1." for k in range(1, 11)]
     lines += [*SECTIONS[section], "MAT1,2,70.+9,,.3,2700.", "SPC1,1,123456,1"]
-    made = body("\n".join(lines), modes=2)
+    result = body("\n".join(lines), modes=2)
     first = [1.8751**2 * h / math.sqrt(12) / 0.6**2 * math.sqrt(70e9 / 2700) for h in (0.01, 0.02)]
-    assert values(made).sqrt().tolist() == pytest.approx(first, rel=0.01)
-    psi = made.structure()["psi"].detach()[made.mesh.node("grid_11"), :3, 0]
+    assert values(result).sqrt().tolist() == pytest.approx(first, rel=0.01)
+    psi = result.structure()["psi"].detach()[result.mesh.node("grid_11"), :3, 0]
     soft = torch.tensor([0.0, 1.0, -1.0], dtype=torch.float64) / math.sqrt(2)  # across the vector of plane 1
     assert abs(float(psi @ soft)) == pytest.approx(float(psi.norm()), rel=1e-6)
 
@@ -277,9 +277,9 @@ def test_a_stiffened_plate(body):
     """Bars along the middle of the plate make it stiffer, and the body has both parts."""
     extra = [f"CBAR,{100 + i},5,{100 * i + 2},{100 * i + 102},0.,0.,1." for i in range(6)]
     extra += ["PBAR,5,2,1.-4,2.-8,1.-9,3.-9", "MAT1,2,70.+9,,.3,2700."]
-    made = body(model(extra=extra))
-    assert float(values(made)[0]) > 2 * float(values(body(model()))[0])
-    assert float(made.structure()["mass"]) == pytest.approx(0.03 * 1586 * 4.5e-3 + 0.3 * 1e-4 * 2700)
+    result = body(model(extra=extra))
+    assert float(values(result)[0]) > 2 * float(values(body(model()))[0])
+    assert float(result.structure()["mass"]) == pytest.approx(0.03 * 1586 * 4.5e-3 + 0.3 * 1e-4 * 2700)
 
 
 @pytest.mark.thorough
@@ -292,10 +292,10 @@ def test_an_eccentric_stiffener(body):
     own = [f"GRID,{900 + i},,{0.05 * i - 0.15!r},.003,.012" for i in range(7)]
     own += [f"RBE2,{700 + i},{100 * i + 2},123456,{900 + i}" for i in range(7)]
     own += [f"CBAR,{100 + i},5,{900 + i},{901 + i},0.,0.,1." for i in range(6)]
-    found, expected = (values(body(model(extra=[*section, *extra]))) for extra in (offset, own))
-    assert_close(found, expected, rtol=1e-8, atol=0)
+    result, expected = (values(body(model(extra=[*section, *extra]))) for extra in (offset, own))
+    assert_close(result, expected, rtol=1e-8, atol=0)
     middle = [f"CBAR,{100 + i},5,{100 * i + 2},{100 * i + 102},0.,0.,1." for i in range(6)]
-    assert float(found[0]) > 1.5 * float(values(body(model(extra=[*section, *middle])))[0])
+    assert float(result[0]) > 1.5 * float(values(body(model(extra=[*section, *middle])))[0])
 
 
 @pytest.mark.thorough

@@ -14,10 +14,10 @@ def cards(text: str) -> list[tuple[str, ...]]:
 
 
 def test_the_example_of_the_manual():
-    found = cards("GRID,101,17,1.0,10.5,,17,3456\n=,*(1),=,*(0.2),==\n=(3)")
-    assert [card[1] for card in found] == ["101", "102", "103", "104", "105"]
-    assert [float(card[3]) for card in found] == pytest.approx([1.0, 1.2, 1.4, 1.6, 1.8])
-    assert all(card[4:] == ("10.5", "", "17", "3456") for card in found)
+    result = cards("GRID,101,17,1.0,10.5,,17,3456\n=,*(1),=,*(0.2),==\n=(3)")
+    assert [card[1] for card in result] == ["101", "102", "103", "104", "105"]
+    assert [float(card[3]) for card in result] == pytest.approx([1.0, 1.2, 1.4, 1.6, 1.8])
+    assert all(card[4:] == ("10.5", "", "17", "3456") for card in result)
 
 
 @pytest.mark.parametrize(

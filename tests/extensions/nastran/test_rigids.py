@@ -42,23 +42,23 @@ def bending(root: float, inertia: float = INERTIA) -> float:
 def test_ball_joints_hold_a_beam(leader, frequencies):
     """CM 123 at one end, 1234 at the other: a beam on two supports, pi^2 sqrt(E I / rho A) / l^2, in both planes."""
     lines = [f"GRID,90,,{leader}", "GRID,91,,1.,.2,0.", "SPC1,1,123456,90,91"]
-    found = frequencies(*beam(1), *lines, "RBE2,50,90,123,1", f"RBE2,51,91,1234,{CELLS + 1}")
-    assert found == pytest.approx([bending(math.pi), bending(math.pi, 2 * INERTIA)], rel=2e-3)
+    result = frequencies(*beam(1), *lines, "RBE2,50,90,123,1", f"RBE2,51,91,1234,{CELLS + 1}")
+    assert result == pytest.approx([bending(math.pi), bending(math.pi, 2 * INERTIA)], rel=2e-3)
 
 
 def test_a_clamp_that_slides(frequencies):
     """CM 1456 at the far end of a clamped beam: both deflections are free, no end turns, (2.36502 / l)^2."""
     lines = ["GRID,91,,1.,.2,0.", "SPC1,1,123456,1,91", f"RBE2,51,91,1456,{CELLS + 1}"]
-    found = frequencies(*beam(1), *lines)
-    assert found == pytest.approx([bending(2.36502), bending(2.36502, 2 * INERTIA)], rel=2e-3)
+    result = frequencies(*beam(1), *lines)
+    assert result == pytest.approx([bending(2.36502), bending(2.36502, 2 * INERTIA)], rel=2e-3)
 
 
 def test_a_system_of_displacements_permutes_components(frequencies):
     """Axes 1 2 3 of the grid are z x y: its 1 and 2 hold z and x. In a system that is turned by 30 degrees they are refused."""
     lines = ["GRID,91,,1.,.2,0.", "SPC1,1,123456,1,91", f"RBE2,51,91,12,{CELLS + 1}", "CORD2R,4,0,0.,0.,0.,0.,1.,0."]
     own = [line + ",4" if line.startswith(f"GRID,{CELLS + 1},") else line for line in beam(1)]
-    found = frequencies(*own, *lines, ",0.,0.,1.")
-    assert found == pytest.approx([bending(1.87510), bending(3.92660, 2 * INERTIA)], rel=2e-3)
+    result = frequencies(*own, *lines, ",0.,0.,1.")
+    assert result == pytest.approx([bending(1.87510), bending(3.92660, 2 * INERTIA)], rel=2e-3)
     with pytest.raises(InputError, match=r"RBE2 51 .*components 12 of GRID 17 .*turned"):
         frequencies(*own, *lines, ",.5,0.,.8")
 
@@ -71,10 +71,10 @@ def test_an_mpc_ties_two_tips_in_one_direction(first, second, tmp_path):
     path.write_text("\n".join(["BEGIN BULK", *BEAM, *beam(1), *beam(101, 0.5), "SPC1,1,123456,1,101", tie, "ENDDATA"]))
     body = mbd.read_bdf(path, "body", 4)
     made = body.structure()
-    found, modes = torch.linalg.eigh(made["Kr"].detach())
+    result, modes = torch.linalg.eigh(made["Kr"].detach())
     free = bending(1.87510)  # in y, each for itself
     expected = [free, free, bending(1.87510, 2 * INERTIA), bending(3.92660, 2 * INERTIA)]
-    assert found.sqrt().tolist() == pytest.approx(expected, rel=3e-3)
+    assert result.sqrt().tolist() == pytest.approx(expected, rel=3e-3)
     motion = made["psi"].detach() @ modes[:, 2]
     a, b = (float(motion[body.mesh.node(f"grid_{k}"), 2]) for k in (17, 117))
     assert abs(a) > 1e-3

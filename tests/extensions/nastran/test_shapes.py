@@ -43,13 +43,13 @@ CASES = {
 @pytest.mark.parametrize("kind", CASES)
 def test_areas_and_second_moments(kind):
     d, *expected = CASES[kind]
-    found = of_shape(kind, d)
-    for value, right in zip(found[:4], expected, strict=True):
+    result = of_shape(kind, d)
+    for value, right in zip(result[:4], expected, strict=True):
         if right is not None:
             assert value == pytest.approx(right, rel=1e-6, abs=1e-12)
-    assert 0 < found.J < found.I1 + found.I2 + 1e-12
-    assert 0 < found.K1 <= 1
-    assert 0 < found.K2 <= 1
+    assert 0 < result.J < result.I1 + result.I2 + 1e-12
+    assert 0 < result.K1 <= 1
+    assert 0 < result.K2 <= 1
 
 
 def test_every_shape_is_tested():

@@ -47,11 +47,11 @@ def test_offsets(parts, lines, offset):
     """A, B, D and the place of the mass about the plane of the grids, by Steiner's theorem."""
     (part,) = parts(*lines, STEEL).values()
     h, Q = 0.01, mbd.Ply.isotropic(E=2e11, nu=0.25, density=8000.0).plane_stiffness()
-    found = laminate(part).stiffness()
-    assert_close(found.A, h * Q)
-    assert_close(found.B, offset * h * Q)
-    assert_close(found.D, (h**3 / 12 + offset**2 * h) * Q)
-    assert_close(found.As, 5 / 6 * h * 8e10 * torch.eye(2, dtype=torch.float64))
+    result = laminate(part).stiffness()
+    assert_close(result.A, h * Q)
+    assert_close(result.B, offset * h * Q)
+    assert_close(result.D, (h**3 / 12 + offset**2 * h) * Q)
+    assert_close(result.As, 5 / 6 * h * 8e10 * torch.eye(2, dtype=torch.float64))
     points = part.masses()
     assert float(points.mass.sum()) == pytest.approx(8000.0 * h * 2.0)
     assert points.arm is not None
@@ -60,17 +60,20 @@ def test_offsets(parts, lines, offset):
 
 def test_elements_of_several_offsets(parts):
     more = ["GRID,5,,4.,0.,0.", "GRID,6,,4.,1.,0.", "CQUAD4,2,7,2,5,6,3,0.,.05"]
-    found = parts("CQUAD4,1,7,1,2,3,4", *more, "PSHELL,7,1,.01,1", STEEL)
-    assert {name: laminate(part).offset for name, part in found.items()} == {"pshell_7": 0.0, "pshell_7_offset_1": 0.05}
+    result = parts("CQUAD4,1,7,1,2,3,4", *more, "PSHELL,7,1,.01,1", STEEL)
+    assert {name: laminate(part).offset for name, part in result.items()} == {
+        "pshell_7": 0.0,
+        "pshell_7_offset_1": 0.05,
+    }
 
 
 def test_membrane_bending_and_shear_of_other_materials(parts):
     (part,) = parts("CQUAD4,1,7,1,2,3,4", "PSHELL,7,1,.01,2,3.,1,.5", STEEL, SOFT).values()
-    found, plies = laminate(part).stiffness(), [(2e11, 0.25), (7e10, 0.3)]
+    result, plies = laminate(part).stiffness(), [(2e11, 0.25), (7e10, 0.3)]
     steel, soft = (mbd.Ply.isotropic(E=E, nu=nu, density=1.0).plane_stiffness() for E, nu in plies)
-    assert_close(found.A, 0.01 * steel)
-    assert_close(found.D, 3.0 * 0.01**3 / 12 * soft)
-    assert_close(found.As, 0.5 * 0.01 * 8e10 * torch.eye(2, dtype=torch.float64))
+    assert_close(result.A, 0.01 * steel)
+    assert_close(result.D, 3.0 * 0.01**3 / 12 * soft)
+    assert_close(result.As, 0.5 * 0.01 * 8e10 * torch.eye(2, dtype=torch.float64))
     assert float(part.masses().mass.sum()) == pytest.approx(8000.0 * 0.02)
     with pytest.raises(InputError, match="no plies"):
         laminate(part).shear_shape()
@@ -79,8 +82,8 @@ def test_membrane_bending_and_shear_of_other_materials(parts):
 def test_a_membrane_keeps_a_little_bending(parts):
     with pytest.warns(UserWarning, match=r"PSHELL 7 .*: MID2 is blank, a membrane; 1e-06"):
         (part,) = parts("CQUAD4,1,7,1,2,3,4", "PSHELL,7,1,.01", STEEL).values()
-    found = laminate(part).stiffness()
-    assert float(found.D[0, 0] / found.A[0, 0]) == pytest.approx(1e-6 * 0.01**2 / 12)
+    result = laminate(part).stiffness()
+    assert float(result.D[0, 0] / result.A[0, 0]) == pytest.approx(1e-6 * 0.01**2 / 12)
 
 
 def test_an_anisotropic_material_is_the_isotropic_one(parts):
@@ -100,13 +103,13 @@ def test_a_shear_panel(parts):
     K = part.pattern.to_scipy(part.values()).toarray()
     x = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
     fields = {"shear": x[:, ::-1], "turn": np.stack([-x[:, 1], x[:, 0]], 1), "stretch": x * [1.0, -0.3]}
-    found = {}
+    result = {}
     for name, own in fields.items():
         u = np.zeros((4, 6))
         u[:, :2] = own
-        found[name] = u.ravel() @ K @ u.ravel()
-    assert found["shear"] == pytest.approx(8e10 * 0.01 * 2.0 * 2.0**2)
-    assert abs(found["turn"]) + abs(found["stretch"]) < 1e-3
+        result[name] = u.ravel() @ K @ u.ravel()
+    assert result["shear"] == pytest.approx(8e10 * 0.01 * 2.0 * 2.0**2)
+    assert abs(result["turn"]) + abs(result["stretch"]) < 1e-3
     assert np.linalg.matrix_rank(K) == 1
     assert float(part.masses().mass.sum()) == pytest.approx(8000.0 * 0.02)
     (part,) = parts("CSHEAR,1,7,1,2,3,4", "PSHEAR,7,1,.01,,1.,30.", STEEL).values()
@@ -119,9 +122,9 @@ def test_scalar_points_and_springs_to_the_ground_are_left_out(parts):
     scalar = ["SPOINT,90,THRU,95", "CELAS2,5,1.+5,90,,91", "CMASS4,6,1.,92", "CELAS4,7,1.,93", "SPC1,3,,90,94"]
     shell = ["CQUAD4,1,7,1,2,3,4", "PSHELL,7,1,.01,1", STEEL]
     with pytest.warns(UserWarning, match="of scalar points") as caught:
-        found = parts(*shell, *scalar, "CELAS2,8,1.+5,1,3")
+        result = parts(*shell, *scalar, "CELAS2,8,1.+5,1,3")
     words = " ".join(str(w.message) for w in caught)
-    assert list(found) == ["pshell_7"]
+    assert list(result) == ["pshell_7"]
     assert "CELAS2 of scalar points (1)" in words
     assert "CMASS4 of scalar points (1)" in words
     assert "CELAS2 8 (model.bdf, line 14): one of its ends is the ground" in words
@@ -147,8 +150,8 @@ def test_derivatives_by_property(name, tmp_path):
                 self.body = body
 
             def forward(self) -> torch.Tensor:
-                made = self.body.structure()
-                return torch.stack([made["mass"], torch.linalg.eigvalsh(made["Kr"])[0].sqrt()])
+                result = self.body.structure()
+                return torch.stack([result["mass"], torch.linalg.eigvalsh(result["Kr"])[0].sqrt()])
 
         state = {f"body.{own}": x for own, x in zip(names, values, strict=True)}
         return torch.func.functional_call(Made(), state)

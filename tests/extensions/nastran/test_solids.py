@@ -48,8 +48,8 @@ def test_quadratic_fields_are_exact(corners, nodes):
     y, weight = rule(corners)
     a, b, c = (y @ A.T).unbind(1)
     e = torch.stack([0.3 * b, 0.2 * c, 0.0 * a, 0.3 * a, 0.2 * b, 0.2 * c - 0.8 * a], 1)
-    wanted = (weight * ((e @ elasticity()) * e).sum(1)).sum() * torch.linalg.det(A)
-    assert_close(u.flatten() @ K[0] @ u.flatten(), wanted, rtol=1e-10, atol=0.0)
+    expected = (weight * ((e @ elasticity()) * e).sum(1)).sum() * torch.linalg.det(A)
+    assert_close(u.flatten() @ K[0] @ u.flatten(), expected, rtol=1e-10, atol=0.0)
 
 
 def rule(corners: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

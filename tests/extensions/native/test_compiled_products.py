@@ -18,9 +18,9 @@ def random(*shape: int) -> torch.Tensor:
 
 
 def code() -> CompiledProducts:
-    found = compiled_products(random(1))
-    assert found is not None
-    return found
+    result = compiled_products(random(1))
+    assert result is not None
+    return result
 
 
 def close(found: torch.Tensor, expected: torch.Tensor) -> None:
@@ -117,11 +117,11 @@ def test_lanczos_stays_orthonormal_where_nothing_new_is_left() -> None:
     """All vectors are eigenvectors: after the first block there is rounding only."""
     one = torch.ones(1, 55, 1, dtype=torch.float64)
     factor = Factor((0, 55), torch.eye(55, dtype=torch.float64).reshape(1, -1))
-    found = started(8, lanes=1)
-    found.reserve(3)
-    code().lanczos(factor, one, 0, 3, found.Q, found.T, found.X, found.R)
-    assert far(found.Q) < 1e-13
-    assert far(found.X) < 1e-13
+    result = started(8, lanes=1)
+    result.reserve(3)
+    code().lanczos(factor, one, 0, 3, result.Q, result.T, result.X, result.R)
+    assert far(result.Q) < 1e-13
+    assert far(result.X) < 1e-13
 
 
 @pytest.mark.parametrize("p", COLUMNS)

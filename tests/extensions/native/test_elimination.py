@@ -54,8 +54,8 @@ def test_places_that_are_met_are_those_of_the_later_row() -> None:
         for r, i in enumerate(later):
             target, behind = int(e.target[e.start[k] + r]), later[r + 1 :]
             side_by_side, scattered = range(target, target + len(behind)), e.scattered[-1 - target :][: len(behind)]
-            found = side_by_side if target >= 0 else scattered
-            assert [int(x) for x in found] == [places[int(i), int(j)] for j in behind]
+            result = side_by_side if target >= 0 else scattered
+            assert [int(x) for x in result] == [places[int(i), int(j)] for j in behind]
 
 
 @pytest.mark.thorough

@@ -64,7 +64,7 @@ def test_eager_and_native_agree(native: None, name: str, lanes: int) -> None:
     own = {key: system.get_parameter(key).detach() for key in names}
     make = torch.Generator().manual_seed(7)
     designs = {key: x + 0.1 * torch.randn(lanes, *x.shape, generator=make, dtype=x.dtype) for key, x in own.items()}
-    found = {}
+    result = {}
     for backend in ("eager", "native"):
         motions = []
         for way in ("reverse", "forward"):
@@ -73,8 +73,8 @@ def test_eager_and_native_agree(native: None, name: str, lanes: int) -> None:
             assert motion.stats["backend"] == backend
             y = motion.q * (1.0 + motion.q) + 1e-2 * motion.v.sum(2, keepdim=True)
             motions += [motion.q.detach(), *torch.autograd.grad(y.sum(), list(given.values()))]
-        found[backend] = motions
-    for x, expected in zip(found["native"], found["eager"], strict=True):
+        result[backend] = motions
+    for x, expected in zip(result["native"], result["eager"], strict=True):
         assert_close(x, expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
 
 
@@ -82,15 +82,15 @@ def test_eager_and_native_agree(native: None, name: str, lanes: int) -> None:
 def test_right_hand_sides_of_torchdiffeq(native: None) -> None:
     system = arm(network(9, 2))
     name = "controller.2.bias"
-    found = []
+    result = []
     for backend in ("eager", "native"):
         x = system.get_parameter(name).detach().clone().requires_grad_()
         motion = mbd.simulate(
             system, 0.004, "rk4", steps=20, designs={name: x}, gradients="forward", backend=backend
         ).require_ok()
         assert motion.stats["backend"] == backend
-        found.append((motion.q.detach(), torch.autograd.grad(looked_at(motion).sum(), x)[0]))
-    for a, b in zip(*found, strict=True):
+        result.append((motion.q.detach(), torch.autograd.grad(looked_at(motion).sum(), x)[0]))
+    for a, b in zip(*result, strict=True):
         assert_close(a, b, rtol=1e-9, atol=1e-12)
 
 
@@ -144,11 +144,11 @@ def test_a_law_that_goes_wrong_later(native: None) -> None:
 @pytest.mark.thorough
 def test_many_steps_in_one_segment_after_another(native: None) -> None:
     """Reverse mode makes the steps between two states that are kept again."""
-    system, found = arm(), []
+    system, result = arm(), []
     for checkpoint in (1, 4):
         system.zero_grad()
         motion = mbd.simulate(system, 0.02, **OPTIONS, checkpoint=checkpoint, backend="native")
         motion.q[:, -1].square().sum().backward()
-        found.append([p.grad.clone() for name, p in system.named_parameters() if name.startswith("controller")])
-    for a, b in zip(*found, strict=True):
+        result.append([p.grad.clone() for name, p in system.named_parameters() if name.startswith("controller")])
+    for a, b in zip(*result, strict=True):
         assert_close(a, b, rtol=0, atol=1e-9 * float(a.abs().max()))

@@ -186,8 +186,8 @@ def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
     system, keys = sprung(law), []
     for stiffness in (3.0, 4.0, 3.0):
         held["stiffness"] = stiffness
-        found = library.with_traced_laws(system().dynamics.condensed())
-        keys.append(library.key(found))
+        result = library.with_traced_laws(system().dynamics.condensed())
+        keys.append(library.key(result))
     assert keys[0] == keys[2] != keys[1]
 
 

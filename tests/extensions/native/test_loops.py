@@ -40,8 +40,8 @@ def gradients(system: mbd.System, backend: str) -> dict[str, torch.Tensor]:
     assert motion.stats["backend"] == backend
     weights = torch.linspace(0.5, 1.5, motion.q.shape[-1], dtype=torch.float64)
     total = (motion.q * weights).square().sum() + 1e-3 * motion.v.square().sum() + 1e-6 * motion.a.square().sum()
-    wanted = {name: x for name, x in system.named_parameters() if x.requires_grad}
-    return dict(zip(wanted, torch.autograd.grad(total, list(wanted.values())), strict=True))
+    expected = {name: x for name, x in system.named_parameters() if x.requires_grad}
+    return dict(zip(expected, torch.autograd.grad(total, list(expected.values())), strict=True))
 
 
 @pytest.mark.thorough
@@ -62,9 +62,9 @@ def test_chains(links: int, joint: type) -> None:
 @pytest.mark.parametrize("links", [2, 4])
 def test_the_adjoint_of_chains(links: int) -> None:
     system = linked(links)
-    expected, found = (gradients(system, backend) for backend in ("eager", "native"))
+    expected, result = (gradients(system, backend) for backend in ("eager", "native"))
     for name, x in expected.items():
-        torch.testing.assert_close(found[name], x, rtol=0, atol=1e-8 * float(x.abs().max()), msg=name)
+        torch.testing.assert_close(result[name], x, rtol=0, atol=1e-8 * float(x.abs().max()), msg=name)
 
 
 @pytest.mark.thorough
@@ -72,9 +72,9 @@ def test_forces_and_closed_loops() -> None:
     system = driven_chain()
     eager, fast = (mbd.simulate(system, 0.01, steps=20, backend=backend) for backend in ("eager", "native"))
     same(eager, fast)
-    expected, found = (gradients(system, backend) for backend in ("eager", "native"))
+    expected, result = (gradients(system, backend) for backend in ("eager", "native"))
     for name, x in expected.items():
-        torch.testing.assert_close(found[name], x, rtol=0, atol=1e-7 * float(x.abs().max()), msg=name)
+        torch.testing.assert_close(result[name], x, rtol=0, atol=1e-7 * float(x.abs().max()), msg=name)
 
 
 @pytest.mark.thorough

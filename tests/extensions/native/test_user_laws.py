@@ -54,17 +54,17 @@ def test_what_users_write(name, points):
     assert_close(law(*points), LAWS[name](*points), rtol=1e-14, atol=1e-14)
     s, rate, t = points
     by_s, by_rate = partial_derivatives(lambda s, rate: LAWS[name](s, rate, t), s, rate)
-    found = law.slopes(*points)
-    assert_close(found[0], by_s, rtol=1e-12, atol=1e-13)
-    assert_close(found[1], by_rate, rtol=1e-12, atol=1e-13)
+    result = law.slopes(*points)
+    assert_close(result[0], by_s, rtol=1e-12, atol=1e-13)
+    assert_close(result[1], by_rate, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", STATED)
 def test_slopes_that_a_law_states_are_kept(name, points):
     law = trace_law(STATED[name])
     assert_close(law(*points), STATED[name](*points), rtol=1e-14, atol=1e-14)
-    for found, expected in zip(law.slopes(*points), STATED[name].slopes(*points), strict=True):
-        assert_close(found, expected.expand_as(found), rtol=1e-14, atol=1e-14)
+    for result, expected in zip(law.slopes(*points), STATED[name].slopes(*points), strict=True):
+        assert_close(result, expected.expand_as(result), rtol=1e-14, atol=1e-14)
     assert law.center == getattr(STATED[name], "center", 0.0)
 
 

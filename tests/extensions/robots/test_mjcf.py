@@ -158,8 +158,8 @@ def test_groups_and_total_mass(file):
         ('inertiafromgeom="true" inertiagrouprange="0 2"', 4.0 / 3.0 * np.pi),
     ):
         with pytest.warns(UserWarning, match="contact"):
-            found = mjcf_robot(file(text.replace("COMPILER", compiler))).links["a"].mass
-        assert found == pytest.approx(mass)
+            result = mjcf_robot(file(text.replace("COMPILER", compiler))).links["a"].mass
+        assert result == pytest.approx(mass)
 
 
 def test_one_warning_lists_what_is_left_out(file):
@@ -168,10 +168,10 @@ def test_one_warning_lists_what_is_left_out(file):
     <body name="b"><joint name="s" type="ball" damping="1"/><geom size=".1"/></body></body></worldbody>
     <tendon><fixed name="rope"><joint joint="h" coef="1"/></fixed></tendon>
     <actuator><motor name="m" tendon="rope" delay=".1"/><muscle name="n" joint="h"/></actuator></mujoco>"""
-    with warnings.catch_warnings(record=True) as found:
+    with warnings.catch_warnings(record=True) as result:
         warnings.simplefilter("always")
         assert mjcf_robot(file(text)).actuators == ()
-    [only] = [str(warning.message) for warning in found]
+    [only] = [str(warning.message) for warning in result]
     for word in (
         "gravcomp",
         "armature",

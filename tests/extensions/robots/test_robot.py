@@ -96,10 +96,10 @@ def test_an_arm_of_three_joints_follows_the_recursion(file):
     assert [body.name for body in system.bodies] == ["link1", "link2", "link3"]
     assert system.describe().freedoms == 3
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
-    _, wanted = Tree(path).accelerations(Q, RATE)
+    _, expected = Tree(path).accelerations(Q, RATE)
     for name in ("link1", "link2", "link3"):
-        found, own = motion.body(name).omega_rate[0, 0].numpy(), wanted[name][1]
-        np.testing.assert_allclose(found, own, rtol=1e-10, atol=1e-10 * abs(own).max())
+        result, own = motion.body(name).omega_rate[0, 0].numpy(), expected[name][1]
+        np.testing.assert_allclose(result, own, rtol=1e-10, atol=1e-10 * abs(own).max())
 
 
 @pytest.mark.thorough
@@ -197,8 +197,8 @@ def test_locked_joints_are_fixed_at_their_positions(file):
     once = mbd.read_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))
     assert [body.name for body in once.bodies] == ["link1", "link2"]
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
-    _, wanted = Tree(path, ["j3"]).accelerations(Q, rate)
-    np.testing.assert_allclose(motion.body("link2").omega_rate[0, 0], wanted["link2"][1], rtol=1e-10)
+    _, expected = Tree(path, ["j3"]).accelerations(Q, rate)
+    np.testing.assert_allclose(motion.body("link2").omega_rate[0, 0], expected["link2"][1], rtol=1e-10)
 
 
 @pytest.mark.thorough

@@ -69,9 +69,9 @@ def test_bodies_accelerate_as_in_mujoco(file):
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
     for name, (place, spin) in ACCELERATIONS.items():
         view = motion.body(name)
-        found = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
-        np.testing.assert_allclose(found[0], place, rtol=1e-11, atol=1e-9)
-        np.testing.assert_allclose(found[1], spin, rtol=1e-11, atol=1e-9)
+        result = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
+        np.testing.assert_allclose(result[0], place, rtol=1e-11, atol=1e-9)
+        np.testing.assert_allclose(result[1], spin, rtol=1e-11, atol=1e-9)
 
 
 def test_the_force_of_an_actuator_ends_at_its_limits():

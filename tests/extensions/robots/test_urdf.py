@@ -64,8 +64,8 @@ def test_lower_above_upper_is_no_limit(tmp_path):
     with pytest.warns(UserWarning, match=r"arm.urdf, joint 'j\d': lower is 2, upper -2; taken as no limits"):
         limits = [joint.limits for joint in urdf_robot(path).joints]
     path.write_text(TEXT)
-    wanted = [None if joint.limits == (-2.0, 2.0) else joint.limits for joint in urdf_robot(path).joints]
-    assert limits == wanted
+    expected = [None if joint.limits == (-2.0, 2.0) else joint.limits for joint in urdf_robot(path).joints]
+    assert limits == expected
 
 
 def test_elements_that_are_not_known_are_told(tmp_path):

@@ -30,18 +30,18 @@ def masses(damping: float = 0.0) -> mbd.System:
 def test_whirl_crosses_and_passes_zero_in_the_turning_frame():
     """w - speed, w, w + speed; the lowest is zero at 10 rad/s, 10 + speed = 14 - speed at 2 rad/s."""
     speeds = torch.linspace(0.5, 12.5, 13, dtype=torch.float64)
-    found = mbd.campbell(masses(), speeds, modes=6)
-    assert found.status == ["ok"]
+    result = mbd.campbell(masses(), speeds, modes=6)
+    assert result.status == ["ok"]
     expected = torch.stack([(w + n * speeds).abs() for w in (10.0, 14.0) for n in (-1, 0, 1)], 1) / (2.0 * math.pi)
     order = expected[0].argsort()
-    assert_close(found.frequencies[0], expected[:, order], rtol=1e-7, atol=1e-7)
-    assert_close(found.speeds, speeds)
+    assert_close(result.frequencies[0], expected[:, order], rtol=1e-7, atol=1e-7)
+    assert_close(result.speeds, speeds)
 
 
 def test_damping_is_that_of_the_same_pole():
-    found = mbd.campbell(masses(damping=0.4), [1.0, 2.0], observer="ground", modes=1)
-    assert_close(found.damping_ratios[0, :, 0], torch.full((2,), 0.01, dtype=torch.float64), rtol=1e-8, atol=0.0)
-    assert_close(found.poles[0, :, 0].real, torch.full((2,), -0.1, dtype=torch.float64), rtol=1e-8, atol=0.0)
+    result = mbd.campbell(masses(damping=0.4), [1.0, 2.0], observer="ground", modes=1)
+    assert_close(result.damping_ratios[0, :, 0], torch.full((2,), 0.01, dtype=torch.float64), rtol=1e-8, atol=0.0)
+    assert_close(result.poles[0, :, 0].real, torch.full((2,), -0.1, dtype=torch.float64), rtol=1e-8, atol=0.0)
 
 
 def bar() -> mbd.System:
@@ -67,9 +67,9 @@ def test_designs_are_lanes_and_gradients_are_those_of_the_closed_form():
 
     inertia = 0.1 + 2.0 * 0.5**2
     w = (speeds**2 * (1.0 + 2.0 * 0.2 * 0.5 / inertia) + k[:, None] / inertia).sqrt()
-    found = frequencies(k)
-    assert_close(found, w / (2.0 * math.pi), rtol=1e-8, atol=0.0)
-    [reverse] = torch.autograd.grad(found.sum(), k)
+    result = frequencies(k)
+    assert_close(result, w / (2.0 * math.pi), rtol=1e-8, atol=0.0)
+    [reverse] = torch.autograd.grad(result.sum(), k)
     [expected] = torch.autograd.grad(w.sum() / (2.0 * math.pi), k)
     assert_close(reverse, expected, rtol=1e-7, atol=0.0)
     forward = torch.func.jvp(frequencies, (k.detach(),), (torch.ones(2, dtype=torch.float64),))[1]
@@ -78,17 +78,17 @@ def test_designs_are_lanes_and_gradients_are_those_of_the_closed_form():
 
 def test_a_vibration_that_is_lost_is_told(monkeypatch):
     monkeypatch.setattr("torchmbd.extensions.vibrations.campbell_diagram.LOST", 1.1)
-    found = mbd.campbell(masses(), [1.0, 2.5, 3.0], observer="ground", modes=1)
-    assert found.status[0].startswith(
+    result = mbd.campbell(masses(), [1.0, 2.5, 3.0], observer="ground", modes=1)
+    assert result.status[0].startswith(
         "lost: vibration 1 from 2.5 rad/s on: no shape is like it; allowed: smaller steps"
     )
-    assert found.frequencies[0, :, 0].isnan().tolist() == [False, True, True]
+    assert result.frequencies[0, :, 0].isnan().tolist() == [False, True, True]
 
 
 def test_a_system_without_vibrations_has_none():
     free = mbd.RigidBody("free", 2.0, (1.0, 1.0, 1.0))
-    found = mbd.campbell(mbd.System([free], [mbd.Prismatic(GROUND.at(), free.at(), axis="x")]), [0.0])
-    assert found.frequencies.shape == (1, 1, 0)
+    result = mbd.campbell(mbd.System([free], [mbd.Prismatic(GROUND.at(), free.at(), axis="x")]), [0.0])
+    assert result.frequencies.shape == (1, 1, 0)
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ E[4, 2], E[5, 1] = -1.0, 1.0
 
 def coupled_section() -> GivenSection:
     """All 21 stiffnesses at work, eccentric center of mass, products of inertia; density 1600 kg/m3."""
-    made = general_section()
-    return GivenSection(made.stiffness().detach(), 1600.0 * made.mass())
+    result = general_section()
+    return GivenSection(result.stiffness().detach(), 1600.0 * result.mass())
 
 
 def transfer(K: torch.Tensor, M: torch.Tensor, length: float, omega: float = 0.0) -> np.ndarray:

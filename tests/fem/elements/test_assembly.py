@@ -52,19 +52,19 @@ def test_invariants_of_a_consistent_mass_are_its_quadratic_forms():
     """S1, C1, P0 of the body against M times rigid and modal fields."""
     mesh = mbd.mesh.rectangle(0.3, 0.1, (4, 2))
     body = mbd.FlexibleBody.plate("rod", mesh, GENERAL, modes=3, mass="consistent")
-    made = {key: x.detach() for key, x in body.structure().items()}
+    result = {key: x.detach() for key, x in body.structure().items()}
     n = len(mesh.nodes)
     M = Assembly(mesh, {"plate": Plates(mesh, GENERAL, mass="consistent")}).mass().dense().detach()
-    psi = made["psi"].flatten(0, 1)
+    psi = result["psi"].flatten(0, 1)
     for i in range(3):
         shift = torch.zeros(n, 6, dtype=torch.float64)
         shift[:, i] = 1.0
-        assert_close(shift.flatten() @ M @ psi, made["S1"][i], rtol=1e-9, atol=1e-12)
+        assert_close(shift.flatten() @ M @ psi, result["S1"][i], rtol=1e-9, atol=1e-12)
     x = torch.zeros(n, 6, dtype=torch.float64)
     x[:, :3] = mesh.nodes - body.origin
-    assert_close(x.flatten() @ M @ x.flatten(), made["P0"].trace(), rtol=1e-10, atol=0)
+    assert_close(x.flatten() @ M @ x.flatten(), result["P0"].trace(), rtol=1e-10, atol=0)
     assert_close(psi.T @ M @ psi, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-9)
-    kinetic = made["C1"].diagonal(dim1=0, dim2=1).sum(-1) + made["R2"].diagonal(dim1=0, dim2=1).sum(-1)
+    kinetic = result["C1"].diagonal(dim1=0, dim2=1).sum(-1) + result["R2"].diagonal(dim1=0, dim2=1).sum(-1)
     assert_close(kinetic, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-9)
 
 
@@ -99,8 +99,8 @@ def test_a_rigid_patch_and_a_point_mass():
     links = [RigidLink(k, tip) for k in mesh.node_set("right_edge") if k != tip]
     parts = {"plate": Plates(mesh, laminate), "mass": PointMasses(mesh, [tip], [0.7], [1e-4])}
     body = mbd.FlexibleBody("arm", mesh, parts, 2, reference="left_edge", links=links)
-    made = {key: x.detach() for key, x in body.structure().items()}
-    psi = made["psi"]
+    result = {key: x.detach() for key, x in body.structure().items()}
+    psi = result["psi"]
     for link in links:
         d = mesh.nodes[link.node] - mesh.nodes[tip]
         turn = torch.linalg.cross(psi[tip, 3:], d[:, None].expand(3, 2), dim=0)
@@ -109,8 +109,8 @@ def test_a_rigid_patch_and_a_point_mass():
     EI = 1.0 / torch.linalg.inv(laminate.stiffness().D.detach())[0, 0] * 0.05
     m = float(laminate.mass_per_area.detach()) * 0.05 * 0.4
     first = math.sqrt(3 * float(EI) / ((0.7 + 33 / 140 * m) * 0.4**3))  # tip mass and Rayleigh's share of the beam
-    assert math.sqrt(float(made["Kr"][0, 0])) == pytest.approx(first, rel=0.01)
-    assert float(made["mass"]) == pytest.approx(0.7 + m, rel=1e-12)
+    assert math.sqrt(float(result["Kr"][0, 0])) == pytest.approx(first, rel=0.01)
+    assert float(result["mass"]) == pytest.approx(0.7 + m, rel=1e-12)
     assert [name for name, _ in body.named_parameters()] == ["laminate.angles", "laminate.thickness"]
 
 
@@ -143,14 +143,14 @@ def test_laminates_of_one_kind_are_one_part(mass):
     variables = [x for laminate in laminates for x in laminate.parameters()]
     for x in variables:
         x.requires_grad_()
-    found = []
+    result = []
     for some in (parts, joined):
         assembly = Assembly(MESH, some, held=[3])
         K, M = assembly.stiffness().dense(), assembly.mass().dense()
         weight = torch.linspace(-1.0, 1.0, K.numel(), dtype=torch.float64).reshape(K.shape)
         slopes = [torch.autograd.grad((weight * X).sum() / X.max(), variables, allow_unused=True) for X in (K, M)]
-        found.append((K, M, *(torch.zeros(1) if x is None else x for both in slopes for x in both)))
-    for one, other in zip(*found, strict=True):
+        result.append((K, M, *(torch.zeros(1) if x is None else x for both in slopes for x in both)))
+    for one, other in zip(*result, strict=True):
         assert_close(one, other, rtol=1e-11, atol=1e-12 * float(one.detach().abs().max()))
 
 

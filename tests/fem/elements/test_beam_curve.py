@@ -47,8 +47,8 @@ def integrated(K, radius, angle, R, orientation):
         strain[:3] += np.cross(u[3:].T, e).T
         return strain.ravel()
 
-    found = solve_ivp(rate, (0.0, radius * angle), np.zeros(36), "DOP853", rtol=1e-11, atol=1e-18)
-    return torch.from_numpy(found.y[:, -1].reshape(6, 6))
+    result = solve_ivp(rate, (0.0, radius * angle), np.zeros(36), "DOP853", rtol=1e-11, atol=1e-18)
+    return torch.from_numpy(result.y[:, -1].reshape(6, 6))
 
 
 @pytest.mark.parametrize(("elements", "angle"), [(1, 1.5), (2, 3.0), (5, 5.5)])
@@ -58,10 +58,10 @@ def test_a_coupled_arc_is_exact(elements, angle, orientation):
     R, section, radius = rotation(3), coupled_section(), 0.7
     line = turned(BeamLine.arc(radius, angle, elements), R)
     across = R @ torch.tensor(orientation, dtype=torch.float64)
-    found = tip_compliance(Beams(line, section, across), line)
+    result = tip_compliance(Beams(line, section, across), line)
     exact = integrated(section.stiffness().detach(), radius, angle, R.numpy(), across.numpy())
     d = exact.diagonal().rsqrt()
-    assert float(((found - exact) * d[:, None] * d).abs().max()) < 1e-8
+    assert float(((result - exact) * d[:, None] * d).abs().max()) < 1e-8
 
 
 @pytest.mark.parametrize("elements", [1, 3])
@@ -70,12 +70,12 @@ def test_a_quarter_ring(elements):
     r, P = 0.5, 1.0
     EA, GAy, GAz, GJ, EIy, EIz = ROUND.stiffness().diagonal().tolist()
     line = BeamLine.arc(r, np.pi / 2, elements)
-    found = tip_compliance(Beams(line, ROUND, (0.0, 0.0, 1.0)), line)
+    result = tip_compliance(Beams(line, ROUND, (0.0, 0.0, 1.0)), line)
     # The section's y points out of the plane: bending in the plane is about it. At the end the radius lies along x.
     inside = np.pi / 4 * P * r * (r**2 / EIy + 1 / EA + 1 / GAz)
     outside = P * r**3 * (np.pi / 4 / EIz + (3 * np.pi / 4 - 2) / GJ) + P * r * np.pi / 2 / GAy
-    assert float(found[0, 0]) == pytest.approx(inside, rel=1e-9)
-    assert float(found[2, 2]) == pytest.approx(outside, rel=1e-9)
+    assert float(result[0, 0]) == pytest.approx(inside, rel=1e-9)
+    assert float(result[2, 2]) == pytest.approx(outside, rel=1e-9)
 
 
 def test_places_and_tangents_lie_on_the_circle():
@@ -97,8 +97,8 @@ def test_flat_arcs_are_straight():
     straight = Beams(line, ROUND).values()
     for arrow, error in ((0.0, 1e-12), (1e-7, 1e-5)):
         bent = halves + torch.tensor([0.0, 0.0, arrow], dtype=torch.float64)
-        found = Beams(BeamLine(line.nodes, middles=bent), ROUND).values()
-        assert_close(found, straight, rtol=error, atol=error * float(straight.abs().max()))
+        result = Beams(BeamLine(line.nodes, middles=bent), ROUND).values()
+        assert_close(result, straight, rtol=error, atol=error * float(straight.abs().max()))
 
 
 def test_rigid_motions_and_forces():
@@ -113,14 +113,14 @@ def test_rigid_motions_and_forces():
     load = torch.tensor([10.0, -20.0, 30.0, 1.0, 2.0, -3.0], dtype=torch.float64)
     u = torch.linalg.solve(K[6:, 6:], torch.cat([torch.zeros(6, dtype=torch.float64), load]))
     motion = torch.cat([torch.zeros(6, dtype=torch.float64), u]).reshape(3, 6, 1)
-    found = beams.section_forces(motion)[..., 0].detach()
+    result = beams.section_forces(motion)[..., 0].detach()
     frames = beams.matrices.frames(torch.tensor([0.0, 1.0], dtype=torch.float64))
     for element in range(2):
         for end in range(2):
             arm = line.nodes[2] - line.nodes[element + end]
             moment = load[3:] + torch.linalg.cross(arm, load[:3])
             axes = frames[element, end]
-            assert_close(found[element, end], torch.cat([axes @ load[:3], axes @ moment]), rtol=0, atol=1e-7)
+            assert_close(result[element, end], torch.cat([axes @ load[:3], axes @ moment]), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
@@ -129,11 +129,11 @@ def test_mass_and_first_frequency(mass):
     body = mbd.FlexibleBody.beam(
         "ring", BeamLine.arc(0.5, np.pi, 12), ROUND, 2, reference="start", orientation=(0.0, 0.0, 1.0), mass=mass
     )
-    made = body.structure()
-    assert float(made["mass"]) == pytest.approx(2700.0 * 4e-4 * np.pi * 0.5, rel=1e-12)
+    result = body.structure()
+    assert float(result["mass"]) == pytest.approx(2700.0 * 4e-4 * np.pi * 0.5, rel=1e-12)
     nodes = BeamLine.arc(0.5, np.pi, 120).nodes
     fine = mbd.FlexibleBody.beam("ring", BeamLine(nodes), ROUND, 2, reference="start", orientation=(0.0, 0.0, 1.0))
-    one, two = (torch.linalg.eigvalsh(x["Kr"].detach())[0] for x in (made, fine.structure()))
+    one, two = (torch.linalg.eigvalsh(x["Kr"].detach())[0] for x in (result, fine.structure()))
     assert float((one / two).sqrt()) == pytest.approx(1.0, abs=0.01)
 
 

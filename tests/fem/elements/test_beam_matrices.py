@@ -33,10 +33,10 @@ def test_coupled_cantilever_is_exact(elements):
     matrices, _ = solved(BeamLine.straight(length, elements, DIRECTION), K, torch.ones(6).double())
     stiffness = matrices.stiffness(K[None]).dense()[6:, 6:]
     turn = torch.block_diag(matrices.axes[0], matrices.axes[0])
-    found = turn @ torch.linalg.inv(stiffness)[-6:, -6:] @ turn.T
+    result = turn @ torch.linalg.inv(stiffness)[-6:, -6:] @ turn.T
     exact = tip_flexibility(K, length)
     d = 1 / np.sqrt(np.diag(exact))
-    assert np.abs((found.numpy() - exact) * d[:, None] * d).max() < 1e-9
+    assert np.abs((result.numpy() - exact) * d[:, None] * d).max() < 1e-9
 
 
 def test_unequal_elements_and_forces_along_the_beam():

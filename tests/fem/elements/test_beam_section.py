@@ -16,21 +16,21 @@ from torchmbd.fem.sections import Section, SectionMesh
 
 
 def test_both_kinds_keep_the_contract():
-    made = general_section()
-    given = GivenSection(made.stiffness().detach(), made.mass())
-    assert isinstance(made, BeamSection)
+    result = general_section()
+    given = GivenSection(result.stiffness().detach(), result.mass())
+    assert isinstance(result, BeamSection)
     assert isinstance(given, BeamSection)
-    assert_close(given.stiffness().detach(), made.stiffness().detach(), rtol=1e-9, atol=1e-6)
+    assert_close(given.stiffness().detach(), result.stiffness().detach(), rtol=1e-9, atol=1e-6)
     assert not given.matrix.requires_grad
 
 
 def test_isotropic_rectangle():
     b, h, E, nu = 0.02, 0.03, 210e9, 0.3
-    made = GivenSection.isotropic(E, nu, 7850.0, b * h, b * h**3 / 12, h * b**3 / 12, 1.5e-8)
+    result = GivenSection.isotropic(E, nu, 7850.0, b * h, b * h**3 / 12, h * b**3 / 12, 1.5e-8)
     G = E / 2.6
-    wanted = [E * b * h, 5 / 6 * G * b * h, 5 / 6 * G * b * h, G * 1.5e-8, E * b * h**3 / 12, E * h * b**3 / 12]
-    assert made.stiffness().diagonal().tolist() == pytest.approx(wanted)
-    assert made.mass()[3, 3] == pytest.approx(float(made.mass()[4, 4] + made.mass()[5, 5]))
+    expected = [E * b * h, 5 / 6 * G * b * h, 5 / 6 * G * b * h, G * 1.5e-8, E * b * h**3 / 12, E * h * b**3 / 12]
+    assert result.stiffness().diagonal().tolist() == pytest.approx(expected)
+    assert result.mass()[3, 3] == pytest.approx(float(result.mass()[4, 4] + result.mass()[5, 5]))
 
 
 def test_a_section_off_the_line_is_the_section_with_moved_nodes():
@@ -42,9 +42,9 @@ def test_a_section_off_the_line_is_the_section_with_moved_nodes():
     moved = Section(SectionMesh(nodes, made.mesh.elements, made.mesh.layer), ANBA, made.angles.detach())
     W = line_transform(torch.tensor(offset, dtype=torch.float64), torch.tensor(twist, dtype=torch.float64))
     for here, there in ((made.stiffness(), moved.stiffness()), (made.mass(), moved.mass())):
-        found, exact = (W @ here @ W.T).detach(), there.detach()
+        result, exact = (W @ here @ W.T).detach(), there.detach()
         d = exact.diagonal().rsqrt()
-        assert float(((found - exact) * d[:, None] * d).abs().max()) < 1e-9
+        assert float(((result - exact) * d[:, None] * d).abs().max()) < 1e-9
 
 
 @pytest.mark.parametrize(

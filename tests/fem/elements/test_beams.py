@@ -47,12 +47,12 @@ def test_consistent_mass_moves_rigidly_like_the_solid():
         motion[k, 2, 4], motion[k, 1, 5] = -x, x
     M = dense(Assembly(line, {"b": Beams(line, section, mass="consistent")}).mass())
     flat = motion.flatten(0, 1)
-    found, m, c = flat.T @ M @ flat, section.mass() * 0.9, section.mass()[0, 0]
+    result, m, c = flat.T @ M @ flat, section.mass() * 0.9, section.mass()[0, 0]
     exact = m.clone()
     exact[4, 4] += c * 0.9**3 / 3
     exact[5, 5] += c * 0.9**3 / 3
-    assert_close(found[[0, 4, 5], [0, 4, 5]], exact[[0, 4, 5], [0, 4, 5]], rtol=1e-12, atol=0)
-    assert_close(found[3, 3], exact[3, 3], rtol=1e-12, atol=0)
+    assert_close(result[[0, 4, 5], [0, 4, 5]], exact[[0, 4, 5], [0, 4, 5]], rtol=1e-12, atol=0)
+    assert_close(result[3, 3], exact[3, 3], rtol=1e-12, atol=0)
 
 
 def test_two_sections_on_halves_are_two_parts():
@@ -85,14 +85,14 @@ def test_offset_and_twist_are_a_rigid_arm():
 def test_offsets_and_twists_of_single_elements(offset, twist):
     """All elements at once are the elements one by one."""
     section, line = coupled_section(), BeamLine.straight(0.6, 3)
-    found = dense(Assembly(line, {"b": Beams(line, section, (0, 1, 0), offset, twist)}).stiffness())
+    result = dense(Assembly(line, {"b": Beams(line, section, (0, 1, 0), offset, twist)}).stiffness())
     of_each = torch.as_tensor(offset).double().expand(3, 2), torch.as_tensor(twist).double()
     ways = of_each[1] if of_each[1].ndim else of_each[1].expand(3)
     parts = {
         f"b{k}": Beams(line, section, (0, 1, 0), of_each[0][k], ways if ways.ndim == 2 else ways[k], [k])
         for k in range(3)
     }
-    assert_close(found, dense(Assembly(line, parts).stiffness()), rtol=1e-12, atol=1e-9 * float(found.abs().max()))
+    assert_close(result, dense(Assembly(line, parts).stiffness()), rtol=1e-12, atol=1e-9 * float(result.abs().max()))
 
 
 def test_section_forces_are_about_the_sections_axes():
@@ -104,14 +104,14 @@ def test_section_forces_are_about_the_sections_axes():
     load = torch.tensor([10.0, -20.0, 30.0, 1.0, 2.0, -3.0], dtype=torch.float64)
     u = torch.linalg.solve(K, torch.cat([torch.zeros(6, dtype=torch.float64), load]))
     motion = torch.cat([torch.zeros(6, dtype=torch.float64), u]).reshape(3, 6, 1)
-    found = beams.section_forces(motion)[..., 0].detach()
-    assert_close(found[1, 0], found[0, 1], rtol=0, atol=1e-6)
+    result = beams.section_forces(motion)[..., 0].detach()
+    assert_close(result[1, 0], result[0, 1], rtol=0, atol=1e-6)
     c, s = math.cos(twist), math.sin(twist)
     R = torch.tensor([[1, 0, 0], [0, c, s], [0, -s, c]], dtype=torch.float64)
     for k, x in enumerate((0.4, 0.8)):
         arm = torch.tensor([0.8 - x, -offset[0], -offset[1]], dtype=torch.float64)
         moment = load[3:] + torch.linalg.cross(arm, load[:3])
-        assert_close(found[k, 1], torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
+        assert_close(result[k, 1], torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(("elements", "error"), [(1, 1e-9), (3, 1e-12)])
@@ -124,8 +124,8 @@ def test_a_twisted_coupled_cantilever_is_exact(elements, error):
     K = dense(Assembly(line, {"b": beams}, held=[0]).stiffness())
     exact = torch.from_numpy(twisted_flexibility(section.stiffness().detach(), length, root, tip))
     d = exact.diagonal().rsqrt()
-    found = torch.linalg.inv(K)[-6:, -6:]
-    assert float(((found - exact) * d[:, None] * d).abs().max()) < error
+    result = torch.linalg.inv(K)[-6:, -6:]
+    assert float(((result - exact) * d[:, None] * d).abs().max()) < error
     steps = Beams(line, section, (0, 1, 0), twist=(ends[:-1] + ends[1:]) / 2)
     coarse = torch.linalg.inv(dense(Assembly(line, {"b": steps}, held=[0]).stiffness()))[-6:, -6:]
     assert float(((coarse - exact) * d[:, None] * d).abs().max()) > 1e-3  # a polygon of prismatic elements is not
@@ -143,8 +143,8 @@ def test_a_twisted_beam_has_its_own_axes_at_both_ends():
         c, s = math.cos(angle), math.sin(angle)
         R = torch.tensor([[1, 0, 0], [0, c, s], [0, -s, c]], dtype=torch.float64)
         moment = load[3:] + torch.linalg.cross(torch.tensor([0.8 - x, 0.0, 0.0], dtype=torch.float64), load[:3])
-        found = beams.section_forces(u)[0, k, :, 0].detach()
-        assert_close(found, torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
+        result = beams.section_forces(u)[0, k, :, 0].detach()
+        assert_close(result, torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
         both, own = torch.block_diag(R, R), slice(6 * k, 6 * k + 6)
         assert_close(M[own, own], both.T @ section.mass() @ both * 0.4, rtol=0, atol=1e-12)
     even = dense(Assembly(line, {"b": Beams(line, section, twist=[[0.4, 0.4]])}).stiffness())
@@ -162,10 +162,12 @@ def test_stresses_of_a_bent_beam():
     load[-4] = 50.0
     u = torch.cat([torch.zeros(6, dtype=torch.float64), torch.linalg.solve(K, load)]).reshape(5, 6, 1)
     forces = beams.section_forces(u)[:, 1, :, 0]
-    found = section.stress(forces)  # of the four elements' ends
+    result = section.stress(forces)  # of the four elements' ends
     for k, x in enumerate((0.2, 0.4, 0.6, 0.8)):
-        wanted = -50.0 * (0.8 - x) * found.points[..., 1] / (b * h**3 / 12)
-        assert_close(found.stress[k, ..., 0].detach(), wanted, rtol=0, atol=1e-5 * 50 * 0.8 * h / 2 / (b * h**3 / 12))
+        expected = -50.0 * (0.8 - x) * result.points[..., 1] / (b * h**3 / 12)
+        assert_close(
+            result.stress[k, ..., 0].detach(), expected, rtol=0, atol=1e-5 * 50 * 0.8 * h / 2 / (b * h**3 / 12)
+        )
 
 
 def test_a_mass_at_the_tip_joins_the_beam():
@@ -173,10 +175,10 @@ def test_a_mass_at_the_tip_joins_the_beam():
     section = GivenSection.isotropic(70e9, 0.3, 2700.0, 1e-4, 1e-9, 1e-9, 2e-9)
     parts = {"beam": Beams(line, section), "tip": PointMasses(line, [6], [0.4], [1e-5])}  # pyright: ignore[reportArgumentType]
     body = mbd.FlexibleBody("arm", line, parts, 2, reference="start")
-    made = body.structure()
-    assert float(made["mass"]) == pytest.approx(0.4 + 2700.0 * 1e-4 * 0.5, rel=1e-12)
+    result = body.structure()
+    assert float(result["mass"]) == pytest.approx(0.4 + 2700.0 * 1e-4 * 0.5, rel=1e-12)
     first = math.sqrt(3 * 70e9 * 1e-9 / (0.5**3 * (0.4 + 33 / 140 * 0.135)))
-    assert math.sqrt(float(made["Kr"][0, 0])) == pytest.approx(first, rel=2e-3)
+    assert math.sqrt(float(result["Kr"][0, 0])) == pytest.approx(first, rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -111,11 +111,11 @@ def test_a_fold_stays_a_fold():
         a = math.radians(angle)
         nodes = [[0, 0, 0], [0, 1, 0], [-1, 0, 0], [math.cos(a), 0, math.sin(a)]]
         mesh = Mesh(torch.tensor(nodes, dtype=torch.float64), [[0, 1, 2], [1, 0, 3]])
-        found = corner_normals(mesh)["triangle"]
-        assert (float((found[0, 0] - mesh.normals[0]).norm()) > 0.1) == shared
-        assert_close(found[0, 2], mesh.normals[0])
+        result = corner_normals(mesh)["triangle"]
+        assert (float((result[0, 0] - mesh.normals[0]).norm()) > 0.1) == shared
+        assert_close(result[0, 2], mesh.normals[0])
         if shared:
-            assert_close(found[0, 0], found[1, 1])
+            assert_close(result[0, 0], result[1, 1])
 
 
 def test_a_wall_on_a_bent_plate_does_not_count():
@@ -123,7 +123,7 @@ def test_a_wall_on_a_bent_plate_does_not_count():
     bend, wall = math.radians(20.0), math.radians(100.0)
     nodes = [[0, 0, 0], [0, 1, 0], [-1, 0, 0], *([math.cos(a), 0, math.sin(a)] for a in (bend, wall))]
     mesh = Mesh(torch.tensor(nodes, dtype=torch.float64), [[0, 1, 2], [1, 0, 3], [1, 0, 4]])
-    found, mean = corner_normals(mesh)["triangle"], mesh.normals[0] + mesh.normals[1]
+    result, mean = corner_normals(mesh)["triangle"], mesh.normals[0] + mesh.normals[1]
     for facet, corner in ((0, 0), (1, 1)):
-        assert_close(found[facet, corner], mean / mean.norm(), rtol=0, atol=1e-14)
-    assert_close(found[2], mesh.normals[2].expand(3, 3), rtol=0, atol=1e-14)
+        assert_close(result[facet, corner], mean / mean.norm(), rtol=0, atol=1e-14)
+    assert_close(result[2], mesh.normals[2].expand(3, 3), rtol=0, atol=1e-14)

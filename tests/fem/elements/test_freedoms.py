@@ -35,9 +35,9 @@ def test_rigid_motion_passes_through_links_and_averages():
     """What follows a body that moves rigidly moves with it."""
     freedoms = Freedoms(MESH.nodes, links=LINKS)
     motion = rigid_motion(MESH.nodes)
-    found = freedoms.expand(motion[freedoms.free][:, None])
-    assert_close(found.flatten(), motion, rtol=1e-6, atol=1e-7)  # the motion itself is made in single precision
-    assert_close(dense(freedoms) @ motion[freedoms.free], found.flatten(), rtol=1e-12, atol=1e-12)
+    result = freedoms.expand(motion[freedoms.free][:, None])
+    assert_close(result.flatten(), motion, rtol=1e-6, atol=1e-7)  # the motion itself is made in single precision
+    assert_close(dense(freedoms) @ motion[freedoms.free], result.flatten(), rtol=1e-12, atol=1e-12)
     assert len(freedoms.free) == 6 * (len(MESH.nodes) - 3)
 
 
@@ -60,9 +60,9 @@ def test_reduced_values_are_those_of_the_product(held, links):
     K, T = plate.stiffness(GENERAL.entries().detach()).dense(), dense(freedoms)
     pattern, source, position, factor = freedoms.reduced(plate.pattern)
     small = torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, position, values[source] * factor)
-    found = torch.zeros(pattern.size, pattern.size, dtype=torch.float64)
-    found[pattern.rows, pattern.cols] = small
-    assert_close(found, T.T @ K @ T, rtol=1e-10, atol=1e-12 * float(K.max()))
+    result = torch.zeros(pattern.size, pattern.size, dtype=torch.float64)
+    result[pattern.rows, pattern.cols] = small
+    assert_close(result, T.T @ K @ T, rtol=1e-10, atol=1e-12 * float(K.max()))
     x = torch.randn(len(freedoms.free), 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     assert_close(freedoms.expand(x).flatten(0, 1), T @ x)
 
@@ -98,11 +98,11 @@ def test_chains_of_links():
     freedoms = Freedoms(MESH.nodes, links=links)
     assert len(freedoms.free) == 6 * len(MESH.nodes) - 3 - 6 - 1 - 1 - 6
     motion = rigid_motion(MESH.nodes)
-    found = freedoms.expand(motion[freedoms.free][:, None])[..., 0]
+    result = freedoms.expand(motion[freedoms.free][:, None])[..., 0]
     expected = motion.reshape(-1, 6)
-    assert_close(found[[0, 1]], expected[[0, 1]], rtol=1e-6, atol=1e-7)
-    assert float(found[8, 0]) == pytest.approx(0.5 * float(found[0, 2]), rel=1e-12)
-    assert float(found[9, 1]) == 0.0
+    assert_close(result[[0, 1]], expected[[0, 1]], rtol=1e-6, atol=1e-7)
+    assert float(result[8, 0]) == pytest.approx(0.5 * float(result[0, 2]), rel=1e-12)
+    assert float(result[9, 1]) == 0.0
     mean = dense(Freedoms(MESH.nodes, links=links[-1:]))[60:66]  # of what it averages, wherever that comes from
     kept = torch.tensor([f for f in range(6 * len(MESH.nodes)) if not 60 <= f < 66])
-    assert_close(mean @ found.flatten()[kept], found[10], rtol=1e-9, atol=1e-12)
+    assert_close(mean @ result.flatten()[kept], result[10], rtol=1e-9, atol=1e-12)

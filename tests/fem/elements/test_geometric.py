@@ -20,9 +20,9 @@ TWIST = [[0.1 * i, 0.1 * i + 0.1] for i in range(4)]
 
 
 def parts() -> dict:
-    found = {kind: irregular(1.0, 0.7, (3, 3), kind=kind) for kind in KINDS}
-    found["warped"] = mapped((2, 3), lambda s, t: (s, t, 0.3 * s * t - 0.1 * s * s), "quad")
-    cases: dict[str, tuple] = {name: (mesh, Plates(mesh, GENERAL)) for name, mesh in found.items()}
+    result = {kind: irregular(1.0, 0.7, (3, 3), kind=kind) for kind in KINDS}
+    result["warped"] = mapped((2, 3), lambda s, t: (s, t, 0.3 * s * t - 0.1 * s * s), "quad")
+    cases: dict[str, tuple] = {name: (mesh, Plates(mesh, GENERAL)) for name, mesh in result.items()}
     line, arc = BeamLine.straight(1.0, 4), BeamLine.arc(1.0, 2.0, 3)
     cases["beam"] = (line, Beams(line, coupled_section()))
     cases["twisted beam"] = (line, Beams(line, coupled_section(), twist=TWIST, offset=(0.02, -0.01)))
@@ -98,13 +98,13 @@ def test_patch_of_uniform_forces_and_quadratic_deflection(kind, slant):
     bent = field(
         zero, zero, c[0] * x**2 + c[1] * y**2 + c[2] * x * y, H[1, 0] * x + H[1, 1] * y, -(H[0, 0] * x + H[0, 1] * y)
     )
-    found = projected_geometric_stiffness(assembly.stressed(stretched), bent)[0, 0, 0]
+    result = projected_geometric_stiffness(assembly.stressed(stretched), bent)[0, 0, 0]
     N = (laminate.stiffness().A @ eps)[[0, 2, 2, 1]].reshape(2, 2)
     xx, yy = 0.7 / 12.0, 0.7**3 / 12.0  # second moments of the rectangle
     s = slant or 0.0
     second = torch.tensor([[xx + s**2 * yy, s * yy], [s * yy, yy]], dtype=torch.float64)
     expected = (H @ N @ H * second).sum()
-    assert_close(found, expected, rtol=1e-2 if (kind, slant) == ("quad", None) else 1e-10, atol=0.0)
+    assert_close(result, expected, rtol=1e-2 if (kind, slant) == ("quad", None) else 1e-10, atol=0.0)
 
 
 def column(elements: int) -> tuple[Assembly, GivenSection]:

@@ -55,8 +55,8 @@ def test_several_rows_at_once():
     angles = torch.tensor([[0.1, 0.2, -0.3], [1.0, -1.2, 0.4]], dtype=torch.float64, requires_grad=True)
     K = PLATE.values(functional_call(GENERAL, {"angles": angles}, ()))
     rows = torch.randn(3, *K.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-    found = vmap(lambda row: torch.autograd.grad(K, angles, row, retain_graph=True)[0])(rows)
-    for row, own in zip(rows, found, strict=True):
+    result = vmap(lambda row: torch.autograd.grad(K, angles, row, retain_graph=True)[0])(rows)
+    for row, own in zip(rows, result, strict=True):
         assert_close(own, torch.autograd.grad(K, angles, row, retain_graph=True)[0])
 
 

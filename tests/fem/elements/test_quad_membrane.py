@@ -57,7 +57,7 @@ def test_work_is_that_of_the_tractions_on_sides_that_bend_as_parabolas():
 
 def test_bending_pulls_fibers_along_a_median():
     medians = middle(CELL).jacobian[:, 0]
-    found = stress(PLACE) @ bending(medians)[0]
+    result = stress(PLACE) @ bending(medians)[0]
     for k, e in enumerate(medians[0]):
         across = e[0] * PLACE[1] - e[1] * PLACE[0]
-        assert_close(found[:, k], torch.stack([e[0] ** 2, e[1] ** 2, e[0] * e[1]]) * across)
+        assert_close(result[:, k], torch.stack([e[0] ** 2, e[1] ** 2, e[0] * e[1]]) * across)

@@ -44,9 +44,9 @@ def test_a_strip_under_a_force(ratio, angles):
     u = solved(stiffness(matrices, laminate), force, freedoms(mesh.node_set("left_edge"), range(6)))
     column = np.round((centers(mesh)[:, 0].numpy() + length / 2) / (length / 10) - 0.5)
     along = shear_forces(matrices, laminate, u)[:, 0]
-    found = np.array([along[column == k].mean() for k in range(10)])
-    assert found[2:] == pytest.approx(np.ones(8), rel=0.02)
-    assert found[:2] == pytest.approx(np.ones(2), rel=0.085)
+    result = np.array([along[column == k].mean() for k in range(10)])
+    assert result[2:] == pytest.approx(np.ones(8), rel=0.02)
+    assert result[:2] == pytest.approx(np.ones(2), rel=0.085)
 
 
 def navier_error(mesh: Mesh, laminate: Laminate) -> np.ndarray:

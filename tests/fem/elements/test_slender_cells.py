@@ -17,9 +17,9 @@ THICK = {
 def free_modes(laminate, cells, kind):
     """Frequencies [Hz] of a free plate of 1 x 0.6 x 0.1, and the part of drilling in the kinetic energy of each mode."""
     plate = PlateMatrices(mapped(cells, lambda s, t: (s, 0.6 * t, 0.0), kind), laminate)
-    found, modes = frequencies(plate, laminate, np.array([], dtype=int), 13)
+    result, modes = frequencies(plate, laminate, np.array([], dtype=int), 13)
     mass = plate.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area).numpy()
-    return found[6:], (mass[:, None] * modes**2)[5::6, 6:].sum(0)
+    return result[6:], (mass[:, None] * modes**2)[5::6, 6:].sum(0)
 
 
 @pytest.mark.parametrize(("cells", "modes"), [((4, 24), 7), ((40, 2), 5), ((20, 2), 7)])
@@ -27,10 +27,10 @@ def free_modes(laminate, cells, kind):
 def test_no_drilling_among_the_first_modes(material, cells, modes):
     """Cells of 6 to 12 : 1 that get less drilling stiffness, as a single row needs it, ring at half of these frequencies."""
     laminate = THICK[material]
-    found, drilling = free_modes(laminate, cells, "quad")
+    result, drilling = free_modes(laminate, cells, "quad")
     assert drilling[:modes].max() < 0.05
     other, _ = free_modes(laminate, cells, "triangle")
-    assert found[:modes] == pytest.approx(other[:modes], rel=0.2)
+    assert result[:modes] == pytest.approx(other[:modes], rel=0.2)
 
 
 def test_a_single_row_keeps_the_softness_that_bending_needs():

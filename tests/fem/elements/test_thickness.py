@@ -96,8 +96,8 @@ def test_moduli_that_move():
 
     given, anew = body(26e6), body(2.6e6)
     given.load_state_dict(anew.state_dict())
-    found, wanted = (torch.linalg.eigvalsh(b.structure()["Kr"]).detach() for b in (given, anew))
-    assert_close(found, wanted, rtol=1e-9, atol=0)
+    result, expected = (torch.linalg.eigvalsh(b.structure()["Kr"]).detach() for b in (given, anew))
+    assert_close(result, expected, rtol=1e-9, atol=0)
 
 
 @pytest.mark.thorough
@@ -115,8 +115,8 @@ def test_zones_that_were_equal_at_the_start_move_apart():
 
     given, anew = body(1e-3, 1e-3), body(1.5e-2, 4e-3)
     given.load_state_dict(anew.state_dict())
-    found, wanted = (torch.linalg.eigvalsh(b.structure()["Kr"]).detach() for b in (given, anew))
-    assert_close(found, wanted, rtol=1e-9, atol=0)
+    result, expected = (torch.linalg.eigvalsh(b.structure()["Kr"]).detach() for b in (given, anew))
+    assert_close(result, expected, rtol=1e-9, atol=0)
 
 
 @pytest.mark.extensions
@@ -139,5 +139,5 @@ def test_fields_and_lamination_parameters(kind, varies):
 
     given, anew = body(5e-4), body(8e-3)
     given.load_state_dict(anew.state_dict())
-    found, wanted = (torch.linalg.eigvalsh(b.structure()["Kr"]).detach() for b in (given, anew))
-    assert_close(found, wanted, rtol=1e-9, atol=0)
+    result, expected = (torch.linalg.eigvalsh(b.structure()["Kr"]).detach() for b in (given, anew))
+    assert_close(result, expected, rtol=1e-9, atol=0)

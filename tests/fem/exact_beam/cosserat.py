@@ -62,8 +62,8 @@ def cantilever(
 
         def ends(a, b):
             R = rotations(b[3:7, None])[0] if follower else np.eye(3)
-            found = np.concatenate([b[7:10] - share * R @ tip, b[10:13] - share * R @ couple])
-            return np.concatenate([a[:3], a[3:7] - [1.0, 0.0, 0.0, 0.0], found])
+            result = np.concatenate([b[7:10] - share * R @ tip, b[10:13] - share * R @ couple])
+            return np.concatenate([a[:3], a[3:7] - [1.0, 0.0, 0.0, 0.0], result])
 
         return f, ends
 
@@ -71,7 +71,7 @@ def cantilever(
     y = np.zeros((13, 41))
     y[0], y[3] = s, 1.0
     for share in np.linspace(0.0, 1.0, levels + 1):
-        found = solve_bvp(*slope(share), s, y, tol=1e-7, max_nodes=20000)
-        assert found.success, found.message
-        s, y = found.x, found.y
+        result = solve_bvp(*slope(share), s, y, tol=1e-7, max_nodes=20000)
+        assert result.success, result.message
+        s, y = result.x, result.y
     return y[:3, -1]

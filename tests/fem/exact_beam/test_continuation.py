@@ -108,5 +108,5 @@ def test_no_convergence_is_a_status():
 def test_negative_pivots_are_negative_eigenvalues():
     A = torch.randn(12, 12, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
     K = (A + A.T).numpy()
-    wanted = int((torch.linalg.eigvalsh(torch.from_numpy(K)) < 0.0).sum())
-    assert negative_pivots(scipy.sparse.csc_array(K)) == wanted
+    expected = int((torch.linalg.eigvalsh(torch.from_numpy(K)) < 0.0).sum())
+    assert negative_pivots(scipy.sparse.csc_array(K)) == expected

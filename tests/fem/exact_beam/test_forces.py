@@ -78,16 +78,16 @@ def test_dead_forces_and_inertia_have_a_potential(state):
         spun = -0.5 * (torch.einsum("n,ni,ij,nj->", data.mass, moved, W, moved) + (W * second.sum(0)).sum())
         return dead + heavy + spun - (arms * (moved @ W)).sum()
 
-    found = torch.func.grad(potential)(torch.zeros(4, 6, dtype=torch.float64))
-    torch.testing.assert_close(load_forces(data, x, R, 1.0), found, rtol=1e-11, atol=1e-11)
+    result = torch.func.grad(potential)(torch.zeros(4, 6, dtype=torch.float64))
+    torch.testing.assert_close(load_forces(data, x, R, 1.0), result, rtol=1e-11, atol=1e-11)
 
 
 def test_small_displacements_are_those_of_the_linear_element():
     """Of any section, offset and twist, along an arc; differences are of second order."""
     errors = []
     for n in (12, 24):
-        found, wanted, forces, own = small_displacements(n)
-        errors.append([float((a - b).norm() / b.norm()) for a, b in ((found, wanted), (forces, own))])
+        result, expected, forces, own = small_displacements(n)
+        errors.append([float((a - b).norm() / b.norm()) for a, b in ((result, expected), (forces, own))])
     assert max(errors[1]) < 2e-3
     assert errors[0][0] / errors[1][0] == pytest.approx(4.0, rel=0.1)
 
@@ -100,16 +100,16 @@ def small_displacements(n: int) -> tuple[torch.Tensor, ...]:
     beam = mbd.ExactBeam("arc", line, section, **place)
     tip = torch.tensor([1.0, -2.0, 3.0, 0.5, 0.3, -0.4], dtype=torch.float64)
     small = 1e-7
-    found = beam.equilibrium({"end": small * tip})
+    result = beam.equilibrium({"end": small * tip})
     linear = Beams(line, section, **place)
     assembly = Assembly(line, {"beam": linear})
     K = assembly.stiffness().dense()[6:, 6:]
     load = torch.zeros(6 * n, dtype=torch.float64)
     load[-6:] = tip
-    wanted = torch.linalg.solve(K, load).reshape(n, 6)
-    whole = torch.cat([torch.zeros(1, 6, dtype=torch.float64), wanted])[:, :, None]
+    expected = torch.linalg.solve(K, load).reshape(n, 6)
+    whole = torch.cat([torch.zeros(1, 6, dtype=torch.float64), expected])[:, :, None]
     forces = linear.section_forces(whole)[..., 0]
-    return (found.nodes - line.nodes)[1:] / small, wanted[:, :3], found.forces[n // 2, 0] / small, forces[n // 2, 0]
+    return (result.nodes - line.nodes)[1:] / small, expected[:, :3], result.forces[n // 2, 0] / small, forces[n // 2, 0]
 
 
 def test_the_beam_does_not_see_a_turned_world():
@@ -119,15 +119,15 @@ def test_the_beam_does_not_see_a_turned_world():
     force, gravity = (torch.tensor(x, dtype=torch.float64) for x in ((1.0, 2.0, -1.0), (0.0, -3.0, 1.0)))
     section = mbd.GivenSection(coupled(), PLANE)
     y = torch.tensor([0.0, 1.0, 0.2], dtype=torch.float64)
-    found = [
+    result = [
         mbd.ExactBeam("beam", mbd.BeamLine(nodes @ T.T), section, orientation=T @ y).equilibrium(
             {"end": T @ force}, follower_line_load=(0.0, 1.0, 0.3), gravity=T @ gravity
         )
         for T in (torch.eye(3, dtype=torch.float64), Q)
     ]
-    assert [state.status for state in found] == ["ok", "ok"]
-    torch.testing.assert_close(found[1].nodes, found[0].nodes @ Q.T, rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(found[1].forces, found[0].forces, rtol=1e-8, atol=1e-9)
+    assert [state.status for state in result] == ["ok", "ok"]
+    torch.testing.assert_close(result[1].nodes, result[0].nodes @ Q.T, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(result[1].forces, result[0].forces, rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.thorough
@@ -151,16 +151,16 @@ def test_forces_have_a_potential(state):
         d = (l - data.screws)[..., None]
         return 0.5 * (d.mT @ data.stiffness @ d).sum()
 
-    found = torch.func.grad(energy)(torch.zeros(4, 6, dtype=torch.float64))
-    wanted = torch.zeros_like(found).index_add(0, TREE.flatten(), element_forces(data, topology, x, R).reshape(6, 6))
-    torch.testing.assert_close(found, wanted, rtol=1e-10, atol=1e-10)
+    result = torch.func.grad(energy)(torch.zeros(4, 6, dtype=torch.float64))
+    expected = torch.zeros_like(result).index_add(0, TREE.flatten(), element_forces(data, topology, x, R).reshape(6, 6))
+    torch.testing.assert_close(result, expected, rtol=1e-10, atol=1e-10)
 
 
 def test_one_element_rolls_up_exactly_and_forces_are_those_of_statics():
     beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 1), given(1e6, 1e6, 1e6, 1.0, 1.0, 1.0))
     state = beam.equilibrium({"end": (0.0, 0.0, 0.0, 0.0, 0.0, 2.0)})
-    wanted = torch.tensor([math.sin(2.0) / 2.0, (1.0 - math.cos(2.0)) / 2.0, 0.0], dtype=torch.float64)
-    torch.testing.assert_close(state.nodes[-1], wanted, rtol=1e-12, atol=1e-12)
+    expected = torch.tensor([math.sin(2.0) / 2.0, (1.0 - math.cos(2.0)) / 2.0, 0.0], dtype=torch.float64)
+    torch.testing.assert_close(state.nodes[-1], expected, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(state.forces[0, :, 5], torch.tensor([2.0, 2.0], dtype=torch.float64))
 
 

@@ -23,16 +23,16 @@ def rod(elements: int = 16) -> mbd.ExactBeam:
 @pytest.mark.parametrize("which", ["line_load", "follower_line_load"])
 def test_line_loads_of_small_displacements(which):
     load: Any = {which: (0.0, 1e-6, 0.0)}
-    found = [rod(n).equilibrium(**load).nodes[-1, 1].item() * 8e6 for n in (5, 10)]
-    assert found == pytest.approx([1.0 - 1 / 75, 1.0 - 1 / 300], abs=1e-4)  # 1 - 1 / (3 n^2)
+    result = [rod(n).equilibrium(**load).nodes[-1, 1].item() * 8e6 for n in (5, 10)]
+    assert result == pytest.approx([1.0 - 1 / 75, 1.0 - 1 / 300], abs=1e-4)  # 1 - 1 / (3 n^2)
 
 
 @pytest.mark.thorough
 def test_follower_loads_are_those_of_the_differential_equation():
     """A load that turns with the tip."""
     state = rod(40).equilibrium(follower_loads={"end": (0.0, 6.0, 0.0)})
-    wanted = cantilever(1.0, np.diag(ROD), np.zeros(3), np.array([0.0, 6.0, 0.0]), follower=True)
-    assert np.abs(state.nodes[-1].numpy() - wanted).max() < 5e-4
+    expected = cantilever(1.0, np.diag(ROD), np.zeros(3), np.array([0.0, 6.0, 0.0]), follower=True)
+    assert np.abs(state.nodes[-1].numpy() - expected).max() < 5e-4
 
 
 @pytest.mark.thorough

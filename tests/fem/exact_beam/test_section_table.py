@@ -15,9 +15,9 @@ def test_a_table_is_linear_between_its_stations():
     thick, thin = given(4.0, 2.0, 2.0, 2.0, 2.0, 2.0), given(2.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     table = mbd.SectionTable([0.0, 0.4, 1.0], [thick, thick, thin])
     at = torch.tensor([[0.0, 0.2], [0.4, 0.7], [0.9, 1.0]], dtype=torch.float64)
-    found = table.stiffness(at)
-    assert found.shape == (3, 2, 6, 6)
-    assert found[..., 0, 0].flatten().tolist() == pytest.approx([4.0, 4.0, 4.0, 3.0, 2.0 + 1.0 / 3.0, 2.0])
+    result = table.stiffness(at)
+    assert result.shape == (3, 2, 6, 6)
+    assert result[..., 0, 0].flatten().tolist() == pytest.approx([4.0, 4.0, 4.0, 3.0, 2.0 + 1.0 / 3.0, 2.0])
     assert table.mass(at).shape == (3, 2, 6, 6)
     assert [name for name, _ in table.named_parameters()] == ["0.matrix", "2.matrix"]
 
@@ -31,9 +31,9 @@ def test_a_tapered_twisted_coupled_beam_is_that_of_the_differential_equation():
     beam = mbd.ExactBeam("blade", mbd.BeamLine.straight(1.0, n), table, twist=torch.stack([twist[:-1], twist[1:]], 1))
     force, moment, load = np.array([0.4, 1.2, -0.8]), np.array([0.3, 0.1, -0.2]), np.array([0.0, 0.5, 1.0])
     state = beam.equilibrium({"end": (*force, *moment)}, line_load=load.tolist())
-    wanted = cantilever(1.0, lambda s: (1.0 - 0.5 * s) * K.numpy(), np.array([0.8, 0.0, 0.0]), force, moment, load)
+    expected = cantilever(1.0, lambda s: (1.0 - 0.5 * s) * K.numpy(), np.array([0.8, 0.0, 0.0]), force, moment, load)
     assert state.status == "ok"
-    assert np.abs(state.nodes[-1].numpy() - wanted).max() < 2e-3 * np.linalg.norm(wanted - [1.0, 0.0, 0.0])
+    assert np.abs(state.nodes[-1].numpy() - expected).max() < 2e-3 * np.linalg.norm(expected - [1.0, 0.0, 0.0])
 
 
 def test_one_section_for_each_element():
@@ -41,8 +41,8 @@ def test_one_section_for_each_element():
     beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 40), [thick] * 20 + [thin] * 20)
     assert [name for name, _ in beam.named_parameters()] == ["section0.matrix", "section1.matrix"]
     state = beam.equilibrium({"end": (0.0, 0.0, 1e-6)})
-    wanted = 1e-6 * ((1.0 - 0.125) / 3.0 / 4.0 + 0.125 / 3.0 + 1.0 / 1e5)
-    assert state.nodes[-1, 2].item() == pytest.approx(wanted, rel=1e-3)
+    expected = 1e-6 * ((1.0 - 0.125) / 3.0 / 4.0 + 0.125 / 3.0 + 1.0 / 1e5)
+    assert state.nodes[-1, 2].item() == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_section_that_is_not_positive_definite_is_refused_with_its_position():

@@ -42,19 +42,19 @@ def test_rotating_straight_beam_of_epps_and_chandra(rpm, wanted):
     """Flapping modes against measurements, which are up to 10 % from the beam of these data: at rest, 1.487, 9.32, 26.1 Hz in
     closed form."""
     beam, center = blade(0.0)
-    found, state = beam.frequencies(6, spin=(0.0, 0.0, rpm * math.pi / 30.0), center=center)
+    result, state = beam.frequencies(6, spin=(0.0, 0.0, rpm * math.pi / 30.0), center=center)
     assert state.status == "ok"
     for frequency in wanted:
-        assert float(((found - frequency) / frequency).abs().min()) < 0.1, found.tolist()
+        assert float(((result - frequency) / frequency).abs().min()) < 0.1, result.tolist()
 
 
 @pytest.mark.parametrize(("rpm", "wanted"), [(0.0, [1.6, 10.4, 24.8]), (750.0, [14.7, 26.1, 44.8])])
 def test_rotating_swept_beam_of_epps_and_chandra(rpm, wanted):
     beam, center = blade(math.pi / 4.0)
-    found, state = beam.frequencies(6, spin=(0.0, 0.0, rpm * math.pi / 30.0), center=center)
+    result, state = beam.frequencies(6, spin=(0.0, 0.0, rpm * math.pi / 30.0), center=center)
     assert state.status == "ok"
     for frequency in wanted:
-        assert float(((found - frequency) / frequency).abs().min()) < 0.09, found.tolist()
+        assert float(((result - frequency) / frequency).abs().min()) < 0.09, result.tolist()
 
 
 def rod(elements: int = 16, K: Tensor | None = None) -> mbd.ExactBeam:
@@ -65,9 +65,9 @@ def rod(elements: int = 16, K: Tensor | None = None) -> mbd.ExactBeam:
 @pytest.mark.thorough
 def test_cantilever_at_rest():
     """3.516 sqrt(E I / (m L^4)) in two planes, of second order in the elements' length."""
-    found = [2.0 * math.pi * rod(n).frequencies(2)[0] for n in (10, 20, 40)]
-    assert found[2].tolist() == pytest.approx([3.5160, 3.5160 * 2.0**0.5], rel=1e-3)
-    first = [w[0].item() for w in found]
+    result = [2.0 * math.pi * rod(n).frequencies(2)[0] for n in (10, 20, 40)]
+    assert result[2].tolist() == pytest.approx([3.5160, 3.5160 * 2.0**0.5], rel=1e-3)
+    first = [w[0].item() for w in result]
     assert (first[1] - first[0]) / (first[2] - first[1]) == pytest.approx(4.0, rel=0.1)
 
 
@@ -77,9 +77,9 @@ def test_flapping_of_a_rotating_cantilever(spin, wanted):
     """A. D. Wright et al., J. Appl. Mech. 49 (1982), spin and frequencies in sqrt(E I / (m L^4)); lagging: w^2 - spin^2."""
     section = given(1e6, 1e6, 1e6, 1e3, 1.0, 1.0, mass=1e-3 * SLIM + 0.999 * matrix(1.0, 1.0, 1.0, 2e-8, 1e-8, 1e-8))
     beam = mbd.ExactBeam("rotor", mbd.BeamLine.straight(1.0, 40), section)
-    found = 2.0 * math.pi * beam.frequencies(4, spin=(0.0, 0.0, spin))[0]
+    result = 2.0 * math.pi * beam.frequencies(4, spin=(0.0, 0.0, spin))[0]
     for w in (*wanted, math.sqrt(wanted[0] ** 2 - spin**2)):
-        assert float((found / w - 1.0).abs().min()) < 3e-3, found.tolist()
+        assert float((result / w - 1.0).abs().min()) < 3e-3, result.tolist()
 
 
 @pytest.mark.thorough
@@ -88,14 +88,14 @@ def test_tension_and_compression():
     hinged = {"start": "u1 u2 u3 phi1 phi3", "end": "u2 u3 phi1 phi3"}
     euler = math.pi**2
     for load in (-0.6, 0.0, 2.0):
-        found, _ = rod(24).frequencies(1, {"end": (load * euler, 0.0, 0.0)}, supports=hinged)
-        assert (2.0 * math.pi * found[0]).item() == pytest.approx(math.pi**2 * math.sqrt(1.0 + load), rel=5e-3)
+        result, _ = rod(24).frequencies(1, {"end": (load * euler, 0.0, 0.0)}, supports=hinged)
+        assert (2.0 * math.pi * result[0]).item() == pytest.approx(math.pi**2 * math.sqrt(1.0 + load), rel=5e-3)
 
 
 @pytest.mark.thorough
 def test_a_buckled_beam_has_no_frequencies():
-    found, state = rod().frequencies(2, {"end": (-10.0, 0.0, 0.0)})
-    assert bool(found.isnan().all())
+    result, state = rod().frequencies(2, {"end": (-10.0, 0.0, 0.0)})
+    assert bool(result.isnan().all())
     assert "buckles" in state.status
 
 
@@ -129,9 +129,9 @@ def test_derivatives():
                 self.beam = beam
 
             def forward(self) -> Tensor:
-                found, state = self.beam.frequencies(3, {"end": load}, spin=spin)
+                result, state = self.beam.frequencies(3, {"end": load}, spin=spin)
                 assert state.status == "ok"
-                return found.sum()
+                return result.sum()
 
         return torch.func.functional_call(Call(), {"beam.section.matrix": K}, ())
 
@@ -155,11 +155,11 @@ def test_coinciding_frequencies_have_the_mean_of_their_derivatives():
     stiffness = torch.tensor([1e4, 1e4, 1e4, 1.0, 1.0, 1.0], dtype=torch.float64)
     section = mbd.GivenSection(torch.diag(stiffness), SLIM)
     section.matrix.requires_grad_(True)
-    found, _ = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 8), section).frequencies(1)
-    found[0].backward()
+    result, _ = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 8), section).frequencies(1)
+    result[0].backward()
     gradient = section.matrix.grad
     assert gradient is not None
-    half = 0.25 * found[0].item()  # w ~ sqrt(E I), half of it in each plane
+    half = 0.25 * result[0].item()  # w ~ sqrt(E I), half of it in each plane
     assert [gradient[4, 4].item(), gradient[5, 5].item()] == pytest.approx([half, half], rel=1e-3)
 
 

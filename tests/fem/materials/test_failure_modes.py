@@ -41,9 +41,9 @@ def test_hashin_by_hand():
     """s = (-300, -100, 30, 20, 10) MPa: (300/1200)^2; (100/240)^2 - ((250/240)^2 - 1) 100/250 + (3/7)^2
     + (2/7)^2 + (1/12)^2.
     """
-    found = MODES["hashin"].indices(1e6 * tensor(-300.0, -100.0, 30.0, 20.0, 10.0), STRENGTH).tolist()
+    result = MODES["hashin"].indices(1e6 * tensor(-300.0, -100.0, 30.0, 20.0, 10.0), STRENGTH).tolist()
     matrix = (1 / 2.4) ** 2 - ((2.5 / 2.4) ** 2 - 1) * 0.4 + (3 / 7) ** 2 + (2 / 7) ** 2 + (1 / 12) ** 2
-    assert found == pytest.approx([0.0, 0.0625, 0.0, matrix])
+    assert result == pytest.approx([0.0, 0.0625, 0.0, matrix])
 
 
 def test_hashin_without_transverse_shear_strength():

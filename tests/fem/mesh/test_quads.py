@@ -22,12 +22,12 @@ def grid(nx, ny, seed=None):
 
 def diagonals(nodes, triangles):
     """Middle and direction of every edge that is no grid line."""
-    found = set()
+    result = set()
     for a, b in triangles.reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist():
         p, q = nodes[a].tolist(), nodes[b].tolist()
         if p[0] != q[0] and p[1] != q[1]:
-            found.add(((p[0] + q[0]) / 2, (p[1] + q[1]) / 2, (q[0] - p[0]) * (q[1] - p[1])))
-    return found
+            result.add(((p[0] + q[0]) / 2, (p[1] + q[1]) / 2, (q[0] - p[0]) * (q[1] - p[1])))
+    return result
 
 
 def test_diagonals_of_squares_alternate_whatever_the_numbering():

@@ -51,17 +51,17 @@ def textbook(K: np.ndarray, M: np.ndarray, n: int, interface: list[int]) -> np.n
 @pytest.mark.parametrize("n", [0, 1, 6, SIZE - len(INTERFACE)])
 def test_the_span_is_that_of_the_textbook_and_the_basis_is_orthonormal(n):
     K, M = random_pencil()
-    found = craig_bampton(K, M, n, INTERFACE)
+    result = craig_bampton(K, M, n, INTERFACE)
     T = textbook(K.numpy(), M.numpy(), n, INTERFACE)
     Kt, Mt = T.T @ K.numpy() @ T, T.T @ M.numpy() @ T
     size = n + len(INTERFACE)
     eye = torch.eye(size, dtype=torch.float64)
-    torch.testing.assert_close(found.vectors.T @ M @ found.vectors, eye, rtol=0, atol=1e-12)
-    torch.testing.assert_close(found.vectors.T @ K @ found.vectors, found.stiffness, rtol=0, atol=1e-11)
+    torch.testing.assert_close(result.vectors.T @ M @ result.vectors, eye, rtol=0, atol=1e-12)
+    torch.testing.assert_close(result.vectors.T @ K @ result.vectors, result.stiffness, rtol=0, atol=1e-11)
     expected = torch.from_numpy(T @ np.linalg.solve(Mt, T.T))
-    torch.testing.assert_close(found.vectors @ found.vectors.T, expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(result.vectors @ result.vectors.T, expected, rtol=0, atol=1e-12)
     values = torch.from_numpy(scipy.linalg.eigh(Kt, Mt, eigvals_only=True))
-    torch.testing.assert_close(found.stiffness, torch.diag(values), rtol=1e-11, atol=1e-11)
+    torch.testing.assert_close(result.stiffness, torch.diag(values), rtol=1e-11, atol=1e-11)
 
 
 def test_numbers_of_modes_may_be_those_of_numpy():
@@ -73,8 +73,8 @@ def test_statics_under_interface_loads_are_exact_without_a_single_mode():
     K, M = random_pencil()
     load = torch.zeros(SIZE, dtype=torch.float64)
     load[INTERFACE] = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
-    found = craig_bampton(K, M, 0, INTERFACE)
-    reduced = found.vectors @ torch.linalg.solve(found.stiffness, found.vectors.T @ load)
+    result = craig_bampton(K, M, 0, INTERFACE)
+    reduced = result.vectors @ torch.linalg.solve(result.stiffness, result.vectors.T @ load)
     torch.testing.assert_close(reduced, torch.linalg.solve(K, load), rtol=1e-11, atol=1e-13)
 
 
@@ -95,30 +95,30 @@ def test_all_forms_of_the_same_matrices_agree():
     reference = craig_bampton(K, torch.diag(mass), 5, [50, 199])
     for stiffness in (K, sparse(K)):
         for M in (mass, torch.diag(mass), sparse(torch.diag(mass))):
-            found = craig_bampton(stiffness, M, 5, [50, 199])
-            torch.testing.assert_close(found.stiffness, reference.stiffness, rtol=1e-9, atol=1e-11)
+            result = craig_bampton(stiffness, M, 5, [50, 199])
+            torch.testing.assert_close(result.stiffness, reference.stiffness, rtol=1e-9, atol=1e-11)
             torch.testing.assert_close(
-                found.vectors @ found.vectors.T, reference.vectors @ reference.vectors.T, rtol=0, atol=1e-10
+                result.vectors @ result.vectors.T, reference.vectors @ reference.vectors.T, rtol=0, atol=1e-10
             )
 
 
 def test_lanes_broadcast():
     K, M = random_pencil()
     scale = torch.tensor([[1.0, 2.0, 3.0]], dtype=torch.float64)
-    found = craig_bampton(scale[..., None, None] * K, M, 2, INTERFACE)
-    assert found.vectors.shape == (1, 3, SIZE, 5)
+    result = craig_bampton(scale[..., None, None] * K, M, 2, INTERFACE)
+    assert result.vectors.shape == (1, 3, SIZE, 5)
     one = craig_bampton(K, M, 2, INTERFACE).stiffness
-    torch.testing.assert_close(found.stiffness, scale[..., None, None] * one, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(result.stiffness, scale[..., None, None] * one, rtol=1e-10, atol=1e-10)
 
 
 def test_a_free_body_keeps_its_rigid_modes():
     K = band(30)
     K[0, 0] -= band(30).sum(0)[0]  # cut the spring to the wall
-    found = craig_bampton(K, torch.ones(30, dtype=torch.float64), 3, [0, 29])
-    values = found.stiffness.diagonal()
+    result = craig_bampton(K, torch.ones(30, dtype=torch.float64), 3, [0, 29])
+    values = result.stiffness.diagonal()
     assert values[0].abs() < 1e-10
     assert values[1] > 1e-3
-    torch.testing.assert_close(found.vectors[:, 0].abs(), torch.full((30,), 30**-0.5, dtype=torch.float64))
+    torch.testing.assert_close(result.vectors[:, 0].abs(), torch.full((30,), 30**-0.5, dtype=torch.float64))
 
 
 def test_constraint_modes_are_those_of_a_chain():
@@ -182,8 +182,8 @@ def test_as_many_modes_as_it_takes():
     """A cluster of three is longer than what is known beyond the first two."""
     K = torch.diag(torch.tensor([7.0, 1.0, 3.0, 3.0, 3.0, 4.0, 5.0]).double())
     M = torch.ones(7).double()
-    for asked, found in ((0, 0), (1, 1), (2, 4), (3, 4), (4, 4), (5, 5), (6, 6)):
-        assert with_whole_clusters(CraigBampton(asked, [0]), K, M).n == found
+    for asked, result in ((0, 0), (1, 1), (2, 4), (3, 4), (4, 4), (5, 5), (6, 6)):
+        assert with_whole_clusters(CraigBampton(asked, [0]), K, M).n == result
     assert with_whole_clusters(VibrationModes(2, updated=False), K, M) == VibrationModes(4, updated=False)
 
 

@@ -50,12 +50,12 @@ def test_points_on_arms():
         M[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += m * rows.T @ rows
     A = sparse(M)
     assert not has_isotropic_inertia(A)
-    found = mass_invariants(x, A, psi)
+    result = mass_invariants(x, A, psi)
     want = points(x, psi, nodes, arms, masses)
-    found["J"] = found["P0"].trace() * torch.eye(3, dtype=torch.float64) - found["P0"]
+    result["J"] = result["P0"].trace() * torch.eye(3, dtype=torch.float64) - result["P0"]
     for key, value in want.items():
-        assert_close(found[key], value, rtol=1e-11, atol=1e-11, msg=lambda m, k=key: f"{k}: {m}")
-    assert float(found["R2"].abs().max()) < 1e-12
+        assert_close(result[key], value, rtol=1e-11, atol=1e-11, msg=lambda m, k=key: f"{k}: {m}")
+    assert float(result["R2"].abs().max()) < 1e-12
 
 
 def test_lumped_isotropic_inertia_has_no_arms():
@@ -63,10 +63,10 @@ def test_lumped_isotropic_inertia_has_no_arms():
     A = sparse(torch.diag(torch.stack([m, m, m, mu, mu, mu], 1).flatten()))
     assert has_isotropic_inertia(A)
     psi = torch.randn(3, 6, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-    found = mass_invariants(torch.eye(3, dtype=torch.float64), A, psi, arms=False)
+    result = mass_invariants(torch.eye(3, dtype=torch.float64), A, psi, arms=False)
     t, r = psi[:, :3], psi[:, 3:]
-    assert_close(found["C1"], torch.einsum("n,nia,njb->ijab", m, t, t))
-    assert_close(found["R2"], torch.einsum("n,nia,njb->ijab", mu, r, r))
+    assert_close(result["C1"], torch.einsum("n,nia,njb->ijab", m, t, t))
+    assert_close(result["R2"], torch.einsum("n,nia,njb->ijab", mu, r, r))
 
 
 def test_consistent_mass_of_a_beam():
@@ -86,14 +86,14 @@ def test_consistent_mass_of_a_beam():
     M = sum(wk * shape(sk).T @ shape(sk) for sk, wk in zip(s, w, strict=True))
     x = torch.tensor([[0.1, 0.2, 0.3], [0.1 + L, 0.2, 0.3]], dtype=torch.float64)
     psi = torch.randn(2, 6, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    found = mass_invariants(x, sparse(M), psi)
+    result = mass_invariants(x, sparse(M), psi)
     u = torch.tensor(np.array([shape(sk) for sk in s])) @ psi.flatten(0, 1)
     place = x[0] + torch.tensor(s)[:, None] * torch.tensor([L, 0.0, 0.0], dtype=torch.float64)
     weight = torch.tensor(w)
-    assert_close(found["S1"], torch.einsum("p,pia->ia", weight, u))
+    assert_close(result["S1"], torch.einsum("p,pia->ia", weight, u))
     C1 = torch.einsum("p,pia,pjb->ijab", weight, u, u)
-    assert_close(torch.einsum("iiab->ab", found["C1"] + found["R2"]), torch.einsum("iiab->ab", C1))
-    assert_close(found["C1"][1:, 1:], C1[1:, 1:], rtol=1e-10, atol=1e-12)
+    assert_close(torch.einsum("iiab->ab", result["C1"] + result["R2"]), torch.einsum("iiab->ab", C1))
+    assert_close(result["C1"][1:, 1:], C1[1:, 1:], rtol=1e-10, atol=1e-12)
     C0 = torch.einsum("p,pia,pj->ija", weight, u, place)
     moment = torch.einsum("ikj,ija->ka", epsilon(), C0)
-    assert_close(torch.einsum("ikj,ija->ka", epsilon(), found["C0"]), moment)
+    assert_close(torch.einsum("ikj,ija->ka", epsilon(), result["C0"]), moment)

@@ -51,8 +51,8 @@ def test_values_and_derivatives_are_those_of_lanes_alone(solved):
     together = answers(K, M, dK, dM, *G)
     assert solved == [3, 3]
     for k in range(len(LANES)):
-        for found, expected in zip(together, answers(*(x[k : k + 1] for x in (K, M, dK, dM, *G))), strict=True):
-            torch.testing.assert_close(found[k], expected[0], rtol=1e-12, atol=1e-12)
+        for result, expected in zip(together, answers(*(x[k : k + 1] for x in (K, M, dK, dM, *G))), strict=True):
+            torch.testing.assert_close(result[k], expected[0], rtol=1e-12, atol=1e-12)
 
 
 def test_lanes_differ_by_either_matrix_and_by_more_than_the_sum_of_their_numbers():

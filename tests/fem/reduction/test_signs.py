@@ -106,9 +106,9 @@ def test_two_components_of_nearly_the_same_size_do_not_decide():
     at = torch.arange(size, dtype=torch.float64)
     K = torch.diag(torch.full((size,), 2.0, dtype=torch.float64)) - torch.diag(torch.ones(size - 1).double(), 1)
     K = K - torch.diag(torch.ones(size - 1).double(), -1)
-    found = [modal_basis(K, 1 + 1e-6 * s * (at - 20) / 20, 8).vectors for s in (-1.0, 0.0, 1.0)]
-    for one in found:
-        torch.testing.assert_close(one, found[1], rtol=0, atol=1e-4)
+    result = [modal_basis(K, 1 + 1e-6 * s * (at - 20) / 20, 8).vectors for s in (-1.0, 0.0, 1.0)]
+    for one in result:
+        torch.testing.assert_close(one, result[1], rtol=0, atol=1e-4)
 
 
 @pytest.mark.thorough

@@ -58,13 +58,13 @@ def test_agrees_with_the_dense_route(shuffled, free, mass):
     n = 5
     large, small = (kind(K_form, M_form, K, M, n) for kind in (SparseModes, DenseModes))
     assert not large.exhausted
-    found, expected = large.lowest(), small.lowest()
-    torch.testing.assert_close(found[0][:, :n], expected[0][:, :n], rtol=1e-11, atol=1e-12)
-    torch.testing.assert_close(found[0][:, n], expected[0][:, n], rtol=1e-7, atol=0)
-    projectors = [v @ v.mT for v in (found[1], expected[1])]
+    result, expected = large.lowest(), small.lowest()
+    torch.testing.assert_close(result[0][:, :n], expected[0][:, :n], rtol=1e-11, atol=1e-12)
+    torch.testing.assert_close(result[0][:, n], expected[0][:, n], rtol=1e-7, atol=0)
+    projectors = [v @ v.mT for v in (result[1], expected[1])]
     torch.testing.assert_close(*projectors, rtol=0, atol=1e-10)
     # the deflated solve is a function of single vectors: give both the same ones
-    signs = torch.sign((found[1] * M_form.multiply(M, expected[1])).sum(1))
+    signs = torch.sign((result[1] * M_form.multiply(M, expected[1])).sum(1))
     F = torch.randn(LANES, N, 3, n, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
     Z, Z_expected = large.deflated_solve(F), small.deflated_solve(F)
     assert signs.abs().min() == 1

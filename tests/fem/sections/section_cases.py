@@ -100,11 +100,11 @@ def largest_error(K: Tensor, reference: dict[tuple[int, int], float]) -> float:
 def general_section(order: int = 2) -> Section:
     """No symmetry at all: unbalanced walls, each with its own plies, on an irregular mesh, off the origin."""
     walls = {"top": [0.3, -0.9], "right": [1.2, 0.1], "bottom": [-0.4, 0.7], "left": [0.8, 0.2]}
-    made = sections.box(0.05, 0.03, ANBA, walls, (1.2e-3, 0.8e-3), cells=(5, 4, 1), order=order)
-    y, z = made.mesh.nodes.unbind(1)
+    result = sections.box(0.05, 0.03, ANBA, walls, (1.2e-3, 0.8e-3), cells=(5, 4, 1), order=order)
+    y, z = result.mesh.nodes.unbind(1)
     moved = torch.stack([y + 0.15 * z + 4.0 * y * z + 0.01, z + 0.1 * y - 0.004], dim=1)
-    mesh = SectionMesh(moved, made.mesh.elements, made.mesh.layer)
-    return Section(mesh, ANBA, made.angles.detach())
+    mesh = SectionMesh(moved, result.mesh.elements, result.mesh.layer)
+    return Section(mesh, ANBA, result.angles.detach())
 
 
 def scaled(K: Tensor) -> Tensor:

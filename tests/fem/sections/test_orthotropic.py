@@ -30,8 +30,8 @@ def test_uniaxial_stress_makes_the_strains_of_the_constants():
     ):
         stress = torch.zeros(6, dtype=torch.float64)
         stress[i] = modulus
-        wanted = torch.tensor([*strains, 0, 0, 0], dtype=torch.float64)
-        assert_close(torch.linalg.solve(C, stress), wanted, rtol=1e-12, atol=1e-14)
+        expected = torch.tensor([*strains, 0, 0, 0], dtype=torch.float64)
+        assert_close(torch.linalg.solve(C, stress), expected, rtol=1e-12, atol=1e-14)
     assert_close(C.diagonal()[3:], torch.tensor([3e9, 4e9, 5e9], dtype=torch.float64))
 
 

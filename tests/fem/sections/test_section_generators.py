@@ -57,9 +57,9 @@ def test_round_sections_converge_to_theirs():
 @pytest.mark.parametrize("wall", range(4))
 def test_walls_of_a_box_stack_outwards(wall):
     """Plies from inside to outside; normals point out, tangents run clockwise."""
-    made = sections.box(0.3, 0.2, AS4, {w: [0.1, 0.2] for w in WALLS}, 0.01, cells=(4, 3, 1))
+    result = sections.box(0.3, 0.2, AS4, {w: [0.1, 0.2] for w in WALLS}, 0.01, cells=(4, 3, 1))
     out = torch.tensor([(0, 1), (1, 0), (0, -1), (-1, 0)], dtype=torch.float64)[wall]
-    g = made.geometry
+    g = result.geometry
     inner, outer = (g.layer == 2 * wall), (g.layer == 2 * wall + 1)
     half = 0.1 if wall % 2 == 0 else 0.15
     for elements, low in ((inner, half - 0.02), (outer, half - 0.01)):

@@ -29,8 +29,8 @@ def test_stresses_are_in_equilibrium_with_the_forces(made):
 
 def test_energy_of_stresses_is_that_of_the_matrix(made):
     load = torch.tensor([30.0, -20.0, 10.0, 0.4, 0.3, -0.5], dtype=torch.float64)
-    found = made.stress(load)
-    energy = (made.geometry.weight * (found.strain * found.stress).sum(-1)).sum() / 2
+    result = made.stress(load)
+    energy = (made.geometry.weight * (result.strain * result.stress).sum(-1)).sum() / 2
     assert_close(energy, load @ torch.linalg.inv(made.stiffness()) @ load / 2, rtol=1e-9, atol=0)
 
 

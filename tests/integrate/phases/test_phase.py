@@ -121,12 +121,14 @@ def test_laws_go_on_through_phases(method):
     system, options = pushed(0.7), {"rtol": 1e-6, "atol": 1e-8} if method == "dopri5" else {"iterations": (5, 1)}
     phases = [mbd.Phase(until=0.023), mbd.Phase(lasting=0.02), mbd.Phase()]
     steps = 5 if method == "dopri5" else 50
-    found, whole = (mbd.simulate(system, 0.05, method, steps, phases=p, **options).require_ok() for p in (phases, None))
-    assert_close(found.q, whole.q, rtol=0, atol=1e-5)
-    angle = 0.7 * torch.sin(9.0 * found.t)
-    assert_close(found.body("arm").A[0, :, 0, 0], torch.cos(angle), rtol=0, atol=1e-6)
-    assert_close(found.body("arm").omega[0, :, 2], 6.3 * torch.cos(9.0 * found.t), rtol=0, atol=2e-4)
-    assert [float(s.t) for s in found.switches] == pytest.approx([0.023, 0.043])
+    result, whole = (
+        mbd.simulate(system, 0.05, method, steps, phases=p, **options).require_ok() for p in (phases, None)
+    )
+    assert_close(result.q, whole.q, rtol=0, atol=1e-5)
+    angle = 0.7 * torch.sin(9.0 * result.t)
+    assert_close(result.body("arm").A[0, :, 0, 0], torch.cos(angle), rtol=0, atol=1e-6)
+    assert_close(result.body("arm").omega[0, :, 2], 6.3 * torch.cos(9.0 * result.t), rtol=0, atol=2e-4)
+    assert [float(s.t) for s in result.switches] == pytest.approx([0.023, 0.043])
 
 
 @pytest.mark.thorough

@@ -61,8 +61,8 @@ def test_its_time_has_the_gradient_of_the_closed_form(gradients):
     t = motion.switches[0].t
     assert_close(t[:2].detach(), times.detach(), rtol=0, atol=1e-10)
     if gradients == "reverse":
-        (found,) = torch.autograd.grad(t[:2].sum(), list(motion.variables.values()))
-        assert_close(found[:2], slopes, rtol=1e-9, atol=0)
+        (result,) = torch.autograd.grad(t[:2].sum(), list(motion.variables.values()))
+        assert_close(result[:2], slopes, rtol=1e-9, atol=0)
     else:
         assert motion.switches[0].dt_db is not None
         assert_close(motion.switches[0].dt_db[:2, 0], slopes, rtol=1e-9, atol=0)

@@ -59,8 +59,8 @@ def test_lanes_at_their_own_times_have_what_each_has_alone():
         for lane in range(3):
             h, t = (pick_lanes(y, [lane]) for y in (SIZES, TIMES))
             alone = step(lanes_of(dynamics, [0]), pick_states(x, [lane]), h, t + h)
-            for found, expected in zip(pick_states(together, [lane]), alone, strict=True):
-                assert_close(found, expected, rtol=1e-10, atol=1e-10)
+            for result, expected in zip(pick_states(together, [lane]), alone, strict=True):
+                assert_close(result, expected, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.thorough
@@ -73,8 +73,8 @@ def test_compiled_code_makes_the_steps_of_operators_of_torch(native, monkeypatch
         far = step(dynamics, x._replace(vd=30.0 * x.vd), SIZES, TIMES + SIZES)
         monkeypatch.setattr(variable_step, "_from", lambda *_: made.append("by torch"))
         for vd, states_of_torch in ((x.vd, expected), (30.0 * x.vd, far)):
-            found = step(compiled, x._replace(vd=vd), SIZES, TIMES + SIZES)
-            for y, z in zip(found, states_of_torch, strict=True):
+            result = step(compiled, x._replace(vd=vd), SIZES, TIMES + SIZES)
+            for y, z in zip(result, states_of_torch, strict=True):
                 assert_close(y, z, rtol=1e-9, atol=1e-8)
     assert not made
 
@@ -86,8 +86,8 @@ def test_a_step_does_not_depend_on_its_estimate_and_is_nan_where_it_has_no_solut
     with torch.no_grad():
         expected = step(dynamics, x, SIZES, TIMES + SIZES)
         far = x._replace(vd=x.vd + 1e7 * torch.sin(torch.arange(x.vd.numel(), dtype=torch.float64)).reshape(x.vd.shape))
-        found = step(dynamics, x, SIZES, TIMES + SIZES, far)
-        for y, z in zip(found, expected, strict=True):
+        result = step(dynamics, x, SIZES, TIMES + SIZES, far)
+        for y, z in zip(result, expected, strict=True):
             assert_close(y, z, rtol=1e-8, atol=1e-7)
         h = SIZES * tensor(1.0, torch.nan, 1.0)
         broken = step(dynamics, x, h, TIMES + SIZES)

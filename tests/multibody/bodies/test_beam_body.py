@@ -22,9 +22,9 @@ STRIP = {"width": 0.03, "ply": ANBA, "thickness": 1e-3, "cells": (6, 1)}
 
 
 def strip(*degrees: float) -> sections.Section:
-    made = sections.strip(angles=mbd.deg(list(degrees)), **STRIP)
-    made._constant[:, -1] = 1600.0
-    return made
+    result = sections.strip(angles=mbd.deg(list(degrees)), **STRIP)
+    result._constant[:, -1] = 1600.0
+    return result
 
 
 @pytest.mark.thorough
@@ -63,20 +63,22 @@ def test_invariants_are_those_of_the_solid():
     """A straight coupled beam off its line: mass, center and moments of inertia about the reference node."""
     section, length, n = coupled_section(), 0.9, 200
     body = mbd.FlexibleBody.beam("arm", BeamLine.straight(length, n), section, modes=2, reference="start")
-    made = {key: x.detach() for key, x in body.structure().items()}
+    result = {key: x.detach() for key, x in body.structure().items()}
     M = section.mass()
     mass, y, z = (float(x) for x in (M[0, 0], -M[0, 5] / M[0, 0], M[0, 4] / M[0, 0]))
-    assert float(made["mass"]) == pytest.approx(mass * length, rel=1e-12)
-    assert made["S0"].tolist() == pytest.approx([mass * length**2 / 2, mass * length * y, mass * length * z], rel=1e-12)
+    assert float(result["mass"]) == pytest.approx(mass * length, rel=1e-12)
+    assert result["S0"].tolist() == pytest.approx(
+        [mass * length**2 / 2, mass * length * y, mass * length * z], rel=1e-12
+    )
     P = torch.zeros(3, 3, dtype=torch.float64)
     P[0, 0] = mass * length**3 / 3
     P[0, 1] = P[1, 0] = mass * y * length**2 / 2
     P[0, 2] = P[2, 0] = mass * z * length**2 / 2
     P[1, 1], P[2, 2], P[1, 2] = M[5, 5] * length, M[4, 4] * length, -M[4, 5] * length
     P[2, 1] = P[1, 2]
-    assert_close(made["P0"], P, rtol=1e-4, atol=1e-9)
-    assert float(made["mu"]) == 0.0
-    kinetic = made["C1"].diagonal(dim1=0, dim2=1).sum(-1)
+    assert_close(result["P0"], P, rtol=1e-4, atol=1e-9)
+    assert float(result["mu"]) == 0.0
+    kinetic = result["C1"].diagonal(dim1=0, dim2=1).sum(-1)
     assert_close(kinetic, torch.eye(2, dtype=torch.float64), rtol=0, atol=1e-9)
 
 
@@ -134,14 +136,14 @@ def test_a_pendulum_of_a_stiff_beam_is_the_rigid_one():
     flexible = mbd.FlexibleBody.beam(
         "rod", BeamLine.straight(length, 40), section, modes=2, reference="start", axes=swing, position=(0.0, 0.0, 0.0)
     )
-    made = {key: x.detach() for key, x in flexible.structure().items()}
-    center = made["S0"] / made["mass"]
-    P = made["P0"]
+    result = {key: x.detach() for key, x in flexible.structure().items()}
+    center = result["S0"] / result["mass"]
+    P = result["P0"]
     about = P.trace() * torch.eye(3, dtype=torch.float64) - P
-    own = about - made["mass"] * (center @ center * torch.eye(3, dtype=torch.float64) - torch.outer(center, center))
+    own = about - result["mass"] * (center @ center * torch.eye(3, dtype=torch.float64) - torch.outer(center, center))
     rigid = mbd.RigidBody(
         "rod",
-        mass=float(made["mass"]),
+        mass=float(result["mass"]),
         inertia=(own + own.T) / 2,
         center=center.tolist(),
         axes=swing,

@@ -24,5 +24,5 @@ def test_the_direction_turns_the_laminate():
         mbd.Laminate(CARBON, mbd.deg(angles), thickness, shear_correction=5 / 6)
         for angles in ([20, -50, 75], [50, -20, 105])
     )
-    made = mbd.FlexibleBody.plate("plate", PLATE, one, 3, direction=(math.cos(turn), math.sin(turn), 0.0))
-    assert_close(values(made), values(mbd.FlexibleBody.plate("plate", PLATE, other, 3)), rtol=1e-10, atol=0)
+    result = mbd.FlexibleBody.plate("plate", PLATE, one, 3, direction=(math.cos(turn), math.sin(turn), 0.0))
+    assert_close(values(result), values(mbd.FlexibleBody.plate("plate", PLATE, other, 3)), rtol=1e-10, atol=0)

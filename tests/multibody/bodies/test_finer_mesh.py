@@ -52,11 +52,11 @@ def test_structure_is_that_of_twice_the_cells(name):
     make, options = BODIES[name]
     body, expected = make(**options), make(2, **options)
     refine(body)
-    found, wanted = body.structure(), expected.structure()
+    result, wanted = body.structure(), expected.structure()
     for key in ("mass", "P0", "mu"):
-        torch.testing.assert_close(found[key], wanted[key], rtol=1e-9, atol=1e-12)
+        torch.testing.assert_close(result[key], wanted[key], rtol=1e-9, atol=1e-12)
     count = min(body.modes, expected.modes)  # modes of equal frequency stay together, on either mesh
-    values, true = (torch.linalg.eigvalsh(x["Kr"])[:count] for x in (found, wanted))
+    values, true = (torch.linalg.eigvalsh(x["Kr"])[:count] for x in (result, wanted))
     torch.testing.assert_close(values, true, rtol=1e-6, atol=1e-6 * float(true[0]))
     assert list(dict(body.named_parameters())) == list(dict(expected.named_parameters()))
 

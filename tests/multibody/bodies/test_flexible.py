@@ -16,9 +16,9 @@ from torchmbd.errors import InputError
 @pytest.mark.parametrize("reference", [None, "corner_left_top", "left_edge", 7, [3, 8]])
 def test_modes_are_fixed_at_the_reference_and_normalized_to_the_mass(reference):
     body = plate("plate", modes=4, reference=reference)
-    made = {name: x.detach() for name, x in body.structure().items()}
+    result = {name: x.detach() for name, x in body.structure().items()}
     psi, diagonal = (
-        made["psi"],
+        result["psi"],
         body.matrices.lumped_mass(body.laminate.mass_per_area, body.laminate.rotary_inertia_per_area),
     )
     assert not psi[body.reference].any()
@@ -26,7 +26,7 @@ def test_modes_are_fixed_at_the_reference_and_normalized_to_the_mass(reference):
     assert psi[others].abs().amax((1, 2)).min() > 0
     flat, K = psi.flatten(0, 1), body.matrices.stiffness(body.laminate.entries().detach()).dense()
     assert_close(flat.T @ (diagonal[:, None] * flat), torch.eye(4, dtype=torch.float64), rtol=0, atol=1e-12)
-    assert_close(flat.T @ K @ flat, made["Kr"], rtol=1e-10, atol=1e-10 * float(made["Kr"].max()))
+    assert_close(flat.T @ K @ flat, result["Kr"], rtol=1e-10, atol=1e-10 * float(result["Kr"].max()))
 
 
 def test_the_default_reference_is_the_node_nearest_to_the_center_of_mass():
@@ -43,10 +43,10 @@ def test_the_mean_of_several_reference_nodes_is_the_origin():
 
 def test_mass_and_first_moment_are_those_of_the_plate():
     body = plate("plate", reference="corner_left_bottom")
-    made = body.structure()
+    result = body.structure()
     mass = 1586.0 * 7.5e-3 * 0.3 * 0.1
-    assert float(made["mass"]) == pytest.approx(mass, rel=1e-12)
-    assert made["S0"].tolist() == pytest.approx([mass * 0.15, mass * 0.05, 0.0], rel=1e-12)
+    assert float(result["mass"]) == pytest.approx(mass, rel=1e-12)
+    assert result["S0"].tolist() == pytest.approx([mass * 0.15, mass * 0.05, 0.0], rel=1e-12)
 
 
 @pytest.mark.thorough

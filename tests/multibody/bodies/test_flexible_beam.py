@@ -47,25 +47,25 @@ def test_equilibrium_is_that_of_the_beam_alone():
     beam = mbd.FlexibleBeam("beam", line, mbd.GivenSection(coupled(), MASS), twist=[[0.0, 0.2]] * 6)
     load = torch.tensor([0.3, -0.2, 0.4], dtype=torch.float64)
     rest = mbd.equilibrium(cantilever(beam, mbd.Force(beam.at("end"), load.tolist())))
-    found, alone = rest.body("beam"), beam.equilibrium({"end": load})
-    assert float(found.displacements[0, 0, -1].norm()) > 0.1
-    assert_close(found.nodes[0, 0], alone.nodes, atol=1e-9, rtol=0)
-    assert_close(found.rotations[0, 0], alone.rotations, atol=1e-9, rtol=0)
-    assert_close(found.forces[0, 0], alone.forces, atol=1e-8, rtol=0)
-    assert_close(found.strain_energy, rest.energies.strain)
+    result, alone = rest.body("beam"), beam.equilibrium({"end": load})
+    assert float(result.displacements[0, 0, -1].norm()) > 0.1
+    assert_close(result.nodes[0, 0], alone.nodes, atol=1e-9, rtol=0)
+    assert_close(result.rotations[0, 0], alone.rotations, atol=1e-9, rtol=0)
+    assert_close(result.forces[0, 0], alone.forces, atol=1e-8, rtol=0)
+    assert_close(result.strain_energy, rest.energies.strain)
     assert_close(rest.reaction("wall").force[0, 0].norm(), load.norm(), atol=1e-8, rtol=0)
 
 
 @pytest.mark.thorough
 def test_frequencies_converge_with_the_square_of_the_length():
     load = (0.0, 4.0, 2.0)
-    found = []
+    result = []
     for n in (4, 8, 16):
         beam = mbd.FlexibleBeam("beam", mbd.BeamLine.straight(2.0, n), SECTION)
-        found.append(mbd.equilibrium(cantilever(beam, mbd.Force(beam.at("end"), load))).vibrations[0].frequencies[:3])
+        result.append(mbd.equilibrium(cantilever(beam, mbd.Force(beam.at("end"), load))).vibrations[0].frequencies[:3])
         alone = beam.frequencies(3, {"end": load})[0]
-    assert bool((((found[0] - found[1]) / (found[1] - found[2])).abs() > 3.3).all())
-    assert_close(found[2], alone, rtol=1e-2, atol=0)
+    assert bool((((result[0] - result[1]) / (result[1] - result[2])).abs() > 3.3).all())
+    assert_close(result[2], alone, rtol=1e-2, atol=0)
 
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
@@ -99,21 +99,21 @@ def test_gradients_by_plies_taper_and_twist(damping):
     own = dict(spun(damping).named_parameters())
     x = {name: own[name].detach()[None] for name in DESIGNS}
     along = {name: torch.randn(y.shape, generator=torch.Generator().manual_seed(3)).double() for name, y in x.items()}
-    found = {}
+    result = {}
     ways = [("native", "forward"), ("native", "reverse")]
     for way in ways if damping else [*ways, ("eager", "reverse")]:
         leaves = {name: y.clone().requires_grad_() for name, y in x.items()}
         by = torch.autograd.grad(tip(damping, leaves, *way)[0], list(leaves.values()))
-        found[way] = torch.stack([(g * d).sum() for g, d in zip(by, along.values(), strict=True)])
-    h, wanted = 1e-3, []
+        result[way] = torch.stack([(g * d).sum() for g, d in zip(by, along.values(), strict=True)])
+    h, expected = 1e-3, []
     for name in DESIGNS:
         steps = torch.tensor([-2.0, -1.0, 1.0, 2.0], dtype=torch.float64) * h
         moved = x[name] + steps.reshape(4, *[1] * (x[name].dim() - 1)) * along[name]
         wide = {other: moved if other == name else y.expand(4, *y.shape[1:]) for other, y in x.items()}
         y = tip(damping, wide, "native", "none")
-        wanted.append((8.0 * (y[2] - y[1]) - (y[3] - y[0])) / (12.0 * h))
-    for by in found.values():
-        assert_close(by, torch.stack(wanted), rtol=1e-6, atol=1e-8)
+        expected.append((8.0 * (y[2] - y[1]) - (y[3] - y[0])) / (12.0 * h))
+    for by in result.values():
+        assert_close(by, torch.stack(expected), rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.thorough
@@ -121,15 +121,15 @@ def test_results_responses_and_pictures(tmp_path):
     beam = mbd.FlexibleBody.exact_beam("beam", mbd.BeamLine.straight(1.0, 3), SECTION, velocity=(1.0, 0, 0))
     system = mbd.System([beam], forces=[mbd.Force(beam.at(1), (0.0, 5.0, 0.0))], free=["beam"])
     motion = mbd.simulate(system, 0.1, steps=20, backend="eager")
-    found = motion.body("beam")
-    assert found.forces.shape == (1, 21, 3, 2, 6)
+    result = motion.body("beam")
+    assert result.forces.shape == (1, 21, 3, 2, 6)
     assert_close(mbd.Mass("beam")(motion), torch.tensor([2.0], dtype=torch.float64))
     assert_close(mbd.Velocity("beam_2", "x")(motion)[0, 0], torch.tensor(1.0, dtype=torch.float64))
     assert_close(mbd.StrainEnergy("beam")(motion), motion.energies.strain)
-    assert_close(mbd.Position("beam", "y", node="end")(motion), found.nodes[:, :, -1, 1])
-    assert_close(mbd.Displacement("beam", "y", node="end")(motion), found.displacements[:, :, -1, 1])
+    assert_close(mbd.Position("beam", "y", node="end")(motion), result.nodes[:, :, -1, 1])
+    assert_close(mbd.Displacement("beam", "y", node="end")(motion), result.displacements[:, :, -1, 1])
     seen = mbd.Position("beam", "y", node="end", seen_from="beam")(motion)
-    assert_close(seen, found.displacements[:, :, -1, 1])
+    assert_close(seen, result.displacements[:, :, -1, 1])
     assert "freedoms    24" in str(system.describe())
     assert mbd.viz.animate(motion, tmp_path / "beam.html").stat().st_size > 0
 

@@ -67,18 +67,18 @@ def test_a_beam_is_the_built_in_one(numbers, kind):
 def test_arrays_and_sparse_matrices_make_the_same_body(numbers):
     want = given(numbers).structure()
     for M, K in ([x.toarray() for x in numbers], [scipy.sparse.csc_matrix(x) for x in numbers]):
-        found = given((M, K)).structure()
+        result = given((M, K)).structure()
         for key in ("mass", "S0", "P0", "S1", "C0", "C1", "Kr", "psi"):
-            assert_close(found[key], want[key], rtol=1e-9, atol=1e-9 * float(want[key].abs().max()))
+            assert_close(result[key], want[key], rtol=1e-9, atol=1e-9 * float(want[key].abs().max()))
 
 
 def test_given_modes_span_the_same_motion(built, numbers):
     """The modes of the body, mixed: the same reduced body."""
     psi = given(numbers).structure()["psi"].flatten(0, 1)
     mixed = psi @ torch.tensor(np.random.default_rng(3).normal(size=(psi.shape[1],) * 2))
-    found = given(numbers, modes=mixed)
-    assert found.modes == psi.shape[1]
-    assert_close(found.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-8, atol=1e-3)
+    result = given(numbers, modes=mixed)
+    assert result.modes == psi.shape[1]
+    assert_close(result.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-8, atol=1e-3)
 
 
 @pytest.mark.parametrize("nodes", [{1: (0, 0, 0), 2: (1, 0)}, {1: "abc"}, {1: (0, 0, 0), "a": (1, 0, 0)}])
@@ -88,9 +88,9 @@ def test_labels_with_places_that_are_none(numbers, nodes):
 
 
 def energy(body: mbd.FlexibleBody) -> torch.Tensor:
-    made = body.structure()
-    load = made["psi"][6, 2]  # a force at the tip
-    return load @ torch.linalg.solve(made["Kr"], load) + made["mass"] * made["S1"].square().sum()
+    result = body.structure()
+    load = result["psi"][6, 2]  # a force at the tip
+    return load @ torch.linalg.solve(result["Kr"], load) + result["mass"] * result["S1"].square().sum()
 
 
 def richardson(f, x: float, h: float) -> float:
@@ -108,14 +108,14 @@ def test_derivatives_that_the_user_gives(numbers):
     energy(body).backward()
     for key, base in (("height", 0.03), ("density", 1.0)):
         own = body.get_parameter(f"model.{key}")
-        found = float(own.grad)
+        result = float(own.grad)
 
         def f(x, own=own):
             with torch.no_grad():
                 own.fill_(x)
                 return float(energy(body))
 
-        assert found == pytest.approx(richardson(f, base, 2e-2 * base), rel=1e-6)
+        assert result == pytest.approx(richardson(f, base, 2e-2 * base), rel=1e-6)
         f(base)
 
 
@@ -147,14 +147,14 @@ def test_a_torch_module_makes_the_matrices(numbers, kind):
 
     run("reverse").backward()
     factor = body.get_parameter("model.factor")
-    found = float(factor.grad)
+    result = float(factor.grad)
 
     def f(x):
         with torch.no_grad():
             factor.fill_(x)
         return float(run("none"))
 
-    assert found == pytest.approx(richardson(f, 1.2, 2e-3), rel=1e-6)
+    assert result == pytest.approx(richardson(f, 1.2, 2e-3), rel=1e-6)
 
 
 @pytest.mark.thorough
@@ -203,8 +203,8 @@ def test_solids_of_three_freedoms():
     rigid[:3, 3:] = -cross(made["S0"])
     rigid[3:, :3] = rigid[:3, 3:].T
     mass = torch.eye(18, dtype=torch.float64) - S.T @ torch.linalg.solve(rigid, S)
-    found = scipy.linalg.eigh(frame.numpy(), 0.5 * (mass + mass.T).numpy(), eigvals_only=True)
-    np.testing.assert_allclose(found, want, rtol=1e-9)
+    result = scipy.linalg.eigh(frame.numpy(), 0.5 * (mass + mass.T).numpy(), eigvals_only=True)
+    np.testing.assert_allclose(result, want, rtol=1e-9)
     assert float(made["psi"][:, 3:].abs().max()) > 0.0
 
 

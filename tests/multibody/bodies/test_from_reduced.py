@@ -37,9 +37,9 @@ def swing(body) -> torch.Tensor:
 def test_a_round_trip_changes_no_digit(plate, made, tmp_path):
     path = plate.save_reduced(tmp_path / "arm.npz")
     body = mbd.FlexibleBody.from_reduced("arm", path, position=(0.1, 0.0, 0.0))
-    found = body.structure()
+    result = body.structure()
     for key, x in made.items():
-        assert torch.equal(found[key], x), key
+        assert torch.equal(result[key], x), key
     assert body.mesh.node_sets == plate.mesh.node_sets
 
 

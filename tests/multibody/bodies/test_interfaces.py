@@ -42,9 +42,9 @@ def left_out(body: mbd.FlexibleBody) -> float:
     frames = mbd.Ground().at(-LENGTH / 2, 0, 0), body.at("left_edge")
     tool = mbd.RigidBody("tool", 0.5, (1e-3, 1e-3, 1e-3))
     joints = [mbd.Fixed(*frames), mbd.Fixed(body.at("right_edge"), tool.at())]
-    found = mbd.System([body, tool], joints, [mbd.Force(body.at("right_edge"), (0.0, 0.0, 1.0))]).static_truncation()
-    assert found is not None
-    return found.share
+    result = mbd.System([body, tool], joints, [mbd.Force(body.at("right_edge"), (0.0, 0.0, 1.0))]).static_truncation()
+    assert result is not None
+    return result.share
 
 
 @pytest.mark.thorough

@@ -34,9 +34,9 @@ def rigid(x: Tensor, u: Tensor, th: Tensor) -> Tensor:
 @every
 def test_a_rigid_motion_is_the_motion_of_the_frame(nodes):
     interpolation, u, th = InterpolationConstraint.on(*nodes), tensor(0.2, -0.1, 0.5), tensor(0.3, 0.7, -0.4)
-    found = interpolation.motion(MESH.nodes, rigid(MESH.nodes, u, th))[:, 0]
+    result = interpolation.motion(MESH.nodes, rigid(MESH.nodes, u, th))[:, 0]
     center = interpolation.center(MESH.nodes)
-    assert_close(found, torch.cat([u + torch.linalg.cross(th, center), th]), rtol=0, atol=1e-14)
+    assert_close(result, torch.cat([u + torch.linalg.cross(th, center), th]), rtol=0, atol=1e-14)
 
 
 @every
@@ -47,15 +47,15 @@ def test_the_mean_motion_is_the_best_fit(nodes):
     d = MESH.nodes[list(interpolation.nodes)] - interpolation.center(MESH.nodes)
     fields = torch.cat([torch.cat([torch.eye(3).double(), -cross_matrix(x)], 1) for x in d])
     root = tensor(*interpolation.weights).sqrt().repeat_interleave(3)
-    wanted = torch.linalg.pinv(root[:, None] * fields, rtol=1e-9) @ (
+    expected = torch.linalg.pinv(root[:, None] * fields, rtol=1e-9) @ (
         root * psi[list(interpolation.nodes), :3, 0].flatten()
     )
     own = tensor(*interpolation.weights) @ psi[list(interpolation.nodes), 3:, 0]
     if len(interpolation.nodes) == 1:
-        wanted[3:] = own
+        expected[3:] = own
     elif len(interpolation.nodes) == 3 and float(d[:, 0].abs().max()) == 0.0:  # a line along y
-        wanted[4] = own[1]
-    assert_close(interpolation.motion(MESH.nodes, psi)[:, 0], wanted, rtol=0, atol=1e-13)
+        expected[4] = own[1]
+    assert_close(interpolation.motion(MESH.nodes, psi)[:, 0], expected, rtol=0, atol=1e-13)
 
 
 def test_an_arm_moves_with_its_nodes():

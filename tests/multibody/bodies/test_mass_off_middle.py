@@ -79,12 +79,12 @@ def test_center_of_mass(mass, kind):
     R = rotation(4)
     mesh = turned(irregular(LENGTH, WIDTH, (4, 3), kind=kind), R)
     parts = {"plate": Plates(mesh, sandwich(), R[:, 0], mass=mass)}
-    made = mbd.FlexibleBody("plate", mesh, parts, 2, reference=CORNER).structure()
+    result = mbd.FlexibleBody("plate", mesh, parts, 2, reference=CORNER).structure()
     per_area, first, _ = moments()
     middle = R @ torch.tensor([LENGTH / 2, WIDTH / 2, first / per_area], dtype=torch.float64)
     assert abs(first / per_area) > 2e-3
-    assert_close(made["mass"].detach(), torch.tensor(per_area * LENGTH * WIDTH), check_dtype=False)
-    assert_close((made["S0"] / made["mass"]).detach(), middle, rtol=1e-12, atol=1e-15)
+    assert_close(result["mass"].detach(), torch.tensor(per_area * LENGTH * WIDTH), check_dtype=False)
+    assert_close((result["S0"] / result["mass"]).detach(), middle, rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -98,11 +98,11 @@ def test_rigid_inertia_is_that_of_the_offset_layers(kind):
     M = Assembly(mesh, parts).mass().dense().detach()
     fields = rigid_motions(x).flatten(0, 1)
     assert_close(fields.T @ M @ fields, exact, rtol=1e-11, atol=1e-16)
-    made = {
+    result = {
         key: value.detach()
         for key, value in mbd.FlexibleBody("plate", mesh, parts, 2, reference=CORNER).structure().items()
     }
-    J = (made["P0"].trace() + made["mu"]) * torch.eye(3, dtype=torch.float64) - made["P0"]
+    J = (result["P0"].trace() + result["mu"]) * torch.eye(3, dtype=torch.float64) - result["P0"]
     assert_close(J, exact[3:, 3:], rtol=1e-11, atol=1e-16)
 
 
@@ -127,7 +127,7 @@ def test_a_symmetric_stack_listed_whole_is_the_half_mirrored():
     assert [body.assembly.diagonal for body in (one, other)] == [True, False]
     a, b = one.structure(), other.structure()
     for key in ("mass", "S0", "P0", "mu", "Kr"):
-        x, y = (torch.linalg.eigvalsh(made[key]) if key == "Kr" else made[key] for made in (a, b))
+        x, y = (torch.linalg.eigvalsh(result[key]) if key == "Kr" else result[key] for result in (a, b))
         assert_close(x, y, rtol=1e-9, atol=1e-15)
 
 
@@ -139,12 +139,12 @@ def test_a_shell_has_its_center_off_each_facet():
     s, y = flat.nodes[:, 0], flat.nodes[:, 1]
     mesh = moved(flat, radius * torch.stack([s.sin(), y / radius, s.cos()], dim=1))
     body = mbd.FlexibleBody.plate("tube", mesh, sandwich(), modes=2, reference="left_edge")
-    made = body.structure()
-    center = (made["S0"] / made["mass"]).detach() + body.origin
+    result = body.structure()
+    center = (result["S0"] / result["mass"]).detach() + body.origin
     mass, first, _ = moments()
     a = math.pi / count / 2
-    wanted = (radius * math.cos(a) + first / mass) / (count * math.sin(a))  # mean of the cosines of all facets
-    assert float(center[2]) == pytest.approx(wanted, rel=1e-12)
+    expected = (radius * math.cos(a) + first / mass) / (count * math.sin(a))  # mean of the cosines of all facets
+    assert float(center[2]) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.thorough
@@ -186,13 +186,13 @@ def hung(laminate: mbd.Laminate, **given) -> mbd.System:
 def test_a_plate_hangs_with_its_center_below_the_hinge(mass):
     """At atan(z / (L / 2)) to the vertical; the clamped plate of 1 g droops by less than 1e-6 of that."""
     system = hung(sandwich(), mass=mass)
-    found = mbd.equilibrium(system)
+    result = mbd.equilibrium(system)
     body = system.body("plate")
-    q = found.q[0, 0]
+    q = result.q[0, 0]
     A = rotation_matrix(q[3:7, None])[..., 0]
     angle = torch.linalg.cross(body.axes[:, 0], A[:, 0]) @ body.axes[:, 1]
     per_area, first, _ = moments()
-    assert found.stable
+    assert result.stable
     assert float(angle.asin()) == pytest.approx(math.atan(first / per_area / (LENGTH / 2)), rel=1e-3)
     assert abs(math.degrees(float(angle.asin()))) > 0.8
 
@@ -206,12 +206,14 @@ class Invariants(torch.nn.Module):
         self.body = mbd.FlexibleBody.plate("plate", mesh, sandwich(), modes=3, reference="left_edge", mass=mass)
 
     def forward(self):
-        made = self.body.structure()
-        even = [torch.linalg.eigvalsh(made["Kr"]), (made["S1"] @ made["S1"].mT).flatten(-2)]
+        result = self.body.structure()
+        even = [torch.linalg.eigvalsh(result["Kr"]), (result["S1"] @ result["S1"].mT).flatten(-2)]
         even += [
-            (made["C0"].flatten(-3, -2).mT @ made["C0"].flatten(-3, -2)).diagonal(dim1=-2, dim2=-1).sum(-1)[..., None]
+            (result["C0"].flatten(-3, -2).mT @ result["C0"].flatten(-3, -2))
+            .diagonal(dim1=-2, dim2=-1)
+            .sum(-1)[..., None]
         ]
-        return torch.cat([made["S0"], made["P0"].flatten(-2), made["mu"][..., None], *even], dim=-1)
+        return torch.cat([result["S0"], result["P0"].flatten(-2), result["mu"][..., None], *even], dim=-1)
 
     def at(self, thickness):
         return functional_call(self, {"body.laminate.thickness": thickness})

@@ -56,9 +56,9 @@ def test_cells_within_the_limits_raise_no_warning():
     ],
 )
 def test_the_worst_cell_is_named(mesh, words):
-    with pytest.warns(UserWarning, match=rf"mesh of body 'plate': .*{words}.*compare with a finer mesh") as found:
+    with pytest.warns(UserWarning, match=rf"mesh of body 'plate': .*{words}.*compare with a finer mesh") as result:
         body(mesh)
-    assert len(found) == 1
+    assert len(result) == 1
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,9 @@ def test_stiff_fibers_on_few_cells(change, ratio):
 
 
 def test_all_faults_are_in_one_warning():
-    with pytest.warns(UserWarning, match=r"skewed.*slender.*E1 / G") as found:
+    with pytest.warns(UserWarning, match=r"skewed.*slender.*E1 / G") as result:
         body(sheared(20.0, length=20.0), STIFF)
-    assert len(found) == 1
+    assert len(result) == 1
 
 
 def test_angles_and_aspects_of_single_cells():

@@ -24,8 +24,8 @@ def test_poles_of_a_welded_plate():
     poles = mbd.equilibrium(system).vibrations[0].poles
     z = torch.tensor(RATIOS, dtype=torch.float64)
     expected = torch.complex(-z * om, om * (1.0 - z * z).sqrt())
-    found = poles[poles.imag > 0]
-    assert_close(found[found.imag.argsort()], expected, rtol=1e-9, atol=0)
+    result = poles[poles.imag > 0]
+    assert_close(result[result.imag.argsort()], expected, rtol=1e-9, atol=0)
 
 
 def stiffness(b: torch.Tensor) -> torch.Tensor:
@@ -45,9 +45,9 @@ def test_derivatives_against_differences(ratios, b):
     damping, at = ModalDamping("body", 0.01).with_ratios(ratios, 3), torch.tensor(b, dtype=torch.float64)
 
     def D(x: torch.Tensor) -> torch.Tensor:
-        found = damping.matrix(stiffness(x))
-        assert found is not None
-        return found
+        result = damping.matrix(stiffness(x))
+        assert result is not None
+        return result
 
     h = 1e-4
     expected = (8 * (D(at + h) - D(at - h)) - D(at + 2 * h) + D(at - 2 * h)) / (12 * h)

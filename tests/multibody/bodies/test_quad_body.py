@@ -114,5 +114,5 @@ def test_zones_of_a_mixed_mesh():
     areas = [float(mesh.areas[zones[k]].sum()) for k in ("even", "odd")]
     mass = sum(a * float(m.mass_per_area.detach()) for a, m in zip(areas, (GENERAL, other), strict=True))
     assert float(body.structure()["mass"]) == pytest.approx(mass, rel=1e-12)
-    found = torch.cat([part.matrices.members for part in body.plates.values()])
-    assert_array_equal(found.sort().values, cells)
+    result = torch.cat([part.matrices.members for part in body.plates.values()])
+    assert_array_equal(result.sort().values, cells)

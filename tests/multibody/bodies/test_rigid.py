@@ -22,11 +22,11 @@ def test_invariants_are_the_moments_of_a_cloud_of_points():
     inertia = sum(
         m_k * cross_matrix(x_k - center).T @ cross_matrix(x_k - center) for m_k, x_k in zip(m, x, strict=True)
     )
-    found = mbd.RigidBody("cloud", mass=float(m.sum()), inertia=inertia, center=center).invariants()
-    assert_close(found["mass"], m.sum())
-    assert_close(found["S0"], (m[:, None] * x).sum(0), rtol=1e-13, atol=0)
-    assert_close(found["P0"], torch.einsum("k,ki,kj->ij", m, x, x), rtol=1e-12, atol=1e-12)
-    assert found["mu"] == 0
+    result = mbd.RigidBody("cloud", mass=float(m.sum()), inertia=inertia, center=center).invariants()
+    assert_close(result["mass"], m.sum())
+    assert_close(result["S0"], (m[:, None] * x).sum(0), rtol=1e-13, atol=0)
+    assert_close(result["P0"], torch.einsum("k,ki,kj->ij", m, x, x), rtol=1e-12, atol=1e-12)
+    assert result["mu"] == 0
 
 
 def test_three_moments_are_a_diagonal():

@@ -26,19 +26,19 @@ def beam(elements: int = 40, modes: int = 4, **given) -> mbd.FlexibleBody:
 def test_a_bent_line_is_shorter():
     """f_x = - integral of u2' u2' + u3' u3' from the reference, at the end and in the sums over the mass."""
     body = beam(elements=80)
-    made = body.structure(nodes=[80])
-    psi, h = made["psi"], L / 80
+    result = body.structure(nodes=[80])
+    psi, h = result["psi"], L / 80
     slope = (psi[1:, 1:3] - psi[:-1, 1:3]) / h  # [elements, 2, m]
     rate = -torch.einsum("eia,eib->eab", slope, slope) * h
     shortening = torch.cat([torch.zeros(1, 4, 4), rate.cumsum(0)])
-    assert_close(made["psi2"][0, 0], shortening[-1], rtol=2e-3, atol=2e-3 * float(shortening[-1].abs().max()))
+    assert_close(result["psi2"][0, 0], shortening[-1], rtol=2e-3, atol=2e-3 * float(shortening[-1].abs().max()))
     mass = torch.full((81,), RHO * AREA * h, dtype=torch.float64)
     mass[[0, -1]] *= 0.5
     F1, x = torch.einsum("k,kab->ab", mass, shortening), body.mesh.nodes[:, 0]
     F2 = torch.einsum("k,kab->ab", mass * x, shortening)
-    assert_close(made["F1"][0], F1, rtol=2e-3, atol=2e-3 * float(F1.abs().max()))
-    assert_close(made["F2"][0, 0], F2, rtol=2e-3, atol=2e-3 * float(F2.abs().max()))
-    assert_close(made["F2"], made["F2"].mT)
+    assert_close(result["F1"][0], F1, rtol=2e-3, atol=2e-3 * float(F1.abs().max()))
+    assert_close(result["F2"][0, 0], F2, rtol=2e-3, atol=2e-3 * float(F2.abs().max()))
+    assert_close(result["F2"], result["F2"].mT)
 
 
 @torch.no_grad()
@@ -49,8 +49,8 @@ def test_a_soft_hinge_turns_its_arm_as_a_rigid_body():
     line = BeamLine(nodes, torch.tensor([[0, 1], [1, 2]]))
     sections = [GivenSection(soft * SECTION.stiffness(), SECTION.mass()), SECTION]
     body = mbd.FlexibleBody.beam("arm", line, sections, modes=6, reference=0, stiffening=True)
-    made = body.structure(nodes=[1, 2])
-    phi, psi2 = made["psi"][1, 3:], made["psi2"]
+    result = body.structure(nodes=[1, 2])
+    phi, psi2 = result["psi"][1, 3:], result["psi2"]
     d = (nodes[2] - nodes[1])[:, None, None].expand(3, 6, 6)
 
     def turned(x: Tensor, y: Tensor) -> Tensor:
@@ -79,20 +79,20 @@ def test_frequencies_of_a_rotating_cantilever(spin: float):
     inertia = torch.diag(torch.tensor([1.0, 1.0, 1.0, 4e-5, 0.5e-5, 3.5e-5], dtype=torch.float64))
     line, options = BeamLine.straight(1.0, 30), {"modes": 12, "reference": "start", "mass": "consistent"}
     body = mbd.FlexibleBody.beam("blade", line, GivenSection(stiffness, inertia), stiffening=True, **options)
-    made, om = body.structure(), spin * EI**0.5
+    result, om = body.structure(), spin * EI**0.5
 
     def squares(axis: int, component: int, number: int, om: float = om) -> Tensor:
         """Of the lowest frequencies of modes that move by one component."""
         Z = torch.eye(3, dtype=torch.float64) * -(om**2)
         Z[axis, axis] = 0.0
-        K = made["Kr"] + torch.einsum("ij,ijab->ab", Z, made["C1"] + made["F2"])
+        K = result["Kr"] + torch.einsum("ij,ijab->ab", Z, result["C1"] + result["F2"])
         values, shapes = torch.linalg.eigh(K)
-        share = torch.einsum("nia,ab->nib", made["psi"], shapes).square().sum(0)[component]
+        share = torch.einsum("nia,ab->nib", result["psi"], shapes).square().sum(0)[component]
         return values[share > 0.1 * share.max()][:number]
 
     flap, lag = squares(1, 1, 3), squares(2, 1, 3)  # along y, spin about y and z
-    wanted = torch.tensor(FLAPPING[spin], dtype=torch.float64)
-    assert_close(flap.sqrt() / EI**0.5, wanted, rtol=4e-3, atol=0.0)
+    expected = torch.tensor(FLAPPING[spin], dtype=torch.float64)
+    assert_close(flap.sqrt() / EI**0.5, expected, rtol=4e-3, atol=0.0)
     assert_close(lag, flap - om**2, rtol=4e-3, atol=0.0)
     for axis, sign in ((1, -1.0), (2, 1.0)):
         change = squares(axis, 3, 1) - squares(axis, 3, 1, 0.0)

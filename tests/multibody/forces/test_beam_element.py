@@ -26,8 +26,8 @@ def test_rolls_up_to_an_arc():
     rest = mbd.equilibrium(mbd.System([body], [], [strip, mbd.Torque(body.at(), (0, 0, moment))]))
     radius = torch.tensor(0.5 / angle, dtype=torch.float64)
     turned = torch.tensor([angle], dtype=torch.float64)
-    wanted = radius * torch.cat([turned.sin(), 1.0 - turned.cos(), torch.zeros(1, dtype=torch.float64)])
-    assert_close(rest.body("tip").r[0, 0], wanted, atol=1e-9, rtol=0)
+    expected = radius * torch.cat([turned.sin(), 1.0 - turned.cos(), torch.zeros(1, dtype=torch.float64)])
+    assert_close(rest.body("tip").r[0, 0], expected, atol=1e-9, rtol=0)
 
 
 def place(K: torch.Tensor, backend: str, gradients: str = "auto") -> torch.Tensor:
@@ -44,12 +44,12 @@ def test_gradients_by_stiffness(backend):
     along[5, 5], along[0, 4], along[4, 0] = 1.0, 0.5, 0.5
     near = torch.stack([K - 2 * h * 10 * along, K - h * 10 * along, K + h * 10 * along, K + 2 * h * 10 * along])
     x = place(near, backend, "none")
-    wanted = (8.0 * (x[2] - x[1]) - (x[3] - x[0])) / (12.0 * h * 10)
+    expected = (8.0 * (x[2] - x[1]) - (x[3] - x[0])) / (12.0 * h * 10)
     for gradients in ("forward", "reverse"):
         design = K[None].clone().requires_grad_()
-        found = [torch.autograd.grad(y, design, retain_graph=True)[0] for y in place(design, backend, gradients)[0]]
-        by = torch.stack([(g[0] * along).sum() for g in found])
-        assert_close(by, wanted, rtol=1e-6, atol=1e-6 * float(wanted.abs().max()))
+        result = [torch.autograd.grad(y, design, retain_graph=True)[0] for y in place(design, backend, gradients)[0]]
+        by = torch.stack([(g[0] * along).sum() for g in result])
+        assert_close(by, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough

@@ -170,18 +170,18 @@ def test_gradients_by_all_numbers(backend, height, duration):
     expected = ((both[:n] - both[n:]) / (2.0 * h[:, None])).T
     size = (expected * values).abs().max()
     for gradients in ("reverse", "forward"):
-        found = slopes(gradients)
-        assert_close(found * values, expected * values, rtol=0, atol=2e-6 * float(size))
+        result = slopes(gradients)
+        assert_close(result * values, expected * values, rtol=0, atol=2e-6 * float(size))
     assert bool(((expected * values).abs().amax(0) > 1e-4 * size).all())
 
 
 @pytest.mark.thorough
 def test_both_backends_agree():
-    found = [
+    result = [
         mbd.simulate(bouncing(0.05, **NUMBERS), 0.08, steps=40, backend=backend, halvings=0).q
         for backend in ("eager", "native")
     ]
-    assert_close(found[0], found[1], rtol=0, atol=1e-11)
+    assert_close(result[0], result[1], rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize(

@@ -103,13 +103,13 @@ def test_the_motion_of_equivalent_springs(case, method):
         steps = 40 if method == "generalized_alpha" else 150
         return mbd.simulate(system, 0.2, method, steps=steps, backend="eager", gradients="none").require_ok()
 
-    found, expected = run(controlled), run(sprung)
+    result, expected = run(controlled), run(sprung)
     for name in ("q", "v", "a", "lam"):
         wanted = getattr(expected, name)
         size = float(wanted.abs().max()) if wanted.numel() else 0.0
         noise = 1e-9 if name == "a" else 1e-10  # accelerations carry the error of the iterations over h
-        assert_close(getattr(found, name), wanted, rtol=0, atol=noise * max(size, 1.0))
-    assert_close(found.energies.applied, expected.energies.applied, rtol=0, atol=1e-9)
+        assert_close(getattr(result, name), wanted, rtol=0, atol=noise * max(size, 1.0))
+    assert_close(result.energies.applied, expected.energies.applied, rtol=0, atol=1e-9)
     assert float(expected.energies.applied.abs().max()) > 1e-3
 
 
@@ -290,7 +290,7 @@ def test_control_histories(kind):
     values = torch.randn(4, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     module = mbd.ControlHistory(values, 0.02, kind)
     times = torch.linspace(-0.002, 0.024, 53, dtype=torch.float64)
-    found = torch.stack([module(t.reshape(1, 1))[0] for t in times]).detach().numpy()
+    result = torch.stack([module(t.reshape(1, 1))[0] for t in times]).detach().numpy()
     for k in range(2):
         if kind == "linear":
             expected = np.interp(times, np.linspace(0.0, 0.02, 4), values[:, k])
@@ -298,7 +298,7 @@ def test_control_histories(kind):
             sides = [values[(times / 0.005 + x).floor().clamp(0, 3).long(), k] for x in (-1e-9, 1e-9)]
             assert int((sides[0] != sides[1]).sum()) == 3  # samples at jumps: the mean of both sides
             expected = 0.5 * (sides[0] + sides[1])
-        np.testing.assert_allclose(found[:, k], expected, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(result[:, k], expected, rtol=0, atol=1e-14)
 
     body, joint = hinged()
     control = mbd.Controller(
@@ -312,8 +312,8 @@ def test_control_histories(kind):
 
     x = values.flatten().clone().requires_grad_()
     expected = differences(f, values.flatten(), 1e-1)[0]
-    (found,) = torch.autograd.grad(f(x).sum(), x)
-    assert_close(found, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
+    (result,) = torch.autograd.grad(f(x).sum(), x)
+    assert_close(result, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
     assert float(expected.abs().max()) > 1e-6
 
 
@@ -335,8 +335,8 @@ def test_phases():
         return 0.1 * motion.switches[0].t + (motion.q * (1.0 + motion.q)).mean((1, 2))
 
     x = tensor(2.0).requires_grad_()
-    (found,) = torch.autograd.grad(f(x).sum(), x)
-    assert_close(found, differences(f, tensor(2.0), 1e-2)[0], rtol=2e-3, atol=0)
+    (result,) = torch.autograd.grad(f(x).sum(), x)
+    assert_close(result, differences(f, tensor(2.0), 1e-2)[0], rtol=2e-3, atol=0)
 
 
 @pytest.mark.thorough

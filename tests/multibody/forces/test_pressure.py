@@ -63,17 +63,17 @@ def test_a_following_load_is_a_sum_over_the_nodes(kind):
     T, data = system.topology, system("data")
     q, v, _ = random_state(system, 3, bend=0.0)
     at = equations.placement(T, data, q, T.prescribed(tensor(0.5)[0]))
-    found = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
+    result = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
     nodes = body.mesh.nodes - body.origin
     forces = torch.zeros_like(nodes)
     for corners in body.mesh.cells[kind]:
         forces[corners] += (p + 0.5) * corner_areas(nodes[corners])
     psi = body.structure()["psi"].detach()
     A = at.A[:, :, 0, 0, 0]
-    assert_close(found[0][:, 0, 0, 0], A @ forces.sum(0), rtol=0, atol=1e-11)
-    assert_close(found[1][:, 0, 0, 0], torch.linalg.cross(nodes, forces).sum(0), rtol=0, atol=1e-11)
+    assert_close(result[0][:, 0, 0, 0], A @ forces.sum(0), rtol=0, atol=1e-11)
+    assert_close(result[1][:, 0, 0, 0], torch.linalg.cross(nodes, forces).sum(0), rtol=0, atol=1e-11)
     expected = torch.einsum("nk,nkm->m", forces, psi[:, :3])
-    assert_close(found[2][:, 0, 0, 0], expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
+    assert_close(result[2][:, 0, 0, 0], expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -84,8 +84,8 @@ def test_a_closed_form():
     mesh = mbd.mesh.rectangle(length=L, width=0.05, cells=(16, 2))
     body = mbd.FlexibleBody.plate("strip", mesh, mbd.Laminate(ply, (0.0,), h), modes=4, reference="left_edge")
     system = mbd.System([body], [mbd.Fixed(GROUND.at(-L / 2, 0, 0), body.at("left"))], [mbd.Pressure(body, p)])
-    found = mbd.equilibrium(system)
-    w = found.body("strip").w[0, 0]
+    result = mbd.equilibrium(system)
+    w = result.body("strip").w[0, 0]
     tip = float(body.structure()["psi"].detach()[mesh.node("right"), 2] @ w)
     assert tip == pytest.approx(p * L**4 / (8.0 * E * h**3 / 12.0), rel=5e-3)
 

@@ -23,9 +23,9 @@ named = pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 @named
 def test_slopes_are_derivatives(law):
     times = tensor(0.05, 0.21, 0.4, 0.6, 0.9)
-    found = law.slopes(times)
+    result = law.slopes(times)
     for i, t in enumerate(times):
-        for stated, expected in zip(found, slopes(lambda s: law(s), t), strict=True):
+        for stated, expected in zip(result, slopes(lambda s: law(s), t), strict=True):
             assert_close(stated[i], expected, rtol=1e-12, atol=1e-12)
 
 

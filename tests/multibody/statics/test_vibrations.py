@@ -58,10 +58,10 @@ def check_gradients(model: Frequencies, name: str, step: float) -> None:
     f, x = model.of(name)
     reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
     with torch.no_grad():
-        wanted = richardson(f, x, step)
-    scale = float(wanted.abs().max())
+        expected = richardson(f, x, step)
+    scale = float(expected.abs().max())
     assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
-    assert_close(reverse, wanted, rtol=0.0, atol=1e-6 * scale)
+    assert_close(reverse, expected, rtol=0.0, atol=1e-6 * scale)
 
 
 @pytest.mark.thorough
@@ -103,8 +103,8 @@ def test_coinciding_frequencies_of_a_tube_have_the_mean_of_their_derivatives():
     assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
     assert_close(reverse[0], reverse[1], rtol=0.0, atol=1e-7 * scale)
     with torch.no_grad():
-        wanted = richardson(lambda x: f(x)[:2].mean(), x, 1e-2)
-    assert_close(reverse[0], wanted, rtol=0.0, atol=1e-6 * scale)
+        expected = richardson(lambda x: f(x)[:2].mean(), x, 1e-2)
+    assert_close(reverse[0], expected, rtol=0.0, atol=1e-6 * scale)
 
 
 def test_lanes_are_designs():
@@ -131,21 +131,21 @@ def test_reference_nodes_are_clamped_without_supports():
 
 
 def test_shapes_are_those_of_the_supports():
-    found = mbd.frequencies(panel(), EDGES, number=2)
-    assert found.status == "ok"
-    assert not found.shapes.requires_grad
-    assert not bool(found.shapes[list(panel().mesh.node_sets["top_edge"]), 2].any())
-    assert_close(found.shapes[:, :3].flatten(0, 1).abs().amax(0), torch.ones(2, dtype=torch.float64))
+    result = mbd.frequencies(panel(), EDGES, number=2)
+    assert result.status == "ok"
+    assert not result.shapes.requires_grad
+    assert not bool(result.shapes[list(panel().mesh.node_sets["top_edge"]), 2].any())
+    assert_close(result.shapes[:, :3].flatten(0, 1).abs().amax(0), torch.ones(2, dtype=torch.float64))
 
 
 @pytest.mark.parametrize("cells", [(2, 2), (12, 8)])
 def test_rigid_motions_of_a_free_body_are_left_out(cells):
     body = panel(cells)
-    found = mbd.frequencies(body, {}, number=3)
-    assert found.status == "six rigid motions of the free body are left out"
-    assert found.frequencies[0].item() > 10.0
+    result = mbd.frequencies(body, {}, number=3)
+    assert result.status == "six rigid motions of the free body are left out"
+    assert result.frequencies[0].item() > 10.0
     mass = body.assembly.masses()
-    momentum = (mass.mass[:, None, None] * found.shapes[mass.ends[:, 0], :3]).sum(0).detach()
+    momentum = (mass.mass[:, None, None] * result.shapes[mass.ends[:, 0], :3]).sum(0).detach()
     assert float(momentum.abs().max()) < 1e-8 * float(mass.mass.sum())
 
 

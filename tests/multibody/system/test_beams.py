@@ -75,17 +75,17 @@ def test_matrix_is_the_derivative_of_the_residual(damping):
     at = equations.placement(T, data, q, given)
     unit = Pair.of(still, torch.eye(T.n_v, dtype=torch.float64)[..., None])
     moved = equations.placement(T, data, equations.advance(T, q, unit), given)
-    wanted = equations.dynamic_residual(T, data, moved, still, still, none).tangent[..., 0]
+    expected = equations.dynamic_residual(T, data, moved, still, still, none).tangent[..., 0]
     mass = dynamics.saddle.matrix(data, at, Slopes(v=still, lam=none))[0]
-    found = dynamics.saddle.matrix(data, at, Slopes(1.0, 0.0, still, still, none))[0] - mass
-    assert_close(found, wanted, rtol=1e-9, atol=1e-9 * float(wanted.abs().max()))
-    wanted = equations.dynamic_residual(T, data, moved, v, still, none).tangent[..., 0]
-    found = dynamics.saddle.matrix(data, at, Slopes(1.0, 0.0, v, still, none))[0] - mass
-    assert_close(found, wanted, rtol=1e-9, atol=1e-9 * float(wanted.abs().max()))
+    result = dynamics.saddle.matrix(data, at, Slopes(1.0, 0.0, still, still, none))[0] - mass
+    assert_close(result, expected, rtol=1e-9, atol=1e-9 * float(expected.abs().max()))
+    expected = equations.dynamic_residual(T, data, moved, v, still, none).tangent[..., 0]
+    result = dynamics.saddle.matrix(data, at, Slopes(1.0, 0.0, v, still, none))[0] - mass
+    assert_close(result, expected, rtol=1e-9, atol=1e-9 * float(expected.abs().max()))
     rate = Pair.of(v, torch.eye(T.n_v, dtype=torch.float64)[..., None])
-    wanted = equations.dynamic_residual(T, data, at, rate, still, none).tangent[..., 0]
-    found = dynamics.saddle.matrix(data, at, Slopes(0.0, 1.0, v, still, none))[0] - mass
-    assert_close(found, wanted, rtol=1e-9, atol=1e-9 * max(1.0, float(wanted.abs().max())))
+    expected = equations.dynamic_residual(T, data, at, rate, still, none).tangent[..., 0]
+    result = dynamics.saddle.matrix(data, at, Slopes(0.0, 1.0, v, still, none))[0] - mass
+    assert_close(result, expected, rtol=1e-9, atol=1e-9 * max(1.0, float(expected.abs().max())))
 
 
 @pytest.mark.thorough

@@ -64,18 +64,18 @@ def test_rounding_of_positions_is_no_mistake(gap):
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         mbd.simulate(crane(gap=gap), 0.01, steps=2)
-        found = crane(gap=gap).describe()
-    assert [x.name for x in found.closing.bodies] == (["tool"] if gap > 1e-9 else [])
+        result = crane(gap=gap).describe()
+    assert [x.name for x in result.closing.bodies] == (["tool"] if gap > 1e-9 else [])
 
 
 def test_describe_lists_all():
     with pytest.warns(UserWarning, match="open where"):
-        found = crane(gap=0.2).describe()
-    (joint,), (body,) = found.closing.joints, found.closing.bodies
+        result = crane(gap=0.2).describe()
+    (joint,), (body,) = result.closing.joints, result.closing.bodies
     assert (joint.name, body.name) == ("grip", "tool")
     assert (joint.distance, body.distance) == pytest.approx((0.2, 0.2), rel=1e-6)
-    assert "open        'grip' by 0.2 m where the bodies were put" in str(found)
-    assert "moved       'tool' by 0.2 m to close the joints" in str(found)
+    assert "open        'grip' by 0.2 m where the bodies were put" in str(result)
+    assert "moved       'tool' by 0.2 m to close the joints" in str(result)
 
 
 def test_other_designs_may_move_bodies_in_silence():

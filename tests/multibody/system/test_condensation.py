@@ -27,9 +27,9 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def left(system: mbd.System):
-    found = system._initial.condensed
-    assert found is not None
-    return found
+    result = system._initial.condensed
+    assert result is not None
+    return result
 
 
 def driven(angle) -> mbd.System:
@@ -68,9 +68,9 @@ def guided() -> mbd.System:
 
 
 def compared(system: mbd.System, duration: float, steps: int, monkeypatch: pytest.MonkeyPatch, **options):
-    found = mbd.simulate(system, duration, steps=steps, **TIGHT, **options)
-    values = [found.q, found.v, found.a, found.lam]
-    slopes = [found.dq_db, found.dv_db, found.dlam_db]
+    result = mbd.simulate(system, duration, steps=steps, **TIGHT, **options)
+    values = [result.q, result.v, result.a, result.lam]
+    slopes = [result.dq_db, result.dv_db, result.dlam_db]
     with monkeypatch.context() as patch:
         whole(patch)
         expected = mbd.simulate(system, duration, steps=steps, **TIGHT, **options)
@@ -79,7 +79,7 @@ def compared(system: mbd.System, duration: float, steps: int, monkeypatch: pytes
     assert all(x is not None for x in values)
     assert [x is None for x in slopes] == [x is None for x in whole_slopes]
     pairs = zip([*values, *slopes], [*whole_values, *whole_slopes], strict=True)
-    return found, [(x, y) for x, y in pairs if x is not None]
+    return result, [(x, y) for x, y in pairs if x is not None]
 
 
 @pytest.mark.thorough
@@ -103,10 +103,10 @@ def test_guided_bodies_keep_their_freedom_only(monkeypatch):
     c = left(system)
     assert [carrier.name for carrier in c.topology.prescribed_bodies] == ["block"]
     assert (c.topology.n_v, c.topology.rows) == (1 + 1 + 6, 1 + 3)
-    found, pairs = compared(system, 0.3, 300, monkeypatch)
+    result, pairs = compared(system, 0.3, 300, monkeypatch)
     for x, expected in pairs:
         assert_close(x[:, 200:], expected[:, 200:], rtol=0, atol=2e-5 * float(expected.abs().max()))
-    assert float(found.v.abs().max()) > 0.5
+    assert float(result.v.abs().max()) > 0.5
 
 
 @pytest.mark.thorough

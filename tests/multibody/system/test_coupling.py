@@ -48,8 +48,8 @@ def test_few_directions_suffice(name, rotates, monkeypatch):
     monkeypatch.setitem(vars(T), "coupling", Coupling(torch.eye(T.n_v, dtype=torch.float64), every))
     dense = Linearization.of(dynamics, q, q.new_zeros(()), None, observer)
     for x in ("K", "C", "M", "Phi_q"):
-        got, wanted = getattr(few, x), getattr(dense, x)
-        assert_close(got, wanted, rtol=0.0, atol=1e-12 * float(wanted.abs().max().clamp_min(1e-300)))
+        got, expected = getattr(few, x), getattr(dense, x)
+        assert_close(got, expected, rtol=0.0, atol=1e-12 * float(expected.abs().max().clamp_min(1e-300)))
 
 
 def test_a_chain_takes_as_many_directions_as_three_bodies():

@@ -14,50 +14,50 @@ from torchmbd.examples.slider_crank import build
 
 
 def test_a_four_bar_of_hinges():
-    found = four_bar().describe()
-    assert (found.rows, found.rank, found.freedoms, found.mobility) == (20, 17, 1, 1)
-    assert len(found.redundant) == 3
-    assert len(set(found.redundant)) == 3
-    assert found.mass == 3.0
-    assert found.separate == ()
-    text = str(found)
+    result = four_bar().describe()
+    assert (result.rows, result.rank, result.freedoms, result.mobility) == (20, 17, 1, 1)
+    assert len(result.redundant) == 3
+    assert len(set(result.redundant)) == 3
+    assert result.mass == 3.0
+    assert result.separate == ()
+    text = str(result)
     assert "rows        20, rank 17" in text
     assert "revolute_ground_left   Revolute  5     ground.at(0, 0, 0) - left.at(0, 0, 0)" in text
 
 
 @pytest.mark.thorough
 def test_the_slider_crank_of_the_paper():
-    found = build(1, [30.0], cells=(6, 2), modes=2).describe()
-    assert (found.rows, found.rank, found.redundant, found.freedoms, found.mobility) == (18, 18, (), 2, 0)
-    assert [(entry.name, entry.kind, entry.numbers["modes"]) for entry in found.bodies] == [
+    result = build(1, [30.0], cells=(6, 2), modes=2).describe()
+    assert (result.rows, result.rank, result.redundant, result.freedoms, result.mobility) == (18, 18, (), 2, 0)
+    assert [(entry.name, entry.kind, entry.numbers["modes"]) for entry in result.bodies] == [
         ("crank", "rigid", 0),
         ("rod", "flexible", 2),
         ("slider", "rigid", 0),
     ]
-    assert len(found.frequencies) == 2
-    assert 0.0 < found.frequencies[0] < found.frequencies[1]
+    assert len(result.frequencies) == 2
+    assert 0.0 < result.frequencies[0] < result.frequencies[1]
 
 
 def test_frequencies_of_a_pendulum():
     arm = mbd.RigidBody("arm", 2.0, (0.2, 0.1, 0.3), center=(0.0, -0.5, 0.0))
     system = mbd.System([arm], [mbd.Revolute(mbd.Ground().at(), arm.at())], gravity=(0.0, -9.81, 0.0))
-    wanted = math.sqrt(2.0 * 9.81 * 0.5 / (0.3 + 2.0 * 0.25)) / (2.0 * math.pi)
-    assert system.describe().frequencies == pytest.approx((wanted,), rel=1e-12)
+    expected = math.sqrt(2.0 * 9.81 * 0.5 / (0.3 + 2.0 * 0.25)) / (2.0 * math.pi)
+    assert system.describe().frequencies == pytest.approx((expected,), rel=1e-12)
 
 
 def test_groups_that_fly_are_named():
     a, b, c = box("a"), box("b"), box("c")
     system = mbd.System([a, b, c], [mbd.Revolute(a.at(), b.at())], free=["c"])
-    found = system.describe()
-    assert found.separate == (("a", "b"), ("c",))
-    assert found.freedoms == 13
-    assert "a, b: no joint to the ground" in str(found)
+    result = system.describe()
+    assert result.separate == (("a", "b"), ("c",))
+    assert result.freedoms == 13
+    assert "a, b: no joint to the ground" in str(result)
 
 
 def test_a_free_body_has_no_joints_to_print():
-    found = mbd.System([box("a")]).describe()
-    assert (found.rows, found.rank, found.freedoms) == (0, 0, 6)
-    assert "no joint" in str(found)
+    result = mbd.System([box("a")]).describe()
+    assert (result.rows, result.rank, result.freedoms) == (0, 0, 6)
+    assert "no joint" in str(result)
 
 
 def test_a_body_left_unconnected_is_named():

@@ -40,8 +40,8 @@ def test_the_inverse(make):
     system = make()
     A = torch.cat([matrix(system)] * 2)
     A[1] += 0.05 * torch.eye(len(A[0]), dtype=torch.float64) * A[1].diagonal()
-    found, expected = formed(system, A), torch.linalg.inv(A)
-    assert_close(found, expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
+    result, expected = formed(system, A), torch.linalg.inv(A)
+    assert_close(result, expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
 
 
 def test_a_lane_with_a_singular_block_goes_the_dense_way():
@@ -52,11 +52,11 @@ def test_a_lane_with_a_singular_block_goes_the_dense_way():
     A[1, rows[:, None], rows[None]] = 0.0
     A[1, rows[0], rows[0]] = 1e-3  # the block stays singular
     A[2] = 0.0
-    found = formed(system, A)
+    result = formed(system, A)
     dense = factored(A[1:2]) @ torch.eye(A.shape[1], dtype=A.dtype)[None]
-    assert_close(found[1], dense[0], rtol=1e-9, atol=1e-9, equal_nan=True)
-    assert bool(found[2].isnan().all())
-    assert bool(found[0].isfinite().all())
+    assert_close(result[1], dense[0], rtol=1e-9, atol=1e-9, equal_nan=True)
+    assert bool(result[2].isnan().all())
+    assert bool(result[0].isfinite().all())
 
 
 @pytest.mark.thorough

@@ -98,12 +98,12 @@ def test_inertia_forces_are_the_sums_over_the_nodes(kinds):
     gravity = torch.tensor(GRAVITY, dtype=torch.float64)
     for index in range(T.flexible):
         body = system.body(T.names[index])
-        for found, expected in zip(
+        for result, expected in zip(
             (force[:, index], torque[:, index], modal[: body.modes, index]),
             dalembert(T, body, index, q, v, a, gravity),
             strict=True,
         ):
-            assert_close(found, expected, rtol=0, atol=1e-12 * float(expected.abs().max()))
+            assert_close(result, expected, rtol=0, atol=1e-12 * float(expected.abs().max()))
 
 
 @pytest.mark.parametrize("kinds", ["r", "rr", "fr"])
@@ -202,16 +202,16 @@ def test_iteration_matrix_is_the_derivative_of_the_forces(linearized):
         return equations.dynamic_residual(T, data, at, v, torch.zeros_like(v), quiet)[:, 0, 0]
 
     D = torch.func.jacfwd(forces)(v)[:, :, 0, 0]
-    found = system.dynamics().saddle.matrix(data, at, Slopes(0.0, 1.0, v))[0] - bare
+    result = system.dynamics().saddle.matrix(data, at, Slopes(0.0, 1.0, v))[0] - bare
     scale = float(D.abs().max())
-    assert_close(found[:n_v, :n_v], D, rtol=0, atol=1e-12 * scale)
-    assert_close(found[n_v:], torch.zeros_like(found[n_v:]))
+    assert_close(result[:n_v, :n_v], D, rtol=0, atol=1e-12 * scale)
+    assert_close(result[n_v:], torch.zeros_like(result[n_v:]))
 
     w = 7 * T.bodies
     K = torch.func.jacfwd(lambda x: _spring(T, data, q, x, v, quiet, drives))(q[w:])[:, :, 0, 0]
-    found = system.dynamics().saddle.matrix(data, at, Slopes(1.0, 0.0))[0] - bare
+    result = system.dynamics().saddle.matrix(data, at, Slopes(1.0, 0.0))[0] - bare
     assert_close(
-        found[6 * T.bodies : n_v, 6 * T.bodies : n_v],
+        result[6 * T.bodies : n_v, 6 * T.bodies : n_v],
         K,
         rtol=1e-12,
         atol=1e-12 * float(K.abs().amax() if K.numel() else 0),
@@ -243,9 +243,9 @@ def test_geometric_stiffness_is_the_derivative_of_the_constraint_forces(lineariz
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix = system.dynamics().saddle.matrix
-    found = matrix(data, at, Slopes(1.0, lam=lam))[0] - matrix(data, at, Slopes(1.0))[0]
-    assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
-    assert not found[n_v:].any()
+    result = matrix(data, at, Slopes(1.0, lam=lam))[0] - matrix(data, at, Slopes(1.0))[0]
+    assert_close(result[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
+    assert not result[n_v:].any()
 
 
 @pytest.mark.parametrize("linearized", ["mixed", "stiffened", "pendulum"], indirect=True)
@@ -262,9 +262,9 @@ def test_inertial_stiffness_is_the_derivative_of_the_inertia_forces_by_the_coord
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix, at = system.dynamics().saddle.matrix, equations.placement(T, data, q, drives)
-    found = matrix(data, at, Slopes(1.0, 0.0, v, a))[0] - matrix(data, at)[0]
-    assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
-    assert not found[n_v:].any()
+    result = matrix(data, at, Slopes(1.0, 0.0, v, a))[0] - matrix(data, at)[0]
+    assert_close(result[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
+    assert not result[n_v:].any()
 
 
 def test_residual_carries_design_tangents(linearized):

@@ -45,19 +45,19 @@ def frequencies_of_the_double_pendulum() -> list[float]:
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (2.5, -1.0), (-1.2, 3.0)])
 def test_a_double_pendulum_hangs_down_and_swings(start):
-    found = mbd.equilibrium(double_pendulum(*start))
-    assert found.stable
-    assert found.vibrations[0].frequencies.tolist() == pytest.approx(frequencies_of_the_double_pendulum(), rel=1e-9)
-    p = found.q[0, 0, 6:14].reshape(4, 2)
+    result = mbd.equilibrium(double_pendulum(*start))
+    assert result.stable
+    assert result.vibrations[0].frequencies.tolist() == pytest.approx(frequencies_of_the_double_pendulum(), rel=1e-9)
+    p = result.q[0, 0, 6:14].reshape(4, 2)
     assert_close(rotation_matrix(p)[..., 0], torch.eye(3).double(), rtol=0, atol=1e-9)
     weight = sum(m for m, *_ in BARS) * G
-    assert float(found.lam.norm(dim=-1).max()) > weight  # of both hinges
+    assert float(result.lam.norm(dim=-1).max()) > weight  # of both hinges
 
 
 def test_upside_down_is_an_unstable_equilibrium():
-    found = mbd.equilibrium(double_pendulum(math.pi, math.pi))
-    assert not found.stable
-    growth = float(found.vibrations[0].poles.real.max())
+    result = mbd.equilibrium(double_pendulum(math.pi, math.pi))
+    assert not result.stable
+    growth = float(result.vibrations[0].poles.real.max())
     assert growth == pytest.approx(2 * math.pi * max(frequencies_of_the_double_pendulum()), rel=1e-9)
 
 
@@ -74,19 +74,19 @@ def beam(weight: float) -> mbd.System:
 @pytest.mark.thorough
 def test_a_pinned_beam_has_its_frequencies():
     """Pinned at one end, free at the other: tan(k L) = tanh(k L), k L = 3.92660, 7.06858 (Blevins, table 8-1)."""
-    found = mbd.equilibrium(beam(0.0))
+    result = mbd.equilibrium(beam(0.0))
     in_plane = [x**2 * math.sqrt(2.1e11 * 1e-9 / 0.78) / (2 * math.pi) for x in (3.926602, 7.068583)]
-    frequencies = found.vibrations[0].frequencies
+    frequencies = result.vibrations[0].frequencies
     assert float(frequencies[0]) == 0.0
-    for wanted in in_plane:
-        assert float((frequencies / wanted - 1.0).abs().min()) < 5e-3
+    for expected in in_plane:
+        assert float((frequencies / expected - 1.0).abs().min()) < 5e-3
 
 
 @pytest.mark.thorough
 def test_a_flexible_pendulum_swings_as_a_rod():
     """The first frequency of a stiff bar: sqrt(3 g / 2 L) / 2 pi."""
-    found = mbd.equilibrium(beam(G))
-    assert float(found.vibrations[0].frequencies[0]) == pytest.approx(math.sqrt(1.5 * G) / (2 * math.pi), rel=1e-3)
+    result = mbd.equilibrium(beam(G))
+    assert float(result.vibrations[0].frequencies[0]) == pytest.approx(math.sqrt(1.5 * G) / (2 * math.pi), rel=1e-3)
 
 
 @pytest.mark.thorough
@@ -128,10 +128,10 @@ def test_stiffness_is_the_difference_of_forces(system):
 @pytest.mark.thorough
 def test_damping_is_in_the_poles():
     body = plate("panel", modes=2, damping=1e-4)
-    found = mbd.equilibrium(
+    result = mbd.equilibrium(
         mbd.System([body], [mbd.Fixed(mbd.Ground().at(*body.at("center").point.tolist()), body.at("center"))])
     )
-    poles, omega = found.vibrations[0].poles, 2 * math.pi * found.vibrations[0].frequencies
+    poles, omega = result.vibrations[0].poles, 2 * math.pi * result.vibrations[0].frequencies
     # C = c K: the pole of a mode has the real part -c omega^2 / 2.
     assert_close(
         poles.real.sort().values, (-0.5e-4 * omega.square()).repeat_interleave(2).sort().values, rtol=1e-8, atol=0
@@ -152,30 +152,32 @@ def test_a_force_that_follows_makes_a_column_flutter(push):
     pairs = [(ground.at(), near.at(-1, 0, 0)), (near.at(), far.at(-1, 0, 0))]
     springs = [mbd.RotationalSpringDamper(a, b, axis="z", stiffness=1.0) for a, b in pairs]
     follower = mbd.Force(far.at(), (-push, 0, 0), axes="frame")
-    found = mbd.equilibrium(mbd.System([near, far], [mbd.Revolute(a, b, "z") for a, b in pairs], [*springs, follower]))
+    result = mbd.equilibrium(mbd.System([near, far], [mbd.Revolute(a, b, "z") for a, b in pairs], [*springs, follower]))
     K = np.array([[2.0 - push, push - 1.0], [-1.0, 1.0]])
     squares = np.sort_complex(np.linalg.eigvals(np.linalg.solve([[3.0, 1.0], [1.0, 1.0]], K).astype(complex)))
     poles = np.sqrt(-squares)
-    assert_close(found.vibrations[0].poles.abs().sort().values, torch.from_numpy(np.abs(poles)).repeat(2).sort().values)
+    assert_close(
+        result.vibrations[0].poles.abs().sort().values, torch.from_numpy(np.abs(poles)).repeat(2).sort().values
+    )
     if push < 2.0:
-        assert found.vibrations[0].frequencies.tolist() == pytest.approx(
+        assert result.vibrations[0].frequencies.tolist() == pytest.approx(
             (np.sqrt(squares.real) / (2 * math.pi)).tolist(), rel=1e-6
         )
     else:
-        assert bool(found.vibrations[0].frequencies.isnan().all())
-        assert not found.stable
-        assert float(found.vibrations[0].poles.real.max()) == pytest.approx(np.abs(poles.real).max(), rel=1e-6)
+        assert bool(result.vibrations[0].frequencies.isnan().all())
+        assert not result.stable
+        assert float(result.vibrations[0].poles.real.max()) == pytest.approx(np.abs(poles.real).max(), rel=1e-6)
 
 
 @pytest.mark.thorough
 def test_lanes_have_their_own_equilibrium():
     system = pendulum()
     angles = torch.stack([mbd.deg([20.0, -50.0]), mbd.deg([80.0, 10.0])])
-    found = mbd.equilibrium(system, designs={"rod.laminate.angles": angles})
-    assert found.q.shape == (2, 1, system.topology.n_q)
+    result = mbd.equilibrium(system, designs={"rod.laminate.angles": angles})
+    assert result.q.shape == (2, 1, system.topology.n_q)
     alone = mbd.equilibrium(system, designs={"rod.laminate.angles": angles[1:]})
-    assert_close(found.vibrations[1].frequencies, alone.vibrations[0].frequencies, rtol=1e-8, atol=1e-8)
-    assert float((found.vibrations[0].frequencies - found.vibrations[1].frequencies).abs().max()) > 1e-3
+    assert_close(result.vibrations[1].frequencies, alone.vibrations[0].frequencies, rtol=1e-8, atol=1e-8)
+    assert float((result.vibrations[0].frequencies - result.vibrations[1].frequencies).abs().max()) > 1e-3
 
 
 @pytest.mark.thorough
@@ -192,11 +194,11 @@ def test_springs_and_dampers_count():
     a, ground = box("a"), mbd.Ground()
     spring = mbd.AxialSpringDamper(ground.at(), a.at(), axis="y", stiffness=k, damping=c, rest=-0.1)
     system = mbd.System([a], [mbd.Prismatic(ground.at(), a.at(), axis="y")], [spring], gravity=(0.0, -G, 0.0))
-    found = mbd.equilibrium(system)
-    assert float(found.q[0, 0, 1]) == pytest.approx(-0.1 - m * G / k, rel=1e-10)
-    assert float(found.vibrations[0].frequencies[0]) == pytest.approx(math.sqrt(k / m) / (2 * math.pi), rel=1e-12)
-    assert found.vibrations[0].poles.real.tolist() == pytest.approx([-c / (2 * m)] * 2, rel=1e-10)
-    assert system.describe().frequencies == pytest.approx(found.vibrations[0].frequencies.tolist())
+    result = mbd.equilibrium(system)
+    assert float(result.q[0, 0, 1]) == pytest.approx(-0.1 - m * G / k, rel=1e-10)
+    assert float(result.vibrations[0].frequencies[0]) == pytest.approx(math.sqrt(k / m) / (2 * math.pi), rel=1e-12)
+    assert result.vibrations[0].poles.real.tolist() == pytest.approx([-c / (2 * m)] * 2, rel=1e-10)
+    assert system.describe().frequencies == pytest.approx(result.vibrations[0].frequencies.tolist())
 
 
 @pytest.mark.thorough
@@ -208,10 +210,10 @@ def test_a_light_pendulum_beside_a_stiff_mount_comes_to_rest(stiffness):
     block = mbd.RigidBody("block", 1.0, (0.1, 0.1, 0.1))
     hinge = mbd.Revolute(ground.at(), bob.at(-length, 0, 0), "z")
     mount = mbd.Bushing(ground.at(), block.at(), stiffness, turning_stiffness=stiffness)
-    found = mbd.equilibrium(mbd.System([bob, block], [hinge], [mount], gravity=(0.0, -G, 0.0)))
-    assert found.body("bob").r[0, 0].tolist() == pytest.approx([0.0, -length, 0.0], abs=1e-8)
+    result = mbd.equilibrium(mbd.System([bob, block], [hinge], [mount], gravity=(0.0, -G, 0.0)))
+    assert result.body("bob").r[0, 0].tolist() == pytest.approx([0.0, -length, 0.0], abs=1e-8)
     swing = math.sqrt(m * G * length / (m * length**2 + 1e-6)) / (2 * math.pi)
-    assert float(found.vibrations[0].frequencies[0]) == pytest.approx(swing, rel=1e-7)
+    assert float(result.vibrations[0].frequencies[0]) == pytest.approx(swing, rel=1e-7)
 
 
 @pytest.mark.parametrize("pull", [1e3, 1e9])
@@ -223,5 +225,5 @@ def test_springs_that_pull_against_each_other_balance(pull):
         for name, rest in (("up", pull / k), ("down", -pull / k))
     ]
     system = mbd.System([a], [mbd.Prismatic(ground.at(), a.at(), axis="y")], springs, gravity=(0.0, -G, 0.0))
-    found = mbd.equilibrium(system)
-    assert float(found.q[0, 0, 1]) == pytest.approx(-m * G / (2 * k), abs=1e-14 * pull)
+    result = mbd.equilibrium(system)
+    assert float(result.q[0, 0, 1]) == pytest.approx(-m * G / (2 * k), abs=1e-14 * pull)

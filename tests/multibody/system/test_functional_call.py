@@ -116,12 +116,12 @@ def test_the_start_of_a_body_is_taken_whenever_it_is_set(name):
     assert torch.equal(Motion(system)(), before)  # nothing is left behind
     loaded = mbd.examples.arm()
     loaded.load_state_dict(system.state_dict() | {f"arm.{name}": new})
-    wanted = Motion(loaded)()
-    assert not torch.equal(wanted, before)
+    expected = Motion(loaded)()
+    assert not torch.equal(expected, before)
     with torch.no_grad():
         own.copy_(new)
-    for found in (by_call, Motion(system)()):
-        assert_close(found, wanted, rtol=1e-12, atol=1e-15)
+    for result in (by_call, Motion(system)()):
+        assert_close(result, expected, rtol=1e-12, atol=1e-15)
 
 
 def swinging() -> mbd.System:
@@ -179,14 +179,14 @@ def test_transforms_of_a_system_that_has_not_moved(make, transform):
     own = answer(fresh, *next(iter(fresh.named_parameters()))).detach()
     for name, parameter in make().named_parameters():
         system, x = make(), 1.01 * parameter.detach()
-        found = TRANSFORMS[transform](lambda y, s=system, n=name: answer(s, n, y), x)
+        result = TRANSFORMS[transform](lambda y, s=system, n=name: answer(s, n, y), x)
         if transform == "vmap":
-            wanted = answer(make(), name, x)
+            expected = answer(make(), name, x)
         else:
             steps = h * torch.eye(x.numel(), dtype=x.dtype).reshape(-1, *x.shape)
             slopes = [(answer(make(), name, x + d) - answer(make(), name, x - d)) / (2.0 * h) for d in steps]
-            wanted = torch.stack(slopes, -1).reshape(found.shape)
-        assert_close(found, wanted, rtol=0, atol=1e-5 * float(wanted.detach().abs().max()))
+            expected = torch.stack(slopes, -1).reshape(result.shape)
+        assert_close(result, expected, rtol=0, atol=1e-5 * float(expected.detach().abs().max()))
         assert torch.equal(answer(system, *next(iter(system.named_parameters()))), own)
 
 

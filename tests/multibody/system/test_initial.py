@@ -87,9 +87,9 @@ def test_given_velocities_are_kept_where_the_joints_allow_them():
         _, v, _, velocity = closed(system)
     assert velocity < 1e-14
     assert_close(v, tensor(0, 0, 0, 0, 0, 5.0), rtol=0, atol=1e-14)
-    (found,) = warned
-    assert "; velocity of 'a' given (1, 1, 1), starts with (0, 0, 0) m/s" in str(found.message).replace("-0", "0")
-    assert ": angular velocity of 'a' given (3, -2, 5), starts with (0, 0, 5) rad/s" in str(found.message).replace(
+    (result,) = warned
+    assert "; velocity of 'a' given (1, 1, 1), starts with (0, 0, 0) m/s" in str(result.message).replace("-0", "0")
+    assert ": angular velocity of 'a' given (3, -2, 5), starts with (0, 0, 5) rad/s" in str(result.message).replace(
         "-0", "0"
     )
 
@@ -139,8 +139,8 @@ def test_a_platform_keeps_its_velocity_and_its_struts_follow(given):
     i = T.names.index("platform")
     for k, name in enumerate(("velocity", "angular_velocity")):
         if name in given:
-            found = v[3 * k * T.bodies : 3 * (k + 1) * T.bodies].reshape(3, -1)[:, i]
-            assert_close(found, tensor(*given[name]), rtol=1e-13, atol=1e-14)
+            result = v[3 * k * T.bodies : 3 * (k + 1) * T.bodies].reshape(3, -1)[:, i]
+            assert_close(result, tensor(*given[name]), rtol=1e-13, atol=1e-14)
     assert float(v.norm()) > 1.5 * float(torch.cat([tensor(*x) for x in given.values()]).norm())
 
 
@@ -236,15 +236,15 @@ def test_the_initial_state_carries_design_tangents():
     points = torch.tensor([a.is_point for a in system.topology.attached])[None, :, None, None]
     change = torch.where(points, torch.randn(x.shape, generator=make, dtype=torch.float64), 0.0)
     dynamics.data["x"] = Pair.of(x, change)
-    found = dynamics.initial.solve(dynamics)
+    result = dynamics.initial.solve(dynamics)
     h, moved = 1e-6, []
     for sign in (1, -1):
         dynamics.data["x"] = x + sign * h * change
         moved.append(dynamics.initial.solve(dynamics))
     for k in range(2):
         slope = (moved[0][k] - moved[1][k]) / (2 * h)
-        assert_close(value(found[k]), (moved[0][k] + moved[1][k]) / 2, rtol=1e-6, atol=1e-6)
-        assert_close(found[k].tangent, slope, rtol=1e-6, atol=1e-6 * float(slope.abs().max()))
+        assert_close(value(result[k]), (moved[0][k] + moved[1][k]) / 2, rtol=1e-6, atol=1e-6)
+        assert_close(result[k].tangent, slope, rtol=1e-6, atol=1e-6 * float(slope.abs().max()))
 
 
 def test_the_initial_state_is_differentiable_in_reverse_mode():

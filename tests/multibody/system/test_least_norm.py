@@ -54,16 +54,16 @@ def test_they_do_not_depend_on_the_iteration(angle):
     """Two to twenty corrections a step, and what is left of lam in combinations of rows that act on no body."""
     system = doors(angle)
     settings: tuple[dict[str, Any], ...] = ({}, {"iterations": (2, 1)}, {"iterations": (6, 1), "refresh": 0})
-    found = [mbd.simulate(system, 0.2, steps=100, **given).require_ok() for given in settings]
-    for motion in found:
+    result = [mbd.simulate(system, 0.2, steps=100, **given).require_ok() for given in settings]
+    for motion in result:
         for i in (1, 50, 100):
             J = jacobian(motion, i)
             U, s, _ = torch.linalg.svd(J)
             rank = int((s > 1e-6).sum())
             assert rank == len(J) - 10
             assert float((U[:, rank:].T @ motion.lam[0, i]).abs().max()) < 1e-8
-    for other in found[1:]:
-        assert_close(other.lam, found[0].lam, rtol=0, atol=1e-5 * float(found[0].lam.abs().max()))
+    for other in result[1:]:
+        assert_close(other.lam, result[0].lam, rtol=0, atol=1e-5 * float(result[0].lam.abs().max()))
 
 
 @pytest.mark.thorough
@@ -93,8 +93,8 @@ def test_gradients_are_those_of_the_reactions(method):
         assert gradient is not None
         plus, minus = response.value(near).unflatten(0, (-1, 2)).unbind(1)
         slope = dict(zip(sizes, (plus - minus) / (2.0 * tensor(*sizes.values())), strict=True))
-        wanted = torch.stack([slope[name.partition("[")[0]] for name in motion.parameters])
-        assert_close(gradient[0], wanted, rtol=1e-6, atol=1e-6 * float(wanted.abs().max()))
+        expected = torch.stack([slope[name.partition("[")[0]] for name in motion.parameters])
+        assert_close(gradient[0], expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -141,8 +141,8 @@ def test_both_sides_of_a_switch_share_what_they_carry():
         loose = U[:, int((s > 1e-6).sum()) :] * acting[:, None]
         assert float((loose.T @ side.lam[0]).abs().max()) < 1e-8 * float(side.lam.abs().max())
         assert side.dlam_db is not None
-        wanted = (sides.lam[0] - sides.lam[1]) / (2.0 * size)
-        assert_close(side.dlam_db[0, :, 0], wanted, rtol=0, atol=1e-5 * float(wanted.abs().max()))
+        expected = (sides.lam[0] - sides.lam[1]) / (2.0 * size)
+        assert_close(side.dlam_db[0, :, 0], expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
 
 
 def test_a_lane_that_failed_gets_nan_and_the_others_their_own():
@@ -153,6 +153,6 @@ def test_a_lane_that_failed_gets_nan_and_the_others_their_own():
     broken = q.clone()
     broken[..., 1] = torch.nan
     given = dynamics.topology.prescribed(torch.zeros((), dtype=torch.float64), dynamics.data)
-    found = least(dynamics.data, given, broken, lam)  # finite multipliers all the same
-    assert bool(found[..., 1].isnan().all())
-    assert_close(found[..., 0], least(dynamics.data, given, q, lam)[..., 0], rtol=0, atol=1e-12)
+    result = least(dynamics.data, given, broken, lam)  # finite multipliers all the same
+    assert bool(result[..., 1].isnan().all())
+    assert_close(result[..., 0], least(dynamics.data, given, q, lam)[..., 0], rtol=0, atol=1e-12)

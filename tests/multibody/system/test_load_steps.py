@@ -26,8 +26,8 @@ def test_roll_up(turns):
     moment = turns * 2.0 * math.pi * 100.0 / 10.0
     rest = mbd.equilibrium(cantilever(beam, mbd.Torque(beam.at("end"), (0.0, 0.0, moment))))
     angle, radius = 2.0 * math.pi * turns, 10.0 / (2.0 * math.pi * turns)
-    wanted = torch.tensor([radius * math.sin(angle), radius * (1.0 - math.cos(angle)), 0.0], dtype=torch.float64)
-    assert_close(rest.body("beam").nodes[0, 0, -1], wanted, atol=1e-9, rtol=0)
+    expected = torch.tensor([radius * math.sin(angle), radius * (1.0 - math.cos(angle)), 0.0], dtype=torch.float64)
+    assert_close(rest.body("beam").nodes[0, 0, -1], expected, atol=1e-9, rtol=0)
 
 
 @pytest.mark.thorough
@@ -38,8 +38,8 @@ def test_bend_at_five_times_the_load():
     force = mbd.Force(beam.at("end"), lambda t: torch.stack([0.0 * t, 0.0 * t, 600.0 + 2400.0 * t]))
     rest = mbd.equilibrium(cantilever(beam, force), times=[0.0, 1.0])
     for k, load in enumerate(push.tolist()):
-        wanted = alone.equilibrium({"end": (0.0, 0.0, load)}).nodes
-        assert_close(rest.body("bend").nodes[0, k], wanted, atol=1e-8, rtol=0)
+        expected = alone.equilibrium({"end": (0.0, 0.0, load)}).nodes
+        assert_close(rest.body("bend").nodes[0, k], expected, atol=1e-8, rtol=0)
 
 
 @pytest.mark.thorough
@@ -130,5 +130,5 @@ def test_drive_that_turns_too_far_at_once():
     with pytest.raises(mbd.InputError, match="a drive ends half a turn away"):
         mbd.equilibrium(system, times=[0.0, 1.0])
     tip = mbd.equilibrium(system, times=[0.0, 0.5, 1.0]).body("beam").nodes[0, 2, -1]
-    wanted = torch.tensor([math.cos(2.0), math.sin(2.0), 0.0], dtype=torch.float64)
-    assert_close(tip, wanted, atol=1e-9, rtol=0)
+    expected = torch.tensor([math.cos(2.0), math.sin(2.0), 0.0], dtype=torch.float64)
+    assert_close(tip, expected, atol=1e-9, rtol=0)

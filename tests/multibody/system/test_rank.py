@@ -24,11 +24,11 @@ def test_rows_that_depend_on_others_are_found(dependent):
     others = [i for i in range(T.rows) if i not in dependent]
     for i in dependent:
         J[i] = make.standard_normal(3) @ J[make.choice(others, 3, replace=False)]
-    found = rank_of(T, J)
-    assert found.rank == T.rows - len(dependent)
-    assert len(found.redundant) == len(dependent)
-    left = [i for i, name in enumerate(T.row_names) if name not in found.redundant]
-    assert np.linalg.matrix_rank(J[left] / np.linalg.norm(J[left], axis=1, keepdims=True)) == found.rank
+    result = rank_of(T, J)
+    assert result.rank == T.rows - len(dependent)
+    assert len(result.redundant) == len(dependent)
+    left = [i for i, name in enumerate(T.row_names) if name not in result.redundant]
+    assert np.linalg.matrix_rank(J[left] / np.linalg.norm(J[left], axis=1, keepdims=True)) == result.rank
 
 
 def test_of_equal_rows_the_first_stays_whatever_the_rounding():
@@ -37,8 +37,8 @@ def test_of_equal_rows_the_first_stays_whatever_the_rounding():
     make = np.random.default_rng(1)
     J = make.standard_normal((T.rows, 2 * T.rows))
     J[7], J[12] = J[3], J[3] - 2.0 * J[5]
-    found = {rank_of(T, J * (1.0 + 1e-13 * make.standard_normal(J.shape))).redundant for _ in range(20)}
-    assert found == {(T.row_names[7], T.row_names[12])}
+    result = {rank_of(T, J * (1.0 + 1e-13 * make.standard_normal(J.shape))).redundant for _ in range(20)}
+    assert result == {(T.row_names[7], T.row_names[12])}
 
 
 def test_a_drive_comes_last():
@@ -108,10 +108,10 @@ def test_rows_that_only_coupled_bending_tells_apart_are_named():
     for difference, most in ((0.001, 1e-5), (1.0, 1e-2)):
         system = hung((difference, -difference))
         with pytest.warns(UserWarning, match=r"corner_left_bottom: coincide y.*craig-bampton"):
-            found = system().dynamics.rank
-        assert {name.partition(":")[0] for name in found.weak} == set(CORNERS)
-        assert 1e-9 < found.share < most
-        assert not found.left_out
+            result = system().dynamics.rank
+        assert {name.partition(":")[0] for name in result.weak} == set(CORNERS)
+        assert 1e-9 < result.share < most
+        assert not result.left_out
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not hung((1.0, -1.0), reduction="craig-bampton", interface=CORNERS)().dynamics.rank.weak

@@ -70,10 +70,10 @@ def test_a_heavy_disk_on_a_light_shaft_is_not_free():
 def test_whirl_and_unbalance(speed):
     e = 1e-4
     rest = turning(speed, end=-e)
-    found = rest.vibrations[0].frequencies
+    result = rest.vibrations[0].frequencies
     assert rest.stable
-    for wanted in whirl(speed):
-        assert float((found - wanted).abs().min()) < 2e-3 * wanted + 2e-3
+    for expected in whirl(speed):
+        assert float((result - expected).abs().min()) < 2e-3 * expected + 2e-3
     K = E * INERTIA * np.linalg.inv(FLEXIBILITY) - speed**2 * np.diag([MASS, ACROSS - POLAR])
     place, _ = np.linalg.solve(K, [MASS * speed**2 * e, 0.0])
     assert rest.body("shaft").at("end").position[0, 0, 1].item() == pytest.approx(place, rel=5e-3)

@@ -56,7 +56,7 @@ def test_values_tangents_and_cotangents_are_those_of_dense_matrices(closed):
     assert bool(sparse.redundant) == closed
     for x, y in zip(start(sparse), start(dense(sparse)), strict=True):
         assert_close(x.full, y.full, rtol=1e-8, atol=1e-10 * float(y.full.abs().max()))
-    found = []
+    result = []
     for dynamics in (batch(system), dense(batch(system))):
         leaves = [x.requires_grad_() for x in dynamics.data.values()]
         a, lam = start(dynamics)
@@ -66,13 +66,13 @@ def test_values_tangents_and_cotangents_are_those_of_dense_matrices(closed):
                 (a, lam), leaves, (w[0] * pulled[0], w[1] * pulled[1]), retain_graph=True, allow_unused=True
             )
         )(torch.eye(2, dtype=torch.float64))
-        found.append(dict(zip(dynamics.data, rows, strict=True)))
-    used = {name for name, x in found[1].items() if x is not None}
+        result.append(dict(zip(dynamics.data, rows, strict=True)))
+    used = {name for name, x in result[1].items() if x is not None}
     assert used
-    assert {name for name, x in found[0].items() if x is not None} == used
+    assert {name for name, x in result[0].items() if x is not None} == used
     for name in used:
-        x = found[1][name]
-        assert_close(found[0][name], x, rtol=1e-7, atol=1e-9 * float(x.abs().max()))
+        x = result[1][name]
+        assert_close(result[0][name], x, rtol=1e-7, atol=1e-9 * float(x.abs().max()))
 
 
 @pytest.mark.thorough
@@ -92,8 +92,8 @@ def test_derivatives_by_states_in_both_modes():
     zero = z.new_zeros(3)
     expected = torch.func.jacrev(lambda x: rates(g, x))(zero)
     for mode in (torch.func.jacfwd, torch.func.jacrev):
-        found = mode(lambda x: rates(f, x))(zero)
-        assert_close(found, expected, rtol=1e-8, atol=1e-9 * float(expected.abs().max()))
+        result = mode(lambda x: rates(f, x))(zero)
+        assert_close(result, expected, rtol=1e-8, atol=1e-9 * float(expected.abs().max()))
     several = torch.linspace(0.0, 1e-3, 6, dtype=torch.float64).reshape(2, 3)
     both = [torch.vmap(lambda x, h=h: rates(h, x))(several) for h in (f, g)]
     assert_close(*both, rtol=1e-8, atol=1e-10 * float(both[1].abs().max()))

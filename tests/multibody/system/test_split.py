@@ -47,8 +47,8 @@ def test_nodes_and_parameters():
     assert [len(piece.mesh.elements) for piece in chain.bodies] == [2, 2, 3, 2]
     for k in range(10):
         frame = chain.at(k)
-        found = frame.body.position + frame.body.axes @ frame.point
-        torch.testing.assert_close(found, body.position + body.axes @ body.places()[k])
+        result = frame.body.position + frame.body.axes @ frame.point
+        torch.testing.assert_close(result, body.position + body.axes @ body.places()[k])
     assert chain.bodies[1].modes == 12
     system = mbd.System(chain.bodies, [mbd.Fixed(mbd.Ground().at(0.1, 0.2, 0.3), chain.at("start")), *chain.joints])
     assert [name for name, _ in system.named_parameters()] == ["arm_0.section.angles"]

@@ -44,23 +44,23 @@ def test_its_parameters_are_those_of_the_system():
 @pytest.mark.thorough
 def test_the_adjoint_of_torchdiffeq_is_its_plain_gradient_and_that_of_simulate():
     """By angles, the stiffness of a spring and the initial state."""
-    system, found = hung(), []
+    system, result = hung(), []
     f = system()
     y0 = f.initial_state().detach().requires_grad_()
     inputs = [system.get_parameter(ANGLES), system.get_parameter(STIFFNESS), y0]
     for solve in (torchdiffeq.odeint, torchdiffeq.odeint_adjoint):
         y = solve(f, y0, TIMES, method="dopri5", **TIGHT)
-        found.append(torch.autograd.grad(loss(y[1:, 0]), inputs))
+        result.append(torch.autograd.grad(loss(y[1:, 0]), inputs))
     # Near to the constraints, which y0 may leave here, the adjoint of the equations stiffens: compared by size.
-    for plain, adjoint in zip(*found, strict=True):
+    for plain, adjoint in zip(*result, strict=True):
         assert_close(adjoint, plain, rtol=0, atol=1e-5 * float(plain.abs().max()))
     for options in ({"method": "dopri5", "steps": 2, "gradients": "forward", **TIGHT}, {"steps": 160}):
         motion = mbd.simulate(system, END, **options)
         q = motion.q[0, [len(motion.t) // 2, -1]]
         by = torch.autograd.grad((q * (1.0 + q)).sum(), inputs[:2])
-        for x, wanted in zip(by, found[0], strict=False):
+        for x, expected in zip(by, result[0], strict=False):
             tolerance = 1e-5 if "method" in options else 1e-3  # generalized-alpha: its own discretization
-            assert_close(x, wanted, rtol=0, atol=tolerance * float(wanted.abs().max()))
+            assert_close(x, expected, rtol=0, atol=tolerance * float(expected.abs().max()))
 
 
 @pytest.mark.thorough
@@ -95,12 +95,12 @@ def test_functional_call_and_transforms():
 
     step = 1e-4
     with torch.no_grad():
-        wanted = torch.stack(
+        expected = torch.stack(
             [(slope(angles + step * e) - slope(angles - step * e)) / (2.0 * step) for e in torch.eye(2).double()], 1
         )
-    size = float(wanted.abs().max())
+    size = float(expected.abs().max())
     for transform in (torch.func.jacrev, torch.func.jacfwd):
-        assert_close(transform(slope)(angles), wanted, rtol=0, atol=1e-6 * size)
+        assert_close(transform(slope)(angles), expected, rtol=0, atol=1e-6 * size)
     assert torch.equal(f(0.0, y0), system()(0.0, y0))
 
     def end(x: Tensor) -> Tensor:

@@ -36,8 +36,8 @@ def test_hinged_blade(axis, more):
     bar = mbd.RigidBody("bar", m, (1e-9, inertia, inertia), position=(e + s, 0.0, 0.0))
     joints.append(mbd.Revolute(own.at(e, 0, 0), bar.at(-s, 0, 0), axis=axis, name="root"))
     rest = mbd.equilibrium(mbd.System([own, bar], joints), spin=(0.0, 0.0, SPEED))
-    wanted = SPEED * math.sqrt(more + m * e * s / (inertia + m * s**2)) / (2.0 * math.pi)
-    assert rest.vibrations[0].frequencies.tolist() == [pytest.approx(wanted, rel=1e-8)]
+    expected = SPEED * math.sqrt(more + m * e * s / (inertia + m * s**2)) / (2.0 * math.pi)
+    assert rest.vibrations[0].frequencies.tolist() == [pytest.approx(expected, rel=1e-8)]
     assert_close(rest.body("bar").at().velocity[0, 0], torch.tensor([0.0, SPEED * (e + s), 0.0], dtype=torch.float64))
     pull = rest.reaction("root").force[0, 0].norm()
     assert pull.item() == pytest.approx(m * SPEED**2 * (e + s), rel=1e-9)
@@ -70,8 +70,8 @@ def test_poles_of_a_mass_that_the_ground_holds(speed, damping):
     poles = rest.vibrations[0].poles
     root = cmath.sqrt(damping**2 - 8.0 * k)
     for s in ((-damping + root) / 4.0, (-damping - root) / 4.0):
-        for wanted in (s, s + 1j * speed, s - 1j * speed):
-            assert float((poles - wanted).abs().min()) < 1e-6
+        for expected in (s, s + 1j * speed, s - 1j * speed):
+            assert float((poles - expected).abs().min()) < 1e-6
 
 
 @pytest.mark.thorough
@@ -105,10 +105,10 @@ def test_blades_of_epps_and_chandra(sweep, rpm, wanted):
     alone, center = blade(sweep)
     speed, offset = rpm * math.pi / 30.0, 2.5 * INCH
     beam = mbd.FlexibleBeam("blade", alone.mesh, alone.section, position=(offset, 0.0, 0.0))
-    found = mbd.equilibrium(rotor(beam, speed, offset), spin=(0.0, 0.0, speed)).vibrations[0].frequencies[:6]
+    result = mbd.equilibrium(rotor(beam, speed, offset), spin=(0.0, 0.0, speed)).vibrations[0].frequencies[:6]
     for frequency in wanted:
-        assert float(((found - frequency) / frequency).abs().min()) < 0.1, found.tolist()
-    assert_close(found[:5], alone.frequencies(5, spin=(0.0, 0.0, speed), center=center)[0], rtol=2.5e-2, atol=0.0)
+        assert float(((result - frequency) / frequency).abs().min()) < 0.1, result.tolist()
+    assert_close(result[:5], alone.frequencies(5, spin=(0.0, 0.0, speed), center=center)[0], rtol=2.5e-2, atol=0.0)
 
 
 @pytest.mark.thorough
@@ -242,8 +242,8 @@ def test_bearings_alike_across_the_axis():
     rest = mbd.equilibrium(turning_mass(bearing()), spin=SPIN, unstable=True)
     tilt = [math.sqrt(300.0**2 + 1e6) + sign * 300.0 for sign in (-1.0, 1.0)]  # in the ground
     seen = [tilt[0] + 300.0, tilt[1] - 300.0]
-    wanted = sorted([0.0, 700.0, 1000.0, 1300.0, *seen])
-    assert (2.0 * math.pi * rest.vibrations[0].frequencies).tolist() == pytest.approx(wanted, rel=1e-9, abs=1e-6)
+    expected = sorted([0.0, 700.0, 1000.0, 1300.0, *seen])
+    assert (2.0 * math.pi * rest.vibrations[0].frequencies).tolist() == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.thorough
@@ -274,8 +274,8 @@ def test_supports_of_two_stiffnesses_are_no_steady_rotation(forces, named):
 def test_two_springs_that_are_alike_turn_steadily():
     """Tilting is free: nutation at J / I 300 = 600 rad/s in the ground, seen at 300 as is what stands still."""
     rest = mbd.equilibrium(turning_mass(*(spring(axis, 1e6) for axis in "xyz")), spin=SPIN, unstable=True)
-    wanted = [0.0, 300.0, 300.0, 700.0, 1000.0, 1300.0]
-    assert (2.0 * math.pi * rest.vibrations[0].frequencies).tolist() == pytest.approx(wanted, abs=1e-4)
+    expected = [0.0, 300.0, 300.0, 700.0, 1000.0, 1300.0]
+    assert (2.0 * math.pi * rest.vibrations[0].frequencies).tolist() == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_point_that_meets_a_plane_at_some_angle_is_no_steady_rotation():

@@ -165,9 +165,9 @@ class TestDoor:
             system.dynamics({}, tangents=["rod.laminate.angles"])
 
     def test_lanes_that_do_not_agree(self):
-        made = [plate("one"), plate("two", made_of=laminate((10.0, 80.0)))]
+        result = [plate("one"), plate("two", made_of=laminate((10.0, 80.0)))]
         with pytest.raises(InputError, match=r"lanes"):
-            mbd.System(made).dynamics(
+            mbd.System(result).dynamics(
                 {"one.laminate.angles": torch.zeros(2, 3).double(), "two.laminate.angles": torch.zeros(3, 2).double()}
             )
 

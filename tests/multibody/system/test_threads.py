@@ -23,10 +23,10 @@ def test_three_threads_have_the_numbers_of_one():
     def run(angle: float) -> tuple[Tensor, ...]:
         designs = {NAME: mbd.deg([[angle, -angle]])}
         motion = mbd.simulate(system, 0.01, steps=10, designs=designs, gradients="forward", variables=[NAME])
-        found = energy.value_and_gradient(motion)
+        result = energy.value_and_gradient(motion)
         own = system("data")["Kr"].detach()
-        assert found.gradient is not None
-        return motion.q, motion.body("rod").psi, found.value, found.gradient, own
+        assert result.gradient is not None
+        return motion.q, motion.body("rod").psi, result.value, result.gradient, own
 
     angles = [10.0, 25.0, 40.0] * 3
     alone = [run(angle) for angle in angles[:3]] * 3

@@ -42,9 +42,9 @@ def arm(**options) -> mbd.System:
 
 
 def truncation(system: mbd.System) -> StaticTruncation:
-    found = system.static_truncation()
-    assert found is not None
-    return found
+    result = system.static_truncation()
+    assert result is not None
+    return result
 
 
 def first(system: mbd.System) -> float:
@@ -54,12 +54,12 @@ def first(system: mbd.System) -> float:
 @pytest.mark.thorough
 @pytest.mark.parametrize("options", [{"modes": 4}, {"modes": 6, "reference": None}, {"modes": 10, "reference": None}])
 def test_the_frequency_without_truncation_is_that_of_craig_bampton(options):
-    found = truncation(arm(**options))
+    result = truncation(arm(**options))
     exact = first(arm(modes=4, reduction="craig-bampton", interface="end"))
-    assert found.frequencies is not None
-    assert found.frequencies[1] == pytest.approx(exact, rel=2e-3)
-    assert found.frequencies[0] == pytest.approx(first(arm(**options)), rel=1e-6)
-    assert found.share == pytest.approx(1.0 - (exact / found.frequencies[0]) ** 2, abs=5e-3)
+    assert result.frequencies is not None
+    assert result.frequencies[1] == pytest.approx(exact, rel=2e-3)
+    assert result.frequencies[0] == pytest.approx(first(arm(**options)), rel=1e-6)
+    assert result.share == pytest.approx(1.0 - (exact / result.frequencies[0]) ** 2, abs=5e-3)
 
 
 @pytest.mark.thorough
@@ -72,9 +72,9 @@ def test_nothing_is_left_out_of_interfaces(options):
 @pytest.mark.parametrize(("modes", "left"), [(2, 0.0293), (4, 0.0046)])
 def test_the_deflection_that_modes_of_a_cantilever_leave_out(modes, left):
     """1 - sum 12 / (b l)^4 over the modes, of a slender uniform beam under a force at its end: in both planes one mode each."""
-    found = truncation(cantilever(modes=modes, elements=32))
-    assert found.share == pytest.approx(left, abs=3e-4)
-    assert (found.body, found.where, found.frequencies) == ("beam", "'end'", None)
+    result = truncation(cantilever(modes=modes, elements=32))
+    assert result.share == pytest.approx(left, abs=3e-4)
+    assert (result.body, result.where, result.frequencies) == ("beam", "'end'", None)
 
 
 def test_stretching_counts_beside_bending():

@@ -21,44 +21,44 @@ def test_steepest_descent_where_nothing_is_active():
 
 
 def test_follows_an_active_constraint_without_push_off():
-    found = direction([-1, -2], [0.0], [[0, 1]], active=[True])
-    assert np.allclose(found.s, [1, 0])
-    assert found.multipliers == pytest.approx([2.0])
+    result = direction([-1, -2], [0.0], [[0, 1]], active=[True])
+    assert np.allclose(result.s, [1, 0])
+    assert result.multipliers == pytest.approx([2.0])
 
 
 def test_leaves_an_active_constraint_that_does_not_resist():
-    found = direction([1, 2], [0.0], [[0, 1]], active=[True])
-    assert np.allclose(found.s, [-1, -2])
-    assert found.multipliers == pytest.approx([0.0])
+    result = direction([1, 2], [0.0], [[0, 1]], active=[True])
+    assert np.allclose(result.s, [-1, -2])
+    assert result.multipliers == pytest.approx([0.0])
 
 
 def test_a_constraint_ahead_is_met_not_crossed():
-    found = direction([-1, -2], [-0.5], [[0, 1]])
-    assert np.allclose(found.s, [1, 0.5])
+    result = direction([-1, -2], [-0.5], [[0, 1]])
+    assert np.allclose(result.s, [1, 0.5])
 
 
 def test_a_violated_constraint_is_restored():
-    found = direction([-1, 0], [0.3], [[1, 0]])
-    assert np.allclose(found.s, [-0.3, 0])
-    assert found.beta == 1.0
+    result = direction([-1, 0], [0.3], [[1, 0]])
+    assert np.allclose(result.s, [-0.3, 0])
+    assert result.beta == 1.0
 
 
 def test_side_constraints_hold_exactly():
-    found = direction([-5, -5], [], [], y=np.array([0.9, 0.0]), bounds=(np.full(2, -1.0), np.full(2, 1.0)))
-    assert np.allclose(found.s, [0.1, 1.0], atol=1e-15)
+    result = direction([-5, -5], [], [], y=np.array([0.9, 0.0]), bounds=(np.full(2, -1.0), np.full(2, 1.0)))
+    assert np.allclose(result.s, [0.1, 1.0], atol=1e-15)
 
 
 def test_contradicting_constraints_are_restored_in_part():
     """x <= -1 and x >= 1 from x = 0: each asks for one, none can have it without the other losing as much."""
-    found = direction([0, 1], [1.0, 1.0], [[1, 0], [-1, 0]])
-    assert found.beta == pytest.approx(0.0, abs=1e-12)
-    assert found.s[0] == pytest.approx(0.0, abs=1e-9)
+    result = direction([0, 1], [1.0, 1.0], [[1, 0], [-1, 0]])
+    assert result.beta == pytest.approx(0.0, abs=1e-12)
+    assert result.s[0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_half_of_a_violation_is_removed_where_a_bound_allows_no_more():
-    found = direction([0, 0], [2.0], [[1, 0]], bounds=(np.array([-1.0, -9]), np.full(2, 9.0)))
-    assert found.beta == pytest.approx(0.5, abs=1e-6)
-    assert found.s[0] == pytest.approx(-1.0, abs=1e-6)
+    result = direction([0, 0], [2.0], [[1, 0]], bounds=(np.array([-1.0, -9]), np.full(2, 9.0)))
+    assert result.beta == pytest.approx(0.5, abs=1e-6)
+    assert result.s[0] == pytest.approx(-1.0, abs=1e-6)
 
 
 def test_bfgs_takes_in_the_curvature_along_the_step():

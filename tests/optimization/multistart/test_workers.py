@@ -54,9 +54,9 @@ def shared():
 
 def test_a_batch_is_shared_out_in_order(shared):
     X = np.linspace(-1, 1, 14).reshape(7, 2)
-    found = shared.evaluate(X, True)
-    assert [e.objective for e in found] == [e.objective for e in Bowl(0.25).evaluate(X, True)]
-    assert len({float(e.constraints[0]) for e in found} - {-float(os.getpid())}) == 2
+    result = shared.evaluate(X, True)
+    assert [e.objective for e in result] == [e.objective for e in Bowl(0.25).evaluate(X, True)]
+    assert len({float(e.constraints[0]) for e in result} - {-float(os.getpid())}) == 2
     assert shared.problem.seen == []  # nothing was evaluated here
 
 
@@ -81,8 +81,8 @@ def test_an_error_of_the_problem_is_the_caller_s(shared):
 
 @pytest.mark.slow
 def test_a_design_that_kills_its_processes_has_failed(shared):
-    (found,) = shared.evaluate(np.full((1, 2), 4.0), False)
-    assert found.status == "failed: 3 workers died of it"
+    (result,) = shared.evaluate(np.full((1, 2), 4.0), False)
+    assert result.status == "failed: 3 workers died of it"
     assert [e.ok for e in shared.evaluate(np.zeros((2, 2)), False)] == [True, True]
 
 

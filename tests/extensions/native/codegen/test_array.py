@@ -96,8 +96,8 @@ def test_programs_compute_what_torch_does(name: str) -> None:
     program, writes = traced(f)
     expected = f(Tables(False), **given)
     tables = {"body": BODY, "group": [SIZES["N"] if g < 0 else g for g in GROUP]}
-    found = Interpreter(program, SIZES, tables, given).run(writes, {"out": expected.numel()})["out"]
-    np.testing.assert_allclose(found, expected.flatten().numpy(), rtol=1e-13, atol=1e-14)
+    result = Interpreter(program, SIZES, tables, given).run(writes, {"out": expected.numel()})["out"]
+    np.testing.assert_allclose(result, expected.flatten().numpy(), rtol=1e-13, atol=1e-14)
 
 
 @pytest.mark.thorough
@@ -118,10 +118,10 @@ def test_compiled_functions_compute_lanes(tmp_path: Path) -> None:
         call = 'extern "C" long call(In* in) { long o[BUFFERS]; const long size = layout(in->n, o); in->o = o;'
         call += " if (in->w) f(*in); return size; }"
         (tmp_path / "f.cpp").write_text("\n".join([PRELUDE, head, module.text(), call]))
-        made = tmp_path / f"{abs(hash(name))}.so"
+        result = tmp_path / f"{abs(hash(name))}.so"
         options = ["-DLANES=8", "-O1", "-std=c++17", "-march=native", "-shared", "-fPIC"]
-        subprocess.run(["g++", *options, "-o", str(made), str(tmp_path / "f.cpp")], check=True)
-        code = ctypes.CDLL(str(made))
+        subprocess.run(["g++", *options, "-o", str(result), str(tmp_path / "f.cpp")], check=True)
+        code = ctypes.CDLL(str(result))
         code.call.restype = ctypes.c_long
         expected = [f(Tables(False), **given) for given in lanes]
         given = [torch.cat([x[k] for x in lanes], -1).contiguous() for k in SHAPES]

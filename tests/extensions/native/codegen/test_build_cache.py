@@ -28,11 +28,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def compiled(folder: Path) -> Path:
     """A library of a page and more, as the compiler leaves it."""
-    text, made = folder / "code.cpp", folder / "code.so"
+    text, result = folder / "code.cpp", folder / "code.so"
     text.write_text('extern "C" { double table[4096] = {1.0}; double first() { return table[0]; } }')
-    subprocess.run([compiler.compiler(), "-shared", "-fPIC", "-o", str(made), str(text)], check=True)
+    subprocess.run([compiler.compiler(), "-shared", "-fPIC", "-o", str(result), str(text)], check=True)
     text.unlink()
-    return made
+    return result
 
 
 LOAD = (

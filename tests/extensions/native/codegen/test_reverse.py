@@ -29,9 +29,9 @@ def pulled(program: Program, writes: list[Write], given: dict[str, Tensor], y: T
     by = {name: f"{name}_bar" for name in given}
     for name in by.values():
         program.buffer(name, 0, "output")
-    found = Pullback(program, by)(writes, lambda index: program.load("y", index))
+    result = Pullback(program, by)(writes, lambda index: program.load("y", index))
     run = Interpreter(program, SIZES, TABLES, given | {"y": y})
-    return run.run(found, {by[name]: x.numel() for name, x in given.items()})
+    return run.run(result, {by[name]: x.numel() for name, x in given.items()})
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -40,10 +40,10 @@ def test_derivatives_of_loops_are_those_of_torch(name: str) -> None:
     leaves = {k: x.clone().requires_grad_() for k, x in given.items()}
     out = f(Tables(False), **leaves)
     y = torch.rand(out.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    found = pulled(*traced(f), given, y)
-    wanted = torch.autograd.grad(out, list(leaves.values()), y, allow_unused=True, materialize_grads=True)
-    for key, x in zip(SHAPES, wanted, strict=True):
-        np.testing.assert_allclose(found[f"{key}_bar"], x.flatten().numpy(), rtol=1e-12, atol=1e-13, err_msg=key)
+    result = pulled(*traced(f), given, y)
+    expected = torch.autograd.grad(out, list(leaves.values()), y, allow_unused=True, materialize_grads=True)
+    for key, x in zip(SHAPES, expected, strict=True):
+        np.testing.assert_allclose(result[f"{key}_bar"], x.flatten().numpy(), rtol=1e-12, atol=1e-13, err_msg=key)
 
 
 def checked(f: Callable[[Any], Any], x: Tensor, wanted: Callable[[Tensor], Tensor] | None = None) -> None:
@@ -53,9 +53,9 @@ def checked(f: Callable[[Any], Any], x: Tensor, wanted: Callable[[Tensor], Tenso
     program.buffer("out", 0, "output")
     writes = [Write("out", (), constant_index(i), n, False) for i, n in enumerate(out.numbers.ravel().tolist())]
     y = torch.randn(len(writes), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    found = torch.from_numpy(pulled(program, writes, {"x": x}, y)["x_bar"])
+    result = torch.from_numpy(pulled(program, writes, {"x": x}, y)["x_bar"])
     jacobian: Any = torch.func.jacrev(f) if wanted is None else wanted
-    assert_close(found, y @ jacobian(x).reshape(len(y), -1), rtol=1e-13, atol=1e-13)
+    assert_close(result, y @ jacobian(x).reshape(len(y), -1), rtol=1e-13, atol=1e-13)
 
 
 TURNED = torch.tensor([1, 2, 0])

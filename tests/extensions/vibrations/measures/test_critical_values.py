@@ -38,18 +38,18 @@ def test_critical_speeds_of_a_disk(mode):
     speeds = [math.sqrt(30.0 / 0.03), math.sqrt(5e3 / 2.0), math.sqrt(8e3 / 2.0)]
     for number, expected in enumerate(speeds, 1):
         measure = mbd.CriticalSpeed(number, between=(10.0, 90.0), points=9, **DISK)
-        made = measured(measure, system, {"bearing.stiffness_y": k}, gradients=mode)
-        assert float(made.value[0]) == pytest.approx(expected, rel=1e-9)
+        result = measured(measure, system, {"bearing.stiffness_y": k}, gradients=mode)
+        assert float(result.value[0]) == pytest.approx(expected, rel=1e-9)
         slope = 0.5 / math.sqrt(8e3 * 2.0) if number == 3 else 0.0
-        assert float(made.gradient[0, 0]) == pytest.approx(slope, rel=1e-8, abs=1e-12)
-    assert float(made.value[1]) == pytest.approx(math.sqrt(9e3 / 2.0), rel=1e-9)
+        assert float(result.gradient[0, 0]) == pytest.approx(slope, rel=1e-8, abs=1e-12)
+    assert float(result.value[1]) == pytest.approx(math.sqrt(9e3 / 2.0), rel=1e-9)
 
 
 @pytest.mark.thorough
 def test_an_order_is_a_multiple_of_the_speed():
     measure = mbd.CriticalSpeed(1, order=2.0, between=(22.0, 29.0), points=4, **DISK)
-    made = measured(measure, disk(), {"bearing.stiffness_y": torch.tensor([8e3]).double()}, gradients="forward")
-    assert float(made.value) == pytest.approx(math.sqrt(5e3 / 2.0) / 2.0, rel=1e-9)
+    result = measured(measure, disk(), {"bearing.stiffness_y": torch.tensor([8e3]).double()}, gradients="forward")
+    assert float(result.value) == pytest.approx(math.sqrt(5e3 / 2.0) / 2.0, rel=1e-9)
 
 
 @pytest.mark.thorough
@@ -67,18 +67,18 @@ def test_whirls_that_coincide_have_a_critical_speed():
 @pytest.mark.thorough
 def test_rotor5_of_ross():
     """petrobras/ross, tests/test_rotor_assembly.py: found by a search over speeds, extrapolated to elements of no length."""
-    expected, found = [86.10505, 86.60493, 198.93259, 207.97166], []
+    expected, result = [86.10505, 86.60493, 198.93259, 207.97166], []
     for elements in (10, 20):
         system = rotor(2.5, {1.0: 0.28, 1.5: 0.35}, (0.5, 2.0), (1e6, 1e6), elements)
         motion = mbd.simulate(system, 1e-5, steps=2)
         ranges = ((80.0, 90.0), (80.0, 90.0), (190.0, 215.0), (190.0, 215.0))
-        found.append(
+        result.append(
             [
                 float(mbd.CriticalSpeed(1 + k % 2, between=between, points=3, **DISK)(motion))
                 for k, between in enumerate(ranges)
             ]
         )
-    for wide, narrow, number in zip(*found, expected, strict=True):
+    for wide, narrow, number in zip(*result, expected, strict=True):
         assert (4.0 * narrow - wide) / 3.0 == pytest.approx(number, rel=1e-3)
 
 
@@ -106,9 +106,9 @@ def test_flutter_of_zieglers_column(mode):
     k, c = 3.0, 0.2
     names = ["spring0.damping", "spring1.damping", "spring0.stiffness", "spring1.stiffness"]
     designs = {name: torch.tensor([c if "damping" in name else k], dtype=torch.float64) for name in names}
-    made = measured(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6), ziegler(), designs, gradients=mode)
-    assert float(made.value) == pytest.approx(41.0 / 28.0 * k + 0.5 * c**2, rel=1e-6)
-    slopes = made.gradient[0]
+    result = measured(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6), ziegler(), designs, gradients=mode)
+    assert float(result.value) == pytest.approx(41.0 / 28.0 * k + 0.5 * c**2, rel=1e-6)
+    slopes = result.gradient[0]
     assert float(slopes[2] + slopes[3]) == pytest.approx(41.0 / 28.0, rel=1e-6)
     assert float(slopes[0] + slopes[1]) == pytest.approx(c, rel=1e-5)
 

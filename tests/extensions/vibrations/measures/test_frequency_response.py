@@ -192,9 +192,9 @@ def test_in_inference_mode():
     system = mass()
     measure = mbd.FrequencyResponse("rail", "rail", (0.1, 10.0))
     with torch.inference_mode():
-        found, [rail] = measure(short(system)), system.joints
+        result, [rail] = measure(short(system)), system.joints
         linear = mbd.linearize(system, [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
-    assert float(found) == float(measure(short(system)))
+    assert float(result) == float(measure(short(system)))
     assert linear.A[1].tolist() == [-25.0, -1.0]
 
 

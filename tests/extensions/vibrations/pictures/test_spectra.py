@@ -18,10 +18,10 @@ FREQUENCIES = torch.stack([20.0 - 0.02 * SPEEDS, 20.0 + 0.03 * SPEEDS], 1)
 def test_crossings_of_straight_lines_are_exact():
     """20 + a w = n w / (2 pi)."""
     for order in (1, 2, 3):
-        wanted = sorted(w for a in (-0.02, 0.03) if (w := 20.0 / (order / (2 * math.pi) - a)) <= 300.0)
-        found = crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), order)
-        assert sorted(found[:, 0]) == pytest.approx(wanted, rel=1e-12)
-        assert found[:, 1] == pytest.approx(order * found[:, 0] / (2 * math.pi))
+        expected = sorted(w for a in (-0.02, 0.03) if (w := 20.0 / (order / (2 * math.pi) - a)) <= 300.0)
+        result = crossings(SPEEDS.numpy(), FREQUENCIES.numpy(), order)
+        assert sorted(result[:, 0]) == pytest.approx(expected, rel=1e-12)
+        assert result[:, 1] == pytest.approx(order * result[:, 0] / (2 * math.pi))
 
 
 def test_a_touch_counts_once_and_gaps_do_not():

@@ -67,9 +67,9 @@ def test_a_campbell_diagram_and_a_locus_over_the_speeds_that_are_asked_for(tmp_p
     speeds = arguments["speeds"]
     assert (float(speeds[0]), float(speeds[-1])) == pytest.approx((0.0, 6.6))
     inertia = 0.1 + 2.0 * 0.5**2
-    wanted = (speeds**2 * (1.0 + 2.0 * 0.2 * 0.5 / inertia) + 90.0 / inertia).sqrt() / (2.0 * torch.pi)
-    assert_close(arguments["frequencies"][:, 0], wanted, rtol=1e-4, atol=0.0)
-    assert_close(arguments["damping"][:, 0], 0.2 / inertia / (4.0 * torch.pi * wanted), rtol=1e-4, atol=0.0)
+    expected = (speeds**2 * (1.0 + 2.0 * 0.2 * 0.5 / inertia) + 90.0 / inertia).sqrt() / (2.0 * torch.pi)
+    assert_close(arguments["frequencies"][:, 0], expected, rtol=1e-4, atol=0.0)
+    assert_close(arguments["damping"][:, 0], 0.2 / inertia / (4.0 * torch.pi * expected), rtol=1e-4, atol=0.0)
     figure, arguments = drawn["root_locus_best.pdf"]
     assert figure is root_locus
     assert "best design, vibration 1 at 6 rad/s: " in (tmp_path / "mode_best_1.html").read_text()
