@@ -45,10 +45,11 @@ REFERENCE = {
     "printed": {"initial": 0.02385, "optimum": 0.00096},
 }
 SHARE = {"initial": 0.94, "optimum": 0.91}
+# By `MODES`.
 STUDY = {
     "initial": (0.02035, 0.02175, 0.02215, 0.02265),
     "optimum": (0.00086, 0.00088, 0.000965, 0.000995),
-}  # by `MODES`
+}
 MODES, CELLS = (8, 12, 16, 24), ((16, 8), (32, 16), (64, 32))
 STUDIED = (
     ("vibration", 14, CELLS[1]),  # that of experiments.models.sar_antenna.build

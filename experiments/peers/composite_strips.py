@@ -35,15 +35,17 @@ LAYUPS = {
     2: [45, 0] * 3 + [0, 45] * 3,  # [45/0]3s
     3: HALF + [-angle for angle in HALF[::-1]],  # [20/-70/-70/20]2a
 }
+# N, V_y, V_z, T, M_y, M_z.
 DIAGONALS = {
     1: (3.7e6, 2.6e5, 2.9e5, 0.183, 0.707, 276.0),
     2: (4.0e6, 2.6e5, 5.5e5, 0.368, 0.522, 298.0),
     3: (3.9e6, 1.1e6, 1.2e5, 1.18, 0.983, 290.0),
-}  # N, V_y, V_z, T, M_y, M_z
+}
 COUPLINGS = {1: {}, 2: {(0, 1): -2.7e5, (3, 4): -0.102}, 3: {(0, 3): -522.0}}
 MODULI = {"E1": 142e9, "E2": 9.8e9, "G12": 6.0e9}  # as commonly quoted, where the fit begins
 NAMES, FITTED, HELD_OUT = ("u1", "u2", "u3"), ("u2", "u3"), 3
 ALL = (20, 50, 100, 200, 300, 400)  # [g]
+# Beam, angle of the clamp [deg], direction -> weights [g], displacements [mm].
 MEASURED: dict[tuple[int, int, str], tuple[Sequence[float], Sequence[float]]] = {
     (1, 0, "u1"): ((150, 200, 400), (6.3416, 21.143, 61.205)),
     (1, 0, "u2"): ((20, 50, 150, 200, 400), (0, 0, 0, 0, 0)),
@@ -63,7 +65,7 @@ MEASURED: dict[tuple[int, int, str], tuple[Sequence[float], Sequence[float]]] = 
     (3, 45, "u1"): ((*ALL, 500), (0.96421, 2.2754, 2.9817, 8.5289, 18.009, 29.204, 43.020)),
     (3, 45, "u2"): ((*ALL, 500), (6.4094, 13.887, 25.751, 52.968, 76.098, 97.234, 115.28)),
     (3, 45, "u3"): ((*ALL, 500), (6.3917, 13.699, 26.949, 53.838, 80.046, 106.25, 128.76)),
-}  # beam, angle of the clamp [deg], direction -> weights [g], displacements [mm]
+}
 
 
 def nominal(beam: int) -> mbd.GivenSection:

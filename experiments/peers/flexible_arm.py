@@ -26,6 +26,7 @@ from torchmbd.extensions.robots.urdf import urdf_robot
 SEGMENTS = {5: "five", 10: "ten"}
 POSITIONS = {"active_joint2": 0.4, "active_joint3": -0.8}
 TURN, DURATION, STEPS = (0.4, 0.8), 1.2, 480  # [rad] in so many seconds
+# flexible_link_params.yml
 LENGTH, WIDTH, THICKNESS, E, G, DENSITY, RATE = (
     0.5,
     0.05,
@@ -34,7 +35,7 @@ LENGTH, WIDTH, THICKNESS, E, G, DENSITY, RATE = (
     74e9,
     7870.0,
     8511e5 / 190e9,
-)  # flexible_link_params.yml
+)
 LINKS = ("virtual_link2_1", "virtual_link3_1")
 
 

@@ -48,11 +48,12 @@ LAG = [
     3271.6,
     3373.7,
 ]
+# [N], [N m], all elements within 4 %; rigid in shear, which is not listed.
 AXIAL, AXIAL_LAG, SHEAR = (
     9.65e6,
     5.304e4,
     1e6,
-)  # [N], [N m], all elements within 4 %; rigid in shear, which is not listed
+)
 MASS, SPREAD, BEHIND = 0.020683 / SPACING, (10.86e-6 / SPACING, 0.114e-6 / SPACING), 0.913e-3  # [kg/m], [kg m], [m]
 #: What the last two nodes have beyond the sections: node, mass [kg], center [m], moments of inertia [kg m2].
 EXTRA = (

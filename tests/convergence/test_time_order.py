@@ -90,6 +90,7 @@ def test_one_step_methods_are_of_second_order(method, options):
     assert fine["lam"] < 5e-3
 
 
+# Adams: that of its first steps.
 ORDERS = {
     "euler": 1,
     "midpoint": 2,
@@ -97,7 +98,7 @@ ORDERS = {
     "heun3": 3,
     "rk4": 4,
     "explicit_adams": 4,
-}  # Adams: that of its first steps
+}
 STEPS = {
     "euler": (400, 800),
     "midpoint": (100, 200),

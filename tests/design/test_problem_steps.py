@@ -54,9 +54,8 @@ def test_a_small_difference_asks_for_more_steps_than_its_parts():
     whole = problem(tolerance=4e-3)
     value = whole.objective(whole.motion(whole.start)).item()
     small = problem(final + -0.9 * value, tolerance=4e-3)
-    assert (small.steps or 0) > 2 * (
-        whole.steps or 0
-    )  # a tenth of the value: sqrt(10) times, or the most that are tried
+    # A tenth of the value: sqrt(10) times, or the most that are tried.
+    assert (small.steps or 0) > 2 * (whole.steps or 0)
     result = small.objective(small.motion(small.start)).item()
     true = exact() - 0.9 * value
     assert abs(result - true) <= 4.4e-3 * abs(true)

@@ -25,9 +25,8 @@ def test_the_picture_shows_every_point_of_the_front():
     front = pareto_front(two_bowls(), divisions=3)
     (axes,) = pareto.drawn(front, np.array([[30.0, 900.0], [40.0, 800.0]])).axes
     (line,) = axes.lines
-    np.testing.assert_array_equal(
-        line.get_xydata(), front.criteria * [1, -1]
-    )  # the second is drawn as what it maximizes
+    # The second is drawn as what it maximizes.
+    np.testing.assert_array_equal(line.get_xydata(), front.criteria * [1, -1])
     assert axes.get_xlabel().endswith("[mJ s]")
 
 

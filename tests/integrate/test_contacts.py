@@ -270,7 +270,6 @@ def test_stops_by_a_gap_are_watched(law):
     assert motion.stats["halved"] == [0]
     w = math.sqrt(2e4 / MASS)
     deepest = (G + math.sqrt(G**2 + 2.0 * G * 0.1 * w**2)) / w**2
-    assert float(mbd.Min(mbd.Position("ball", "z"))(motion)) == pytest.approx(
-        -deepest, rel=5e-3
-    )  # twenty steps in contact
+    # Twenty steps in contact.
+    assert float(mbd.Min(mbd.Position("ball", "z"))(motion)) == pytest.approx(-deepest, rel=5e-3)
     assert float(motion.energies.balance.abs().max()) < 5e-3 * MASS * G * 0.1

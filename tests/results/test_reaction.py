@@ -102,9 +102,8 @@ def test_a_plate_at_rest_on_an_arm_weighs_on_its_joint():
     frame = body.at("left_edge", offset=(-0.1, 0.02, 0.05), axes=turned(0.1, 0.5, 0.2))
     ground = mbd.Ground().at(*(body.axes @ frame.point).tolist(), axes=turned(0.4, -0.1, 0.8))
     system = mbd.System([body], [mbd.Fixed(ground, frame, name="clamp")], gravity=GRAVITY)
-    motion = mbd.simulate(
-        system, 3.0, steps=150, spectral_radius=0.0, halvings=0
-    )  # does not resolve how it comes to rest
+    # Does not resolve how it comes to rest.
+    motion = mbd.simulate(system, 3.0, steps=150, spectral_radius=0.0, halvings=0)
     mass = motion.body("panel").mass[0]
     points = system.body("panel").assembly.masses().mass.detach()
     center = (points @ motion.body("panel").nodes[0, -1]) / points.sum()

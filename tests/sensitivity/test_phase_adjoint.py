@@ -231,8 +231,7 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
         result = torch.autograd.grad(response, list(motion.variables.values()), allow_unused=True)
         assert result[list(motion.variables).index(NAME)] is not None
     assert sum(x.numel() for x in motion.variables.values()) == 16
-    assert len(counts[2]) == pytest.approx(
-        len(counts[1]), rel=0.15
-    )  # a tangent for each of 16 would be 16 times as many
+    # A tangent for each of 16 would be 16 times as many.
+    assert len(counts[2]) == pytest.approx(len(counts[1]), rel=0.15)
     assert len(counts[1]) > 60
     assert max(counts[1]) <= 2  # the size of a last step, during its search, is the only tangent

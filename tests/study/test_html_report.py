@@ -38,9 +38,8 @@ def test_the_report_shows_the_study(finished, tmp_path):
         assert f"{child.metrics['objective']:.6g}" in read.text
     assert f"{entry.metrics['reduction_percent']:.2f}" in read.text
     images = [attrs["src"] for tag, attrs in read.tags if tag == "img"]
-    assert (
-        len(images) == 5
-    )  # convergence, criteria over time and iterations, map of the design space, parallel coordinates
+    # Convergence, criteria over time and iterations, map of the design space, parallel coordinates.
+    assert len(images) == 5
     assert all(base64.b64decode(src.partition(",")[2]).startswith(b"\x89PNG") for src in images)
     (frame,) = [attrs for tag, attrs in read.tags if tag == "iframe"]
     assert frame["sandbox"] == "allow-scripts"

@@ -90,9 +90,8 @@ def test_a_finished_study_makes_no_second_run(file, folder, capsys):
     parent = next(run.info.run_id for run in runs(folder) if "mlflow.parentRunId" not in run.data.tags)
     assert f"runs/{parent}/artifacts" in output
     assert {run.info.run_id: run.info.end_time for run in runs(folder)} == first
-    study = mbd.Study.from_file(file).run(
-        console=Console(quiet=True)
-    )  # in Python the results are there, in the same runs
+    # In Python the results are there, in the same runs.
+    study = mbd.Study.from_file(file).run(console=Console(quiet=True))
     assert study.best is not None
     assert {run.info.run_id for run in runs(folder)} == set(first)
     assert cli.main(["run", str(file), "--fresh"]) in (0, cli.EXIT_UNVERIFIED)

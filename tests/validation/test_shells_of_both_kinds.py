@@ -40,9 +40,8 @@ def test_fine_meshes_are_within_two_percent(name):
     """24 x 4 cells. Out of the plane of the ring first-order plate theory itself ends at 0.993 (test_twisted_strip.py)."""
     result = PROBLEMS[name]("quad", 4)
     assert result["w"] == pytest.approx(0.993 if name == "curved beam" else 1.0, abs=0.015)
-    exact = (
-        1.014 if name == "curved beam" else 1.0
-    )  # plane elasticity over the beam formula: Timoshenko and Goodier, art. 33
+    # Plane elasticity over the beam formula: Timoshenko and Goodier, art. 33.
+    exact = 1.014 if name == "curved beam" else 1.0
     assert result["v"] == pytest.approx(exact, abs=0.005)
 
 

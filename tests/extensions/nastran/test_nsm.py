@@ -131,9 +131,8 @@ def test_mass_lies_where_the_laminate_lies(tmp_path):
         rigid[:, 0, 4], rigid[:, 0, 5], rigid[:, 1, 5] = x[:, 2], -x[:, 1], x[:, 0]
         rigid[:, 1, 3], rigid[:, 2, 3], rigid[:, 2, 4] = -x[:, 2], x[:, 1], -x[:, 0]
         result.append(rigid.reshape(-1, 6).T @ M @ rigid.reshape(-1, 6))
-    assert result[0] == pytest.approx(
-        result[1], rel=1e-4, abs=1e-9
-    )  # that of the PSHELL has rotary inertia of its thickness
+    # That of the PSHELL has rotary inertia of its thickness.
+    assert result[0] == pytest.approx(result[1], rel=1e-4, abs=1e-9)
     assert result[0][0, 0] == pytest.approx(7e-9 * 900 * 500 * 1e3, rel=1e-12)
 
 

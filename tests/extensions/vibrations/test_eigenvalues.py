@@ -153,9 +153,8 @@ def test_poles_of_a_free_motion_are_zero_and_the_others_count():
     k = torch.tensor([50.0], dtype=torch.float64, requires_grad=True)
     rest = mbd.equilibrium(chain(), designs={"spring0.stiffness": k})
     assert rest.poles[0, :2].tolist() == [0.0, 0.0]
-    assert rest.damping_ratios[0, :2].tolist() == pytest.approx(
-        [0.1, 0.1 * 3.0**0.5]
-    )  # d w / (2 k), w^2 = k / m, 3 k / m
+    # D w / (2 k), w^2 = k / m, 3 k / m.
+    assert rest.damping_ratios[0, :2].tolist() == pytest.approx([0.1, 0.1 * 3.0**0.5])
     (slope,) = torch.autograd.grad(rest.damping_ratios[0, 0], k, retain_graph=True)
     assert float(slope) == pytest.approx(-0.1 / (4.0 * 50.0), rel=1e-9)  # one of two springs alike, at constant damping
     motion = mbd.simulate(chain(), 1e-4, steps=2)

@@ -42,9 +42,8 @@ def test_a_rectangle_in_bending_has_the_energy_of_its_material():
     amount = S.new_tensor([1.0, -0.3, 0.0, 0.0])
     u = (displacements(RECTANGLE / size, S)[0] @ amount).unflatten(0, (4, 3))
     w = inner.inner_forces.work[0] @ (u * torch.stack([size, size, torch.ones_like(size)], dim=-1)).flatten()
-    squares = (
-        torch.tensor([0.4**2, 0.9**2], dtype=torch.float64) / 3 / size**2
-    )  # means of y^2 and x^2; that of x y is 0
+    # Means of y^2 and x^2; that of x y is 0.
+    squares = torch.tensor([0.4**2, 0.9**2], dtype=torch.float64) / 3 / size**2
     exact = (amount[:2] ** 2 * squares * S.diagonal()[:2]).sum()
     assert_close(w @ inner.law(A[None], 0 * A[None])[0, :4, :4] @ w, exact, rtol=1e-12, atol=0.0)
 

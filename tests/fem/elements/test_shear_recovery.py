@@ -82,7 +82,6 @@ def test_irregular_cells():
 def test_constant_moments_have_no_shear():
     mesh = irregular(0.4, 0.3, (4, 3), kind="quad")
     u = constant_state(mesh).numpy()
-    largest = (
-        float(GENERAL.stiffness().D.detach().abs().max()) / 0.1
-    )  # a moment that vanishes over the length of a cell
+    # A moment that vanishes over the length of a cell.
+    largest = float(GENERAL.stiffness().D.detach().abs().max()) / 0.1
     assert np.abs(shear_forces(PlateMatrices(mesh, GENERAL), GENERAL, u)).max() < 1e-9 * largest

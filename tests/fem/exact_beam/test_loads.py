@@ -63,9 +63,8 @@ def test_gravity_and_spin():
     spun = beam.equilibrium(spin=(0.0, 0.0, 5.0))
     assert spun.forces[0, 0, 0].item() == pytest.approx(3.0 * 25.0 * 2.0, rel=6e-3)
     moved = beam.equilibrium(spin=(0.0, 0.0, 5.0), center=(-1.0, 0.0, 0.0))
-    assert moved.forces[0, 0, 0].item() == pytest.approx(
-        3.0 * 25.0 * 4.0, rel=3e-2
-    )  # half of the first element is held
+    # Half of the first element is held.
+    assert moved.forces[0, 0, 0].item() == pytest.approx(3.0 * 25.0 * 4.0, rel=3e-2)
 
 
 def test_an_eccentric_mass_twists_the_beam():
@@ -76,9 +75,8 @@ def test_an_eccentric_mass_twists_the_beam():
     mass[3:, 3:] = 2.0 * torch.diag(torch.tensor([2e-6 + y * y, 1e-6, 1e-6 + y * y], dtype=torch.float64))
     beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 20), given(*ROD, mass=mass))
     state = beam.equilibrium(gravity=(0.0, 0.0, -0.1))
-    assert math.asin(state.rotations[-1, 2, 1].item()) == pytest.approx(
-        -0.2 * y * 0.5, rel=5e-3
-    )  # m g y L^2 / 2 / (G J)
+    # M g y L^2 / 2 / (G J).
+    assert math.asin(state.rotations[-1, 2, 1].item()) == pytest.approx(-0.2 * y * 0.5, rel=5e-3)
 
 
 @pytest.mark.thorough

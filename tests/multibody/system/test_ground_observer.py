@@ -58,9 +58,8 @@ def test_rotor3_of_ross(speed, wanted):
         errors.append(w / torch.tensor(wanted, dtype=torch.float64) - 1.0)
     assert float(errors[1].abs().max()) < 1.2e-3
     assert float(((4.0 * errors[1] - errors[0]) / 3.0).abs().max()) < 2e-4
-    assert (errors[0] / errors[1]).tolist() == pytest.approx(
-        [4.0] * len(wanted), rel=0.15
-    )  # the printed numbers err by 1e-4
+    # The printed numbers err by 1e-4.
+    assert (errors[0] / errors[1]).tolist() == pytest.approx([4.0] * len(wanted), rel=0.15)
 
 
 def test_a_mass_in_unequal_bearings():
