@@ -74,12 +74,12 @@ def one_thread() -> Iterator[None]:
 
 def brief_warnings() -> None:
     """Say a warning in one line, without the code that gave it, and once: not again with other numbers."""
-    said: set[str] = set()
+    shown: set[str] = set()
 
     def show(message, category, filename, lineno, file=None, line=None) -> None:
         kind = re.sub(r"\d[\d.e+-]*", "", str(message))
-        if kind not in said:
-            said.add(kind)
+        if kind not in shown:
+            shown.add(kind)
             print(f"warning: {message}", file=file or sys.stderr)
 
     warnings.showwarning = show

@@ -111,9 +111,9 @@ def _on_mesh(owner: Any, indices: list[tuple[np.ndarray, str]], labels: Sequence
         axes.set_ylabel(f"{names[1]} [m]", fontsize=8)
         axes.grid(False)
     rows[-1].set_xlabel(f"{names[0]} of {owner.name} [m]", fontsize=8)
-    said = f"failure index of {owner.name} ({criterion.replace('_', ' ')}), largest of all times, layers and faces"
+    scale = f"failure index of {owner.name} ({criterion.replace('_', ' ')}), largest of all times, layers and faces"
     colors = rows[-1].collections[0]
-    figure.colorbar(colors, ax=rows, label=wrapped(said, LINE), location="bottom", aspect=50, shrink=0.9)
+    figure.colorbar(colors, ax=rows, label=wrapped(scale, LINE), location="bottom", aspect=50, shrink=0.9)
     return figure
 
 
@@ -150,8 +150,8 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
             most = each.amax(1).numpy()
             point = int(largest.argmax())
             time = float(motion.t[when[point]])
-            said = wrapped(f"{label}: {most.max():.3g} at t = {time:.4g} s", LINE)
-            axes.plot(x, most, color=color, lw=1.3, label=said)
+            legend = wrapped(f"{label}: {most.max():.3g} at t = {time:.4g} s", LINE)
+            axes.plot(x, most, color=color, lw=1.3, label=legend)
             axes.plot(x[most.argmax()], most.max(), "o", ms=7, mfc="none", mec=BAD, mew=1.4)
         axes.set_ylabel(wrapped(f"failure index of {body} ({criterion.replace('_', ' ')})", 30), fontsize=8)
         axes.set_ylim(bottom=0.0)

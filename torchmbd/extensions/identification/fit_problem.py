@@ -89,12 +89,12 @@ class FitProblem:
         priors: Mapping[str, Any] | None = None,
     ):
         parameters = _parameters_of_systems(experiments, unknowns)
-        self._own = {name: _own_names(name, x, parameters, len(experiments) > 1) for name, x in experiments.items()}
+        self._names = {name: _own_names(name, x, parameters, len(experiments) > 1) for name, x in experiments.items()}
         if not parameters:
             raise InputError("unknowns is empty; allowed: names of parameters, or mbd.variable(...) in a channel")
         self.space = DesignSpace.of_parameters(parameters, bounds, start, links)
         self._keep_positive(experiments)
-        self.experiments = self._within(experiments, self._own)
+        self.experiments = self._within(experiments, self._names)
         self.rows = _rows(self.experiments)
         self.data = self.rows[-1].rows.stop
         self.prior_rows, self.prior_mean, self.prior_deviation = self._priors(priors or {})
@@ -110,11 +110,11 @@ class FitProblem:
             )
 
     def _within(
-        self, experiments: Mapping[str, Experiment], own: Mapping[str, Mapping[str, str]]
+        self, experiments: Mapping[str, Experiment], names: Mapping[str, Mapping[str, str]]
     ) -> dict[str, Experiment]:
         """Experiments without the numbers that no model within the bounds has, or that has none at the start."""
         entries = self.space.designs(self.start[None])
-        return {name: x.within(self.limits(own[name]), entries) for name, x in experiments.items()}
+        return {name: x.within(self.limits(names[name]), entries) for name, x in experiments.items()}
 
     def _keep_positive(self, experiments: Mapping[str, Experiment]) -> None:
         """Lower bounds of zero for what must not be negative, such as masses and moduli, where lower ones are asked for."""
@@ -146,10 +146,10 @@ class FitProblem:
         """Upper bounds [n]."""
         return self.space.upper
 
-    def limits(self, own: Mapping[str, str]) -> dict[str, tuple[float, float]]:
-        """Bounds of unknowns of measurements; own: their name in the measurement -> name of the parameter."""
+    def limits(self, names: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+        """Bounds of unknowns of measurements; names: their name in the measurement -> name of the parameter."""
         result = {}
-        for local, name in own.items():
+        for local, name in names.items():
             [entry] = [i for i, x in enumerate(self.space.entries) if x == f"{name}[0]"]
             moves = np.flatnonzero(self.space.map[entry])
             ends = self.space.map[entry][moves] * np.stack([self.lower[moves], self.upper[moves]])
@@ -216,7 +216,7 @@ class FitProblem:
         run = experiment.run(designs, len(X), gradients, self.steps[name])
         statuses, values, slopes, notes = [OK] * len(X), [], [], []
         for measurement in experiment.measurements:
-            local = {key: entries[self._own[name][key]].reshape(len(X)) for key in measurement.unknowns}
+            local = {key: entries[self._names[name][key]].reshape(len(X)) for key in measurement.unknowns}
             prediction = measurement.predict(run, local)
             statuses = [a if a != OK else b for a, b in zip(statuses, prediction.status, strict=True)]
             values.append(prediction.value.detach().numpy())
@@ -250,7 +250,7 @@ class FitProblem:
                 result[:, :, first[key] : first[key] + size] = by_design[..., column : column + size].numpy()
             column += size
         for key, slope in by_unknown.items():  # a parameter of several channels has several rows
-            result[:, :, first[self._own[name][key]]] += slope.detach().numpy()
+            result[:, :, first[self._names[name][key]]] += slope.detach().numpy()
         return result
 
     def _residuals(self, x: np.ndarray, parts: Sequence[Residuals], gradients: bool) -> Residuals:
@@ -286,9 +286,9 @@ class FitProblem:
         result = object.__new__(type(self))
         vars(result).update(vars(self))
         known = {id(p): n for m in self._measurements() for n, p in self._named(m)}
-        own = {}
+        names = {}
         for name, x in experiments.items():
-            own[name] = {}
+            names[name] = {}
             for measurement in x.measurements:
                 for key, parameter in measurement.unknowns.items():
                     if id(parameter) not in known:
@@ -296,9 +296,9 @@ class FitProblem:
                             f"{key!r} of the validation {name!r} is an unknown that no experiment has; allowed: a number, "
                             "or the mbd.variable(...) of a channel of an experiment"
                         )
-                    own[name][key] = known[id(parameter)]
-        result._own = own
-        result.experiments = self._within(experiments, own)
+                    names[name][key] = known[id(parameter)]
+        result._names = names
+        result.experiments = self._within(experiments, names)
         result.rows = _rows(result.experiments)
         result.data = result.rows[-1].rows.stop
         result.deviations = np.concatenate([_first_deviation(x.block) for x in result.rows])
@@ -313,7 +313,7 @@ class FitProblem:
 
     def _named(self, measurement: tuple[str, Measurement]) -> list[tuple[str, Any]]:
         name, x = measurement
-        return [(self._own[name][key], parameter) for key, parameter in x.unknowns.items()]
+        return [(self._names[name][key], parameter) for key, parameter in x.unknowns.items()]
 
 
 def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequence[str]) -> dict[str, Any]:

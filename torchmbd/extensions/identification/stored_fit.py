@@ -27,18 +27,18 @@ class StoredFit(FitProblem):
     """A problem with a store; made by `of`.
 
     hits, computed   designs that were on disk, and others
-    told             called after designs were computed
+    listener         called after designs were computed
     """
 
     store: Evaluations
     counts: dict[str, int]
-    told: Callable[[], None]
+    listener: Callable[[], None]
 
     @classmethod
-    def of(cls, problem: FitProblem, store: Evaluations, counts: dict[str, int], told: Callable[[], None]) -> Self:
+    def of(cls, problem: FitProblem, store: Evaluations, counts: dict[str, int], listener: Callable[[], None]) -> Self:
         """The problem with a store."""
         result = object.__new__(cls)
-        vars(result).update(vars(problem), store=store, counts=counts, told=told)
+        vars(result).update(vars(problem), store=store, counts=counts, listener=listener)
         return result
 
     @property
@@ -57,7 +57,7 @@ class StoredFit(FitProblem):
             for k, x in zip(missing, made, strict=True):
                 known[k] = x
             self.counts["computed"] += len(missing)
-            self.told()
+            self.listener()
         self.counts["hits"] += len(X) - len(missing)
         return [_residuals(x, self._units, gradients) for x in known if x is not None]
 

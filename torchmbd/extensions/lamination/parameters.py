@@ -220,8 +220,8 @@ def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.
     x = parameter(f"{name} of LaminationParameters", values)
     if field is not None and x.shape == (4,) and not isinstance(values, nn.Parameter):
         x = nn.Parameter(x.detach().expand(field.controls, 4).clone())
-    wanted = (4,) if field is None else (field.controls, 4)
-    if x.shape != wanted:
+    shape = (4,) if field is None else (field.controls, 4)
+    if x.shape != shape:
         words = "[4]" if field is None else f"[{field.controls} controls, 4]"
         raise InputError(f"{name} of LaminationParameters has shape {tuple(x.shape)}; allowed: {words}")
     return x

@@ -124,9 +124,9 @@ class NativeAdjointSolver(AdjointSolver):
         self.code.adjoint(ctypes.byref(job))
         job.rows, job.read = rows, 0
         data, times = self.grid.dynamics.data, schedule.t
-        wanted = {name for name, x in data.items() if value(x).requires_grad}
+        variables = {name for name, x in data.items() if value(x).requires_grad}
         plain = {name: value(x).detach() for name, x in data.items()}
-        adjoint = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, wanted)
+        adjoint = FeedbackAdjoint(laws, plain, _lanes(signals, lanes), times, variables)
         arrays = {"strengths": _blocks(adjoint.strengths), "law_slopes": _blocks(adjoint.slopes)}
         arrays["strength_bars"] = of_strengths
         for name, address in addresses(arrays).items():

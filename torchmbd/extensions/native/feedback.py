@@ -154,12 +154,12 @@ class FeedbackAdjoint:
     """Called laws in reverse mode: values at all steps first, cotangents of the weights after the native steps.
 
     signals   [steps, 2 n, lanes], which give the strengths [steps, n, lanes] and slopes [steps, 2, pairs, lanes]
-    wanted    names of the weights by which derivatives are wanted
+    variables  names of the weights by which derivatives are wanted
     """
 
-    def __init__(self, laws: CalledLaws, data: Mapping[str, Any], signals: Tensor, times: Tensor, wanted: set[str]):
+    def __init__(self, laws: CalledLaws, data: Mapping[str, Any], signals: Tensor, times: Tensor, variables: set[str]):
         self.laws, names = laws, [law_key(link.control.name) for link in laws.links]
-        self.names = [name if name in wanted else None for name in names]
+        self.names = [name if name in variables else None for name in names]
         lanes = signals.shape[-1]
         leaves: dict[int, Tensor] = {}  # one of each module, which holds it for all controllers that share it
         self.parameters = [

@@ -211,8 +211,8 @@ def numbers(where: str, text: str, count: int | None = None) -> list[float]:
     """Read the numbers of an attribute, `count` of them."""
     words = text.split()
     values = [float(word) for word in words if _NUMBER.fullmatch(word)]
-    wanted = max(len(words), 1) if count is None else count
-    if len(words) != wanted or len(values) != wanted or not all(map(math.isfinite, values)):
+    size = max(len(words), 1) if count is None else count
+    if len(words) != size or len(values) != size or not all(map(math.isfinite, values)):
         many = "numbers" if count is None else f"{count} number{'s' if count > 1 else ''}"
         raise InputError(f"{where} is {text!r}; allowed: {many}")
     return values

@@ -114,9 +114,9 @@ def _checked(name: str, key: str, law: Any) -> FiniteLaw:
     )
     if not callable(law) or not number:
         unit = "rad" if key == "angle" else "m"
-        said = repr(start).partition("\n")[0]
+        text = repr(start).partition("\n")[0]
         raise InputError(
-            f"{key} of {name!r} gives {said if len(said) <= _SHOWN else said[:_SHOWN] + '...'} at t = 0; "
+            f"{key} of {name!r} gives {text if len(text) <= _SHOWN else text[:_SHOWN] + '...'} at t = 0; "
             f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64; {OF_TABLES}"
         )
     if not hasattr(law, "slopes"):
