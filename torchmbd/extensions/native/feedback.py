@@ -153,7 +153,7 @@ class Feedback:
 class FeedbackAdjoint:
     """Called laws in reverse mode: values at all steps first, cotangents of the weights after the native steps.
 
-    signals   [steps, 2 n, lanes], which give the strengths [steps, n, lanes] and slopes [steps, 2, pairs, lanes]
+    signals    [steps, 2 n, lanes], which give the strengths [steps, n, lanes] and slopes [steps, 2, pairs, lanes]
     variables  names of the weights by which derivatives are wanted
     """
 
