@@ -29,6 +29,7 @@ def test_the_nominal_model_bends_as_measured():
     assert model[2] == pytest.approx(values[-1], rel=0.03)
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 def test_moduli_of_two_beams_predict_the_third():
     """Within 5.5 % of the range of each curve, where the sections of the paper are up to 11 % off."""
