@@ -93,6 +93,7 @@ def tip(damping: float, designs: dict[str, Tensor], backend: str, gradients: str
     return blade.nodes[:, -1, -1].sum(-1) + 1e-2 * blade.forces[:, -1, 0, 0].sum(-1)
 
 
+@pytest.mark.extensions  # by native steps
 @pytest.mark.thorough
 @pytest.mark.parametrize("damping", [0.0, 5e-4])
 def test_gradients_by_plies_taper_and_twist(damping):
