@@ -33,7 +33,8 @@ GROUPS: dict[str, str] = {
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
     "buckling Buckling frequencies Vibrations Trajectory Phase Event",
-    "results": "SectionHistory PlyHistory viz viz.fiber_paths viz.save_mesh viz.save_modes viz.save_motion",
+    "results": "SectionHistory PlyHistory viz viz.animate_mode viz.campbell viz.data_and_model viz.fiber_paths viz.mode_motion "
+    "viz.root_locus viz.save_mesh viz.save_modes viz.save_motion",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "BucklingIndex PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
