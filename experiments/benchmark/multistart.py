@@ -68,7 +68,7 @@ class PeerProblem:
     """The same problem, evaluated by the peer; gradients by forward differences."""
 
     def __init__(self, ours: mbd.Problem, pool: Any, steps: int):
-        self.own, self.pool, self.steps = ours, pool, steps
+        self.pool, self.steps = pool, steps
         self.start, self.lower, self.upper, self.names, self.period = (
             ours.start,
             ours.lower,

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.multibody.statics.test_vibrations import CARBON, panel, richardson, tube
+from tests.multibody.statics.test_vibrations import CARBON, check_gradients, panel, richardson, tube
 from torchmbd.extensions.buckling import eigenproblem
 from torchmbd.extensions.buckling.buckling import BucklingCase
 from torchmbd.extensions.buckling.nodal_loads import spread
@@ -24,20 +24,6 @@ class Factors(nn.Module):
 
     def forward(self) -> Tensor:
         return self.case(self.number).factors
-
-
-def check_gradients(model: Factors, name: str, step: float) -> None:
-    x = dict(model.named_parameters())[name].detach().clone()
-
-    def f(x: Tensor) -> Tensor:
-        return torch.func.functional_call(model, {name: x}, ())
-
-    reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
-    with torch.no_grad():
-        expected = richardson(f, x, step)
-    scale = float(expected.abs().max())
-    assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
-    assert_close(reverse, expected, rtol=0.0, atol=1e-6 * scale)
 
 
 @pytest.mark.thorough

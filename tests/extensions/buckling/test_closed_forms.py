@@ -16,7 +16,7 @@ import scipy.optimize
 import torch
 
 import torchmbd as mbd
-from tests.validation.test_vibrations import CARBON, EDGES, plate, supported
+from tests.validation.test_vibrations import CARBON, EDGES, antisymmetric_stiffness, plate, supported
 
 
 def uniaxial(a: float, b: float, D: torch.Tensor, m: int, n: int) -> float:
@@ -49,12 +49,7 @@ def test_antisymmetric_angle_ply_plate(kind):
 
     def load(m: int, n: int) -> float:
         p, q = m * math.pi / a, n * math.pi / b
-        t11, t22 = A[0, 0] * p**2 + A[2, 2] * q**2, A[1, 1] * q**2 + A[2, 2] * p**2
-        t12 = (A[0, 1] + A[2, 2]) * p * q
-        t13, t23 = -(3 * B[0, 2] * p**2 + B[1, 2] * q**2) * q, -(B[0, 2] * p**2 + 3 * B[1, 2] * q**2) * p
-        t33 = D[0, 0] * p**4 + 2 * (D[0, 1] + 2 * D[2, 2]) * p**2 * q**2 + D[1, 1] * q**4
-        coupled = (2 * t12 * t23 * t13 - t22 * t13**2 - t11 * t23**2) / (t11 * t22 - t12**2)
-        return float(t33 + coupled) / p**2
+        return antisymmetric_stiffness(A, B, D, p, q) / p**2
 
     # the mode is u ~ sin(p x) cos(q y), v ~ cos(p x) sin(q y): u is held at edges of x, v at edges of y, where also the
     # uniform compression without forces along y is imposed

@@ -48,14 +48,15 @@ class Frequencies(nn.Module):
     def forward(self) -> Tensor:
         return self.case(self.number).frequencies
 
-    def of(self, name: str) -> tuple[Any, Tensor]:
-        """The frequencies as a function of one parameter, and its value."""
-        x = dict(self.named_parameters())[name].detach().clone()
-        return lambda x: torch.func.functional_call(self, {name: x}, ()), x
+
+def of_parameter(model: nn.Module, name: str) -> tuple[Any, Tensor]:
+    """What a module returns as a function of one of its parameters, and the value of this."""
+    x = dict(model.named_parameters())[name].detach().clone()
+    return lambda x: torch.func.functional_call(model, {name: x}, ()), x
 
 
-def check_gradients(model: Frequencies, name: str, step: float) -> None:
-    f, x = model.of(name)
+def check_gradients(model: nn.Module, name: str, step: float) -> None:
+    f, x = of_parameter(model, name)
     reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
     with torch.no_grad():
         expected = richardson(f, x, step)
@@ -86,7 +87,7 @@ def test_gradients_of_a_beam_by_angles_and_nodes():
 
 @pytest.mark.thorough
 def test_the_sparse_and_the_dense_way_have_the_same_gradients(monkeypatch):
-    f, x = Frequencies(panel((8, 6)), EDGES, 3).of("body.laminate.angles")
+    f, x = of_parameter(Frequencies(panel((8, 6)), EDGES, 3), "body.laminate.angles")
     sparse = f(x), torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
     monkeypatch.setattr("torchmbd.fem.reduction.basis.SMALL", 1000)
     assert_close(sparse, (f(x), torch.func.jacrev(f)(x), torch.func.jacrev(f)(x)), rtol=1e-9, atol=1e-9)
@@ -97,7 +98,7 @@ def test_coinciding_frequencies_of_a_tube_have_the_mean_of_their_derivatives():
     model = Frequencies(tube(), {"start": "u1 u2 u3 phi1", "end": "u2 u3"}, 3)  # the third of a pair, too
     frequencies = model()
     assert_close(frequencies[0], frequencies[1], rtol=1e-6, atol=0.0)
-    f, x = model.of(next(name for name, _ in model.named_parameters() if name.endswith("angles")))
+    f, x = of_parameter(model, next(name for name, _ in model.named_parameters() if name.endswith("angles")))
     reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
     scale = float(reverse.abs().max())
     assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
@@ -108,7 +109,7 @@ def test_coinciding_frequencies_of_a_tube_have_the_mean_of_their_derivatives():
 
 
 def test_lanes_are_designs():
-    f, x = Frequencies(panel(), EDGES, 2).of("body.laminate.angles")
+    f, x = of_parameter(Frequencies(panel(), EDGES, 2), "body.laminate.angles")
     angles = torch.stack([x, torch.tensor([0.0, 0.9, 0.2], dtype=torch.float64)])
     each = torch.stack([f(x) for x in angles])
     assert_close(f(angles), each, rtol=1e-10, atol=0.0)
@@ -118,7 +119,7 @@ def test_lanes_are_designs():
 
 
 def test_a_second_derivative_is_refused():
-    f, x = Frequencies(panel((2, 2)), EDGES, 1).of("body.laminate.angles")
+    f, x = of_parameter(Frequencies(panel((2, 2)), EDGES, 1), "body.laminate.angles")
     with pytest.raises(NotImplementedError, match="second derivatives of modes"):
         torch.func.hessian(lambda x: f(x)[0])(x)
 
