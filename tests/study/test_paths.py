@@ -7,8 +7,11 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy
 import torch
+import torchdiffeq
 from rich.console import Console
 
 from tests.extensions.nastran.bdf_models import model as bdf_model
@@ -166,19 +169,30 @@ def copied(tmp_path_factory):
     return package
 
 
-@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "extensions/native/steps.cpp"])
+SEARCHES = [f"optimization/{part}" for part in ("methods", "multistart", "discrete")]
+
+
+@pytest.mark.parametrize("part", [*PARTS, *SEARCHES, "errors.py", "cli.py", "extensions/native/steps.cpp"])
 def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
-    """The optimizers, the tracking, the pictures and the command line see an evaluation when it is made."""
-    before = paths_module._code(paths_module._PACKAGE)
+    """The searches, the tracking, the pictures and the command line see an evaluation when it is made.
+
+    The searches choose the designs of a study, so they count in its key.
+    """
     folder = copied / part
+    shown = part in ("cli.py", "tracking", "viz")
+    counts = {  # sources left out -> a part counts
+        (*paths_module._SHOWN, *paths_module._SEARCHES): not shown and part not in ("study", *SEARCHES),
+        paths_module._SHOWN: not shown,
+    }
     for file in sorted(folder.glob("*.py"))[-2:] if folder.is_dir() else [folder]:
         text = file.read_text()
-        counts = part not in ("cli.py", "study", "tracking", "viz", "optimization")
-        for more, changed in (("", False), ("\nx = 1;\n", counts)):
-            file.write_text(text + more)
-            paths_module._code.cache_clear()
-            assert (paths_module._code(copied) != before) is changed, file
-        file.write_text(text)
+        for without, part_counts in counts.items():
+            before = paths_module._code(paths_module._PACKAGE, without)
+            for more, changed in (("", False), ("\nx = 1;\n", part_counts)):
+                file.write_text(text + more)
+                paths_module._code.cache_clear()
+                assert (paths_module._code(copied, without) != before) is changed, file
+            file.write_text(text)
 
 
 @pytest.mark.thorough
@@ -197,9 +211,10 @@ def test_the_sources_count_in_both_keys(write, copied, monkeypatch):
 
 
 @pytest.mark.thorough
-def test_another_torch_is_another_problem(write, monkeypatch):
+@pytest.mark.parametrize("package", [torch, np, scipy, torchdiffeq])
+def test_another_version_of_what_computes_is_another_problem(write, monkeypatch, package):
     before = keys(write())
-    monkeypatch.setattr(torch, "__version__", "2.0.0")
+    monkeypatch.setattr(package, "__version__", "0.0.1")
     after = keys(write())
     assert before[0] != after[0]
     assert before[1] != after[1]

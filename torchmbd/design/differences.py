@@ -90,6 +90,13 @@ class Differences:
             raise AttributeError(name)
         return getattr(self._problem, name)
 
+    def settings(self) -> list[Any]:
+        """All settings that determine the evaluations, except the values of the design variables."""
+        settings = getattr(type(self._problem), "settings", None)
+        wrapped = [self._problem] if settings is None else self._problem.settings()
+        turned = [self._problem.upper] if self.scheme == "forward" else []  # where steps go backward
+        return [*wrapped, self.step, self.scheme, *turned]
+
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n]; with gradients, they and all shifted designs are one batch."""
         X = np.asarray(X, dtype=float)

@@ -166,10 +166,14 @@ class Problem(Summary):
         )
 
     def settings(self) -> list[Any]:
-        """All settings that determine the evaluations, except the values of the design variables."""
+        """All settings that determine the evaluations, except the values of the design variables.
+
+        Bounds are among them where the unit of the extra variable of a min-max problem comes from them.
+        """
         space, responses = self.space, [self.objective, *self.constraints]
         motion = [self.system, self.simulation, self.duration, self.gradients, self.chooses_steps and self.tolerance]
-        return [*motion, responses, space.map, space.offset, space.variables, space.start]
+        unit_of_rows = [space.lower, space.upper, tuple(map(float, self._bound))] if self.peaks else []
+        return [*motion, responses, space.map, space.offset, space.variables, space.start, *unit_of_rows]
 
     @property
     def rows(self) -> int:

@@ -7,6 +7,8 @@
 
 torchmbd's own functions and classes are written by name (`source_digest` has their text), those of installed packages by name
 and file. Comments, line numbers and the order of a dictionary or a set have no influence, nor the numbers of `ignored` tensors.
+Attributes that follow from others have none either, so an object has the same digest before and after its use: cached
+properties, those that a class names in `derived_state`, and `training` of torchmbd's modules, which none of them reads.
 Checked in tests/math/test_digest.py.
 """
 
@@ -40,14 +42,13 @@ def digest(*objects: Any, ignored: Iterable[Any] = ()) -> str:
     return walk.hash.hexdigest()[:32]
 
 
-def source_digest(folder: Path, parts: Iterable[str]) -> str:
-    """Return the digest of source files (Python, C++) of a folder, or of folders in it."""
+def source_digest(folder: Path, without: Sequence[str] = ()) -> str:
+    """Return the digest of all source files (Python, C++) of a folder but those in `without`: files, or folders of them."""
     hash = hashlib.sha256()
-    for part in parts:
-        path = folder / part
-        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            if file.suffix in (".py", ".cpp", ".h"):
-                hash.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
+    for file in sorted(folder.rglob("*")):
+        place = file.relative_to(folder)
+        if file.suffix in (".py", ".cpp", ".h") and not any(place.is_relative_to(part) for part in without):
+            hash.update(f"{place}\0".encode() + file.read_bytes() + b"\0")
     return hash.hexdigest()[:32]
 
 
@@ -132,7 +133,7 @@ class _Walk:
             self.hash.update(x.tobytes())
 
     def _add_object(self, x: Any) -> None:
-        """An instance of a class: the state that pickling would keep, without cached properties."""
+        """An instance of a class: the state that pickling would keep, without what is derived of it."""
         kind = type(x)
         self.add(kind)
         state = x.__getstate__()
@@ -147,7 +148,7 @@ class _Walk:
                 )
         for part in parts:
             if isinstance(part, dict):
-                kept = {k: y for k, y in part.items() if not isinstance(_inherited(kind, k), cached_property)}
+                kept = {k: y for k, y in part.items() if not _is_derived(kind, k)}
                 if isinstance(x, torch.nn.Module):  # torch numbers the hooks of a process
                     kept = {
                         k: tuple(y.values()) if "_hooks" in k and isinstance(y, dict) else y for k, y in kept.items()
@@ -210,6 +211,13 @@ def _name(kind: type) -> str:
 
 def _of_package(module: str) -> bool:
     return module.partition(".")[0] == "torchmbd"
+
+
+def _is_derived(kind: type, name: str) -> bool:
+    """Whether an attribute of instances of a class follows from others, or is a switch that the class does not read."""
+    unread = name == "training" and _of_package(kind.__module__)
+    named = name in getattr(kind, "derived_state", ())
+    return unread or named or isinstance(_inherited(kind, name), cached_property)
 
 
 def _inherited(kind: type, name: str) -> Any:

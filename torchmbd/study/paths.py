@@ -17,15 +17,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 import torch
+import torchdiffeq
 
 from torchmbd.design import Problem
+from torchmbd.design.differences import Differences
 from torchmbd.math.digest import digest, source_digest
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking.uri import StoreURI
 
 _PACKAGE = Path(__file__).parents[1]
-_NOT_HASHED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization")  # no evaluation depends on them
+_SHOWN = ("cli.py", "tracking", "viz")  # sources that no number of a study depends on
+_SEARCHES = (
+    "study",
+    *(f"optimization/{part}" for part in ("methods", "multistart", "discrete")),
+)  # they choose designs
 
 
 def studies_folder() -> Path:
@@ -55,10 +62,13 @@ def problem_key(problem: Any) -> str:
     """Return the hash of all that the numbers of an evaluation depend on.
 
     These are the system with all its tensors and laws, the settings of the simulation, the responses, the source of
-    torchmbd and the version of torch. Bounds and start values of the design variables affect the search alone.
+    torchmbd that an evaluation enters, and the versions of the packages that compute. Bounds of the design variables
+    affect the search alone, except those of a min-max problem and of forward differences (`settings`). What was done with
+    the system before does not count.
     """
-    if isinstance(problem, Problem):
-        varied = [problem.system.get_parameter(name) for name in problem.space.variables]
+    if isinstance(problem, (Problem, Differences)):
+        cases = problem.cases(problem.start[None]) if hasattr(problem, "cases") else []
+        varied = [system.get_parameter(name) for system, _ in cases for name in problem.space.variables]
         built = digest(*problem.settings(), ignored=varied)
     else:
         built = digest(problem)
@@ -66,8 +76,9 @@ def problem_key(problem: Any) -> str:
 
 
 def numbers_key(built: str) -> str:
-    """Return the hash of a digest with the source of torchmbd and the version of torch."""
-    return _hash([built, _code(_PACKAGE), torch.__version__])
+    """Return the hash of a digest with the source of torchmbd and the versions of the packages that compute."""
+    versions = [package.__version__ for package in (torch, np, scipy, torchdiffeq)]
+    return _hash([built, _code(_PACKAGE, (*_SHOWN, *_SEARCHES)), versions])
 
 
 def study_key(study: StudySettings, uri: StoreURI | str) -> str:
@@ -78,7 +89,8 @@ def study_key(study: StudySettings, uri: StoreURI | str) -> str:
     question_key = digest(
         box, around, study.points, study.method, study.max_iterations, study.options, study.increments, study.sweep
     )
-    return _hash([question_key, problem_key(study.simulated), study.name, study.experiment, relative_store(uri)])
+    record = [study.name, study.experiment, list(study.columns.units), relative_store(uri)]
+    return _hash([question_key, problem_key(study.simulated), _code(_PACKAGE, _SHOWN), *record])
 
 
 def relative_store(uri: StoreURI | str) -> str:
@@ -93,10 +105,9 @@ def file_key(data: Any, name: str, uri: StoreURI | str) -> str:
 
 
 @cache
-def _code(package: Path) -> str:
+def _code(package: Path, without: tuple[str, ...]) -> str:
     """Return the digest of the source of torchmbd: evaluations of another version are not used."""
-    parts = sorted(path.name for path in package.iterdir() if path.is_dir() or path.suffix == ".py")
-    return source_digest(package, [part for part in parts if part not in _NOT_HASHED])
+    return source_digest(package, without)
 
 
 def _hash(data: Any) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -69,6 +69,15 @@ class System(nn.Module):
     """
 
     gravity: Tensor | None
+    #: Attributes that follow from bodies, joints, forces and start (math/digest.py); the last one fills while it is used.
+    derived_state: ClassVar = (
+        "topology",
+        "_saddle",
+        "_initial",
+        "_joined_with",
+        "_topology_tensors",
+        "segments_of_phases",
+    )
 
     def __init__(
         self,
