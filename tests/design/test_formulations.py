@@ -272,7 +272,9 @@ def test_bad_input_is_refused_at_the_door(given, words):
         (lambda: WeightedSum([("1", mbd.Max(ENERGY))]), "factor of a measure is '1'"),
         (lambda: WeightedSum([(1.0, mbd.Max(ENERGY))], normalize=(1.0, 2.0)), "normalize is (1.0, 2.0)"),
         (lambda: mbd.Max(ENERGY) + "x", "sum of 'x'; allowed: measures of one number"),
-        (lambda: ENERGY + "x", "combined with 'x'"),
+        (lambda: ENERGY + "x", "operand of a history is 'x'"),
+        (lambda: ENERGY - mbd.variable(1.0), "has design variables"),
+        (lambda: mbd.Max(ENERGY) <= mbd.variable(1.0), "has design variables"),
         (lambda: mbd.Max(ENERGY).equals(0.0, scale=-1.0), "scale of a constraint is -1.0"),
     ],
 )
@@ -280,3 +282,10 @@ def test_bad_criteria_are_named(make, words):
     with pytest.raises(InputError) as error:
         make()
     assert words in str(error.value)
+
+
+def test_a_number_may_be_a_tensor():
+    angle = mbd.Angle("crank", "z")
+    assert repr(angle - mbd.deg(90.0)) == repr(angle - float(mbd.deg(90.0)))
+    assert repr(mbd.Max(angle) * mbd.deg(90.0)) == repr(mbd.Max(angle) * float(mbd.deg(90.0)))
+    assert (mbd.Max(angle) <= mbd.deg(90.0)).limit == float(mbd.deg(90.0))

@@ -31,6 +31,7 @@ from torch import Tensor
 from torchmbd.design.differentiate import ValueAndGradient, differentiate
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.multibody.system import System
 
@@ -119,9 +120,8 @@ class Combined(History):
         return _formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
-        for part in self.parts:
-            if not isinstance(part, (History, int, float)):
-                raise InputError(f"a history is combined with {part!r}; allowed: another history or a number")
+        allowed = "another history or a number"
+        _settle(self, "parts", tuple(_operand(part, History, "history", allowed) for part in self.parts))
 
     @property
     def smooth(self) -> bool:
@@ -289,9 +289,7 @@ class Total(Measure):
 
     def __post_init__(self) -> None:
         require_scalar_measures([measure for _, measure in self.terms], "sum")
-        for factor, _ in self.terms:
-            if not _finite(factor):
-                raise InputError(f"factor of a measure is {factor!r}; allowed: a finite number")
+        _settle(self, "terms", [(scalar("factor of a measure", factor), measure) for factor, measure in self.terms])
 
     def value(self, motion: Trajectory) -> Tensor:
         return torch.stack([factor * measure.value(motion) for factor, measure in self.terms]).sum(0)
@@ -315,11 +313,11 @@ class CombinedMeasure(Measure):
         return _formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
+        allowed = "measures of one number, finite numbers"
+        _settle(self, "parts", tuple(_operand(part, Measure, "measure", allowed) for part in self.parts))
         for part in self.parts:
-            if not _number(part) and not (isinstance(part, Measure) and part.rows == 1):
-                raise InputError(
-                    f"a measure is combined with {part!r}; allowed: measures of one number, finite numbers"
-                )
+            if isinstance(part, Measure) and part.rows != 1:
+                raise InputError(f"a measure is combined with {part!r}; allowed: {allowed}")
 
     def value(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.value(motion) if isinstance(part, Measure) else part for part in self.parts))
@@ -373,8 +371,8 @@ class Constraint(_Constant):
     def __post_init__(self) -> None:
         if not isinstance(self.measure, Measure):
             raise InputError(f"constraint on {self.measure!r}; allowed: a measure, such as Max(StrainEnergy('rod'))")
-        if self.limit != "initial" and not _finite(self.limit):
-            raise InputError(f"limit of a constraint is {self.limit!r}; allowed: a finite number or 'initial'")
+        if not isinstance(self.limit, str) or self.limit != "initial":
+            _settle(self, "limit", scalar("limit of a constraint", self.limit, "a finite number or 'initial'"))
         if self.kind not in KINDS:
             raise InputError(f"kind of a constraint is {self.kind!r}; allowed: {', '.join(KINDS)}")
         if self.scale is not None and not (_finite(self.scale) and float(self.scale) > 0.0):
@@ -386,12 +384,26 @@ class Constraint(_Constant):
         )
 
 
+def _settle(response: Any, field: str, value: Any) -> None:
+    """Set a field of a frozen response while it is made."""
+    object.__setattr__(response, field, value)
+
+
+def _operand(part: Any, kind: type, noun: str, allowed: str) -> Any:
+    """Return a response of this kind or a number of Python as it is, another number, such as mbd.deg(90), as a float."""
+    if isinstance(part, kind):
+        return part
+    number = scalar(f"operand of a {noun}", part, allowed)
+    return part if isinstance(part, (int, float)) else number
+
+
 def _number(x: Any) -> bool:
-    return isinstance(x, (int, float)) and _finite(x)
+    return not isinstance(x, Measure) and _finite(x)
 
 
 def _finite(x: Any) -> bool:
     try:
-        return not isinstance(x, (str, bool)) and abs(float(x)) < float("inf")
+        number = x.detach() if isinstance(x, Tensor) else x  # a variable is refused by name later
+        return not isinstance(x, (str, bool)) and abs(float(number)) < float("inf")
     except (TypeError, ValueError):
         return False
