@@ -6,12 +6,16 @@ g is a function: motion -> [lanes, times], written as for a history; here the mo
 in reverse mode by all that it may depend on: time, state, data of the model, designs and mode shapes. Where these have
 tangents, so has g. Lanes that are at different times are one motion, unless the function reads the time: then they go one by
 one.
+
+Accelerations and multipliers that g reads are those that the equations of motion determine from time, positions and rates.
+Those of a step are others by an error of first order, which alternates from step to step and depends on the size of the
+step (results/ringing.py): g would pass zero where the force does not, and at another time with each size.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -25,7 +29,9 @@ from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.reactions import multipliers_at
+from torchmbd.multibody.system.expansion import select_rows
+from torchmbd.multibody.system.times_as_lanes import at_time, over_times
+from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, SomeLanes, shape_tangents
 from torchmbd.results.motion_data import OK
@@ -102,7 +108,7 @@ class _TimesOfLanes(Tensor):
 
 
 class Instant(Signals):
-    """States x at times t [1 + n, lanes] as a motion of one time."""
+    """Positions and rates of the states x at times t [1 + n, lanes] as a motion of one time; see the module header."""
 
     def __init__(self, dynamics: Dynamics, t: Any, x: State):
         super().__init__()
@@ -121,11 +127,17 @@ class Instant(Signals):
         return y if rows is None else y[..., list(rows), :]
 
     def _part(self, name: str) -> Any:
-        return self._lam if name == "lam" else {"q": self.x.q, "v": self.x.v, "a": self.x.vd}[name]
+        if name in ("q", "v"):
+            return self.x.q if name == "q" else self.x.v
+        return self._solution[name == "lam"]
 
     @cached_property
-    def _lam(self) -> Any:
-        return _all_multipliers(self.dynamics, self.t, self.x)
+    def _solution(self) -> tuple[Any, Any]:
+        """Accelerations, and multipliers of all rows, of redundant ones those of least norm."""
+        dynamics, t = self.dynamics, self.t.expand(-1, self.lanes)
+        a, lam = at_time(Dynamics.unstabilized_accelerations, dynamics, t, self.x.q, self.x.v)
+        least = dynamics.least_norm
+        return a, lam if least is None else least.at_varying_time(dynamics.data, t, self.x.q, lam)
 
 
 class Leaves:
@@ -175,16 +187,46 @@ class Leaves:
         return torch.stack([x.movedim(lane_axis, -1).reshape(-1, self.lanes) for x in parts])
 
 
-@dataclass(frozen=True)
-class _Multipliers:
-    """Gives all multipliers of states of dynamics, of redundant rows those of least norm."""
+class _Instants(IntegratedSignals):
+    """Positions and rates of a history of values at several times, which all lanes share; see the module header."""
 
-    dynamics: Dynamics
+    def __init__(self, dynamics: Dynamics, times: Tensor, history: History):
+        super().__init__(history)
+        self.dynamics, self.t = dynamics, times
 
-    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
-        times = history.times
-        assert times is not None
-        return history.least_norm_multipliers(self.dynamics.least_norm, float(times[-1]), data)
+    def _whole(self, name: str, rows: Rows, pair: slice) -> Tensor:
+        if name in ("q", "v"):
+            return super()._whole(name, rows, pair)
+        x = self._solution[name == "lam"]
+        return x if rows is None else select_rows(x, rows)
+
+    @cached_property
+    def _solution(self) -> Sequence[Tensor]:
+        """Accelerations and multipliers [times, n, 1, lanes], as of `Instant`."""
+        dynamics, T, lanes = self.dynamics, self.dynamics.topology, self.lanes
+
+        def solution(data: equations.Data, excitation: Prescribed, q: Tensor, v: Tensor) -> Tensor:
+            t = excitation.t.repeat_interleave(lanes)
+            return torch.cat(dynamics.with_data(data).unstabilized_accelerations(t, q, v))
+
+        q, v = (self.history.rows(order) for order in range(2))
+        a, lam = over_times(solution, T, dynamics.data, self.t, q, v).split([T.n_v, T.rows], 1)
+        least = dynamics.least_norm
+        return a, lam if least is None else least.at_times(dynamics.data, self.t, q, lam)
+
+
+class SubstituteSignals(Signals):
+    """Rows of other signals, but for tensors [lanes, times, n] of some names that take their place."""
+
+    def __init__(self, base: Signals, substitutes: Mapping[str, Tensor]):
+        super().__init__()
+        self.base, self.substitutes, self.lanes, self.times = base, substitutes, base.lanes, base.times
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        if name not in self.substitutes:
+            return self.base.values(name, rows)
+        x = self.substitutes[name]
+        return x if rows is None else x[..., list(rows)]
 
 
 @dataclass
@@ -234,7 +276,7 @@ class Views:
 
     def along(self, event: Event, dynamics: Dynamics, times: Tensor, history: History) -> Tensor:
         """The function of all lanes at several times [lanes, times], the states at which are a history of these dynamics."""
-        signals = IntegratedSignals(history, _Multipliers(dynamics), dynamics.data)
+        signals = _Instants(dynamics, times, history)
         turns = None if self.whole.turns is None else self.whole.turns.at(times[:1])
         return event.of(replace(self.whole, t=times, signals=signals, dynamics=dynamics, known=None, turns=turns))
 
@@ -344,16 +386,6 @@ class Views:
         return self._shape_tangents[name][:, list(lanes)]
 
 
-def _all_multipliers(dynamics: Dynamics, t: Any, x: State) -> Any:
-    """Multipliers of states at times t [1 + n, lanes], of redundant rows those of least norm.
-
-    x   with those of all rows, or of the rows that condensation retains
-    """
-    lam = multipliers_at(dynamics.initial.condensed, dynamics.data, t, x.q, x.v, x.vd, x.lam)
-    least = dynamics.least_norm
-    return lam if least is None else least.at_varying_time(dynamics.data, t, x.q, lam)
-
-
 def gap_gradient(
     event: Event, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State
 ) -> tuple[Any, Any]:
@@ -365,8 +397,7 @@ def gap_gradient(
         with torch.enable_grad():
             step = torch.zeros(T.n_v + 1, motion.lanes, dtype=torch.float64, requires_grad=True)
             q = equations.advance(T, motion.q[:, 0].T[:, None], step[: T.n_v, None])
-            others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
-            signals = TensorSignals({"q": q[:, 0].T[:, None]} | others)
+            signals = SubstituteSignals(motion.signals, {"q": q[:, 0].T[:, None]})
             now = motion.t if motion.lanes > 1 else motion.t + step[T.n_v]  # of several lanes it is not read
             g = event.of(replace(motion, signals=signals, t=now, known=None))
             if not g.requires_grad:

@@ -22,7 +22,6 @@ from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.switch import (
     InitialState,
-    at_time,
     data_with_marks,
     entered,
     jump,
@@ -35,7 +34,7 @@ from torchmbd.multibody.system import equations, reactions
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.start import EquilibriumConditions
-from torchmbd.multibody.system.times_as_lanes import at_own_times
+from torchmbd.multibody.system.times_as_lanes import at_own_times, at_time
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
@@ -229,9 +228,7 @@ class MultiphaseRun:
             v, a, lam = at_time(entered, dynamics, t, x.q, x.v)  # also where the rate of a drive jumps
         else:
             (v,) = at_time(jump, dynamics, t, x.q, x.v)
-            unknown = linear(lambda y: y.new_full((dynamics.topology.rows, *y.shape[1:]), torch.nan), x.v[:1])
-            before = x._replace(v=v, lam=unknown)  # during an impact there are impulses
-            v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, before)
+            v = velocities_after_impact(impact, ended.until, views, lanes, dynamics, t, x._replace(v=v))
             a, lam = at_time(Dynamics.accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.zero_left_out(lam))
 

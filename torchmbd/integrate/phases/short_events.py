@@ -119,13 +119,13 @@ class ShortEventSearch:
         every, begin, end = list(range(len(lanes))), t, t + h
         start, both, times = ends[0].values(), join_states(ends).values(), torch.cat([begin, end], -1)
         both = self.record.whole(both, times)
-        jerk, press = (x[..., len(lanes) :] - x[..., : len(lanes)] for x in (both.vd, both.lam))
-        jerk, press = jerk / h, press / h
 
         def rates(some: list[int], t: Tensor, x: State) -> tuple[Tensor, Tensor]:
             """The function and its rate."""
-            of_vd, of_lam = pick_lanes(jerk, some), pick_lanes(press, some)
-            slopes = State(equations.coordinate_rates(dynamics.topology, x.q, x.v), x.vd, of_vd, of_vd, of_lam)
+            still = torch.zeros_like(x.vd)  # an event reads positions and rates alone
+            slopes = State(
+                equations.coordinate_rates(dynamics.topology, x.q, x.v), x.vd, still, still, torch.zeros_like(x.lam)
+            )
             return self.views.rates(self.event, [lanes[i] for i in some], lanes_of(dynamics, some), t, x, slopes)
 
         def look(size: Tensor, some: list[int]) -> tuple[Tensor, Tensor]:

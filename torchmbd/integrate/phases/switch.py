@@ -5,10 +5,7 @@
     impact      M (v+ - v-) + Phi_q' Lambda + g_q' lam = 0,   g'+ = -e g'-       g: the gap, e: restitution (Newton)
 
 with the constraints of the new phase. Numbers carry *total* derivatives by the design: the time t* of the switch moves
-with it. Functions of time and state, f(t, q, v), are evaluated for all lanes at once, each at its own time:
-
-    df/db = f_t dt*/db + f_q dq/db + f_v dv/db + f_b
-
+with it.
 Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 11; Pfeiffer and Glocker, Multibody Dynamics
 with Unilateral Contacts, chapter 8.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
@@ -17,20 +14,21 @@ Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.phases.events import Event, Views, gap_gradient
+from torchmbd.integrate.phases.events import Event, SubstituteSignals, Views, gap_gradient
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
+from torchmbd.multibody.system.times_as_lanes import at_time
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
 from torchmbd.results.trajectory import Trajectory
@@ -105,18 +103,6 @@ def _set_vector(
     return data
 
 
-def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) -> tuple:
-    """f(dynamics, times [lanes], *state) of lanes at times t [1 + n, lanes] that may depend on the design."""
-    now = value(t)[0]
-    result = f(dynamics, now, *state)
-    if not (isinstance(t, Pair) and bool(t.tangent.any())):
-        return result
-    plain, values = dynamics.values(), [value(x) for x in state]
-    _ = plain.rank  # is found once, outside of the derivative
-    _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
-    return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(result, rates, strict=True))
-
-
 def entered(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
     """Velocities [n_v, ...] after the constraints begin to act on bodies that move with v, accelerations, and multipliers."""
     solver = SaddleSolver(dynamics, t, q)
@@ -163,8 +149,13 @@ def restitution(dynamics: Dynamics, t: Tensor, q: Any, v: Any, gap: tuple[Any, A
 
 
 def _velocities(impact: Callable, motion: Trajectory) -> Tensor:
-    """Velocities [lanes, times, n_v] by a user's map; InputError if it returns anything else."""
-    v, shape = impact(motion), tuple(motion.v.shape)
+    """Velocities [lanes, times, n_v] by a user's map, to which multipliers are nan: during an impact there are impulses.
+
+    InputError if it returns anything else.
+    """
+    unknown = motion.q.new_full((motion.lanes, motion.signals.times, motion.dynamics.topology.rows), torch.nan)
+    before = replace(motion, signals=SubstituteSignals(motion.signals, {"lam": unknown}))
+    v, shape = impact(before), tuple(motion.v.shape)
     if not isinstance(v, Tensor) or v.shape != shape:
         returned = f"shape {tuple(v.shape)}" if isinstance(v, Tensor) else repr(v)
         raise InputError(f"the impact of a phase returned {returned}; allowed: a tensor [lanes, times, n_v], {shape}")

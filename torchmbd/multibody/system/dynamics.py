@@ -20,6 +20,7 @@ Checked in tests/multibody/system/, tests/sensitivity/.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -274,6 +275,15 @@ class Dynamics:
 
         x = (solver or SaddleSolver(self, t, q))(residual, v)
         return x[: T.n_v], x[T.n_v :]
+
+    def unstabilized_accelerations(self, t: Tensor, q: Any, v: Any) -> tuple[Any, Any]:
+        """Accelerations [n_v, ...] and multipliers [rows, ...] that a state determines, zero in rows that are left out.
+
+        Without the stabilization, which answers to errors of the steps.
+        """
+        exact = replace(self, stabilization=math.inf).share_rank(self)
+        a, lam = exact.accelerations(t, q, v)
+        return a, exact.zero_left_out(lam)
 
     def solve_linear(self, residual: Callable[..., Any], t: Tensor, q: Any, *arguments: Any) -> Any:
         """As `SaddleSolver`, of one residual."""

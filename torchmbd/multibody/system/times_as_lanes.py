@@ -1,7 +1,11 @@
 """Prescribed quantities of several times in one object: its lanes are the times, or each lane has a time of its own.
 
 `as_lanes`: a whole motion is evaluated at once; for systems without prescribed bodies. `over_times` evaluates it in parts.
-`at_own_times`: lanes that pass a switch at different times; these may move with the design.
+`at_own_times`: lanes that pass a switch at different times; these may move with the design. `at_time`: functions of time and
+state, f(t, q, v), of all such lanes at once:
+
+    df/db = f_t dt*/db + f_q dq/db + f_v dv/db + f_b
+
 Checked in tests/physics/test_energies.py, tests/results/test_reaction.py, tests/multibody/system/test_condensation.py,
 tests/sensitivity/test_events.py.
 """
@@ -38,6 +42,18 @@ def at_own_times(T: Topology, t: Any, data: Mapping[str, Any]) -> Prescribed:
 
     (A, r), rates = torch.func.jvp(poses, (now,), (torch.ones_like(now),))[:2]
     return prescribed._replace(A=Pair.of(A, rates[0] * t.tangent), r=Pair.of(r, rates[1] * t.tangent))
+
+
+def at_time(f: Callable[..., tuple], dynamics: Any, t: Any, *state: Any) -> tuple:
+    """f(dynamics, times [lanes], *state) of lanes at times t [1 + n, lanes] that may depend on the design."""
+    now = value(t)[0]
+    result = f(dynamics, now, *state)
+    if not (isinstance(t, Pair) and bool(t.tangent.any())):
+        return result
+    plain, values = dynamics.values(), [value(x) for x in state]
+    _ = plain.rank  # is found once, outside of the derivative
+    _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
+    return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(result, rates, strict=True))
 
 
 def _moved(x: Jet, t: Pair) -> Pair:
