@@ -1,8 +1,9 @@
 """Whether a law of a user can be differentiated by torch: laws of SciPy or NumPy, such as splines, are refused by name.
 
 A law that leaves torch either raises in the derivative, or gives a slope of zero without a word (`float(t)`). The latter is
-found by differences: where values change smoothly, the slope of torch must not be zero.
-Checked in tests/multibody/joints/test_laws.py, tests/extensions/native/test_user_laws.py.
+found by differences: where values change smoothly, the slope of torch must not be zero all around. At a single point it may
+be, as at the start of t^3 or of a cycloid.
+Checked in tests/math/test_torch_law.py, tests/multibody/joints/test_laws.py, tests/extensions/native/test_user_laws.py.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from torchmbd.errors import InputError, user_line
 OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
 PLACES = (0.0, 0.013, 0.11, 0.57, 1.3)  # of the argument, where slopes are compared
 STEP = 1e-4
+AROUND = (0.0, -1.0, -0.4, 0.7, 1.0)  # steps from a place: not symmetric, so that zeros of an odd slope do not coincide
 #: Of a difference over two steps: the change from one step to the other beyond which the law bends or jumps.
 SMOOTH = 0.1
 
@@ -37,7 +39,7 @@ def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str
             continue
         except Exception as error:  # a law may do anything
             raise InputError(f"{what} raises {error!r} in {user_line(error)} near {place:.6g}; {allowed}") from error
-        lost = _slope(what, law, place, allowed) == 0.0
+        lost = all(_slope(what, law, place + k * STEP, allowed) == 0.0 for k in AROUND)
         change = after - before
         if lost and change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change):
             raise InputError(
