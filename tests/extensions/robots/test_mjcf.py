@@ -41,6 +41,7 @@ def file(tmp_path):
         ('damping="0.1"', 'damping="-0.1"', "damping, frictionloss, stiffness"),
         ('class="main" type="cylinder" size=".02 .1"', 'class="main" type="cylinder" size=".02"', "2 positive numbers"),
         ('class="main" type="cylinder"', 'class="main" type="mesh"', "type 'mesh' gives no inertia here"),
+        ('class="main" type="cylinder"', 'class="main" shellinertia="true" type="cylinder"', "shellinertia is 'true'"),
         ('childclass="block"', 'childclass="blocks"', "class 'blocks' does not exist"),
         ('quat="1 .2 .3 .4"', 'quat="0 0 0 0"', "quat is '0 0 0 0'"),
         ('zaxis="1 2 3"', 'zaxis="0 0 0"', "zaxis is '0 0 0'"),

@@ -181,3 +181,54 @@ def test_bodies_may_be_flexible(file):
     straight = mbd.simulate(rigid, 0.1, steps=50, gradients="none").body("bar").at((1.0, 0.0, 0.0)).position
     assert float(straight[0, -1, 2]) < 1.94
     torch.testing.assert_close(bent[0, -1], straight[0, -1], rtol=0.0, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "freedoms"),
+    [
+        ('<default><joint limited="true"/></default>', 6),
+        ('<default><joint limited="true" range="1 2"/></default>', 6),
+        ("", 6),
+    ],
+)
+def test_limits_do_not_concern_free_joints(file, words, freedoms):
+    bodies = '<body name="b"><joint type="free"/><geom size=".1"/></body>'
+    path = file(f'<mujoco><option><flag contact="disable"/></option>{words}<worldbody>{bodies}</worldbody></mujoco>')
+    assert mbd.read_mjcf(path).describe().freedoms == freedoms
+
+
+def test_a_ball_joint_may_be_limited_without_a_range(file):
+    body = '<body name="b"><joint type="ball" limited="true"/><geom size=".1"/></body>'
+    path = file(f'<mujoco><option><flag contact="disable"/></option><worldbody>{body}</worldbody></mujoco>')
+    assert mbd.read_mjcf(path).describe().freedoms == 3
+
+
+@pytest.mark.parametrize("kind", ["free", "ball"])
+def test_damping_of_joints_of_several_coordinates_is_listed(file, kind):
+    body = f'<body name="b"><joint name="j" type="{kind}" damping="1"/><geom size=".1"/></body>'
+    path = file(f'<mujoco><option><flag contact="disable"/></option><worldbody>{body}</worldbody></mujoco>')
+    with pytest.warns(UserWarning, match=rf"damping and springs of {kind} joints \['j'\]"):
+        mbd.read_mjcf(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "s", "rate", "force"),
+    [  # MuJoCo 4.0.0: dampers are odd, springs are not
+        ('damping="2 0 0"', 0.3, 0.5, -1.0),
+        ('damping="1 2 3"', 0.3, 1.0, -6.0),
+        ('damping="1 2 3"', 0.3, -1.0, 6.0),
+        ('damping="0 2"', 0.3, -2.0, 8.0),
+        ('stiffness="1 2 3"', 2.0, 0.0, -(2.0 + 2.0 * 4.0 + 3.0 * 8.0)),
+        ('stiffness="1 2 3"', -2.0, 0.0, -(-2.0 + 2.0 * 4.0 - 3.0 * 8.0)),
+        ('stiffness="0 0 4" damping="1" springref="90"', 1.0, 0.5, -4.0 * (1.0 - math.pi / 2.0) ** 3 - 0.5),
+    ],
+)
+def test_springs_and_dampers_may_be_polynomials(file, words, s, rate, force):
+    [element] = mbd.read_mjcf(pendulum(file, words)).forces
+    s, rate, t = (torch.tensor(x, dtype=torch.float64) for x in (s, rate, 0.0))
+    assert element.law(s, rate, t).item() == pytest.approx(force, rel=1e-12)
+
+
+def test_a_polynomial_of_four_terms_is_refused(file):
+    with pytest.raises(InputError, match="damping is '1 2 3 4'; allowed: one to three numbers"):
+        mbd.read_mjcf(pendulum(file, 'damping="1 2 3 4"'))

@@ -1,6 +1,7 @@
 """Forces in the joints of robots: springs, dampers, friction, actuators.
 
     spring, damper   -k (s - s0) - c s'                      "NAME_spring"; "NAME_damping" where there is no spring
+                     - k2 x^2 - k3 x^3 - c2 s' |s'| - c3 s'^3   x = s - s0; further terms of MJCF
     friction         -f tanh(s' / friction_speed)            "NAME_friction"
     actuator         gear clamp(gain u + b0 + b1 gear s + b2 gear s')   "NAME"
 
@@ -38,10 +39,13 @@ def joint_forces(joint: RobotJoint, a: Any, b: Any, speed: float) -> list[ForceE
     if joint.kind not in MOVING:
         return []
     laws: dict[str, Any] = {}
-    if joint.stiffness:
-        laws["spring"] = Spring(joint.stiffness, joint.damping, joint.rest)
-    elif joint.damping:
-        laws["damping"] = Spring(damping=joint.damping)
+    springs, dampers = (joint.stiffness, *joint.spring_terms), (joint.damping, *joint.damper_terms)
+    if any(springs) or any(dampers):
+        further = any(springs[1:]) or any(dampers[1:])
+        linear = Spring(joint.stiffness, joint.damping, joint.rest)
+        laws["spring" if any(springs) else "damping"] = (
+            PolynomialSpring(springs, dampers, joint.rest) if further else linear
+        )
     if joint.friction:
         laws["friction"] = Friction(joint.friction, positive("friction_speed", speed, "rad/s or m/s"))
     return [_between(joint, a, b, law, f"{identifier(joint.name)}_{key}") for key, law in laws.items()]
@@ -70,6 +74,24 @@ def actuator_forces(
             law = ActuatorLaw(number_or_function, actuator, center)
             forces.append(_between(joint, a, b, law, identifier(actuator.name)))
     return forces
+
+
+@dataclass(frozen=True)
+class PolynomialSpring:
+    """Force of a spring and a damper as polynomials, with the signs of MuJoCo: even powers of the spring push one way.
+
+    stiffness  factors of x, x^2, x^3, where x = s - rest;  damping: of v, v |v|, v^3
+    """
+
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    rest: float
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        x = s - self.rest
+        spring = sum(k * x ** (n + 1) for n, k in enumerate(self.stiffness))
+        damper = sum(c * rate * rate.abs() ** n for n, c in enumerate(self.damping))
+        return -(spring + damper)
 
 
 @dataclass(frozen=True)

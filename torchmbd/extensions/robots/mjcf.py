@@ -1,7 +1,7 @@
 """Mechanisms in MuJoCo's format (MJCF): bodies, joints, springs, actuators on joints, connections.
 
     body, frame, include     links; a body that has several joints follows links of TINY of its mass
-    hinge, slide             revolute, prismatic: limits, damping, friction, stiffness, springref, ref
+    hinge, slide             revolute, prismatic: limits, damping and stiffness (also polynomials), friction, springref, ref
     ball, free               spherical, floating
     inertial, or geom        sphere, capsule, cylinder, box, ellipsoid, by mass or density
     motor, position, velocity, general on joints (gain fixed, bias none or affine)
@@ -174,24 +174,27 @@ class _Reader(Values):
         if kind not in KINDS:
             raise unknown(f"{where}: type", kind, KINDS)
         unit = self.angle if kind == "hinge" else 1.0
-        losses = [self.number(where, attributes, key) for key in ("damping", "frictionloss", "stiffness")]
+        dampers, springs = (self.terms(where, attributes, key) for key in ("damping", "stiffness"))
+        friction = self.number(where, attributes, "frictionloss")
+        losses = [dampers[0], friction, springs[0]]
         if min(losses) < 0.0:
             raise InputError(f"{where}: damping, frictionloss, stiffness are {losses}; allowed: zero or positive")
-        damping, friction, stiffness = losses if kind != "free" else (0.0, 0.0, 0.0)
         for key in ("armature", "springdamper", "actuatorfrcrange"):
             if any(self.numbers(where, attributes, key, "0")):
                 self.note_omitted(f"{key} of joints", name)
-        limits = self.limits(where, attributes, "range", "limited")
+        has_one_coordinate = kind in ("hinge", "slide")  # to the others MuJoCo applies no limit that has no range
+        ranged = has_one_coordinate or (kind == "ball" and any(self.numbers(where, attributes, "range", "0 0", 2)))
+        limits = self.limits(where, attributes, "range", "limited") if ranged else None
         if self.is_disabled("limit", "constraint"):
             limits = None
         if self.is_disabled("frictionloss", "constraint"):
             friction = 0.0
         axis = self.direction(where, attributes, "axis", "0 0 1")
         start, rest = (unit * self.number(where, attributes, key) for key in ("ref", "springref"))
-        if kind in ("ball", "free"):
-            if kind == "ball" and any((damping, friction, stiffness, limits)):
-                self.note_omitted("limits, damping and springs of ball joints", name)
-            limits, damping, friction, stiffness, start = None, 0.0, 0.0, 0.0, 0.0
+        if not has_one_coordinate:
+            if any((*dampers, friction, *springs, limits)):
+                self.note_omitted(f"limits, damping and springs of {kind} joints", name)
+            limits, dampers, friction, springs, start = None, (0.0,), 0.0, (0.0,), 0.0
         made = RobotJoint(
             name,
             KINDS[kind],
@@ -200,12 +203,14 @@ class _Reader(Values):
             pose,
             axis,
             None if limits is None else (unit * limits[0], unit * limits[1]),
-            damping,
+            dampers[0],
             friction,
             anchor=np.array(self.numbers(where, attributes, "pos", "0 0 0", 3)) if kind != "free" else np.zeros(3),
-            stiffness=stiffness,
+            stiffness=springs[0],
             rest=rest,
             start=start,
+            spring_terms=springs[1:],
+            damper_terms=dampers[1:],
         )
         return replace(made, origin=pose @ made.displaced(-start))
 
@@ -241,7 +246,9 @@ class _Reader(Values):
             return None
         if not lowest <= self.number(where, attributes, "group") <= highest:
             return None
-        if kind not in SHAPES or "mesh" in attributes or attributes.get("shellinertia", "false") != "false":
+        if (shell := attributes.get("shellinertia", "false")) != "false":
+            raise InputError(f"{where}: shellinertia is {shell!r}; allowed: 'false', or <inertial> in the body")
+        if kind not in SHAPES or "mesh" in attributes:
             raise InputError(
                 f"{where}: type {'mesh' if 'mesh' in attributes else kind!r} gives no inertia here; "
                 f"allowed: {', '.join(SHAPES)}, or <inertial> in the body"

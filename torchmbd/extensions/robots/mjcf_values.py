@@ -91,6 +91,13 @@ class Values:
     def number(self, where: str, attributes: Attributes, key: str, default: str = "0") -> float:
         return self.numbers(where, attributes, key, default, 1)[0]
 
+    def terms(self, where: str, attributes: Attributes, key: str) -> tuple[float, ...]:
+        """Return the factors of a polynomial, of the first power first: one to three numbers."""
+        factors = self.numbers(where, attributes, key, "0")
+        if not 1 <= len(factors) <= 3:
+            raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: one to three numbers")
+        return tuple(factors)
+
     def direction(self, where: str, attributes: Attributes, key: str, default: str) -> np.ndarray:
         vector = np.array(self.numbers(where, attributes, key, default, 3))
         length = float(np.linalg.norm(vector))

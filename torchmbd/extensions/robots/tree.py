@@ -61,6 +61,7 @@ class RobotJoint:
     anchor    a point of its axis in that frame [m]
     limits    [rad, m], None where there are none
     rest      coordinate where its spring has no force
+    spring_terms, damper_terms  factors of x^2, x^3 and of v |v|, v^3 in their forces
     start     initial coordinate where none is given
     mimics    whether its coordinate follows that of another joint
     """
@@ -79,6 +80,8 @@ class RobotJoint:
     stiffness: float = 0.0
     rest: float = 0.0
     start: float = 0.0
+    spring_terms: tuple[float, ...] = ()
+    damper_terms: tuple[float, ...] = ()
 
     def displaced(self, q: float) -> Pose:
         """Return the pose of the child link for the coordinate q, relative to its pose for q = 0."""
