@@ -49,7 +49,7 @@ NAMES = {
     "windio": "read_windio",
 }
 #: Extension -> those that it imports: without them it is not there either.
-NEEDS = {"identification": ("vibrations",), "lamination": ("fibers",), "matrices": ("nastran",)}
+NEEDS = {"identification": ("vibrations",), "lamination": ("fibers",), "matrices": ("nastran",), "meshes": ("nastran",)}
 #: Registry (Registry(name, ...) in the core: responses, backends, kinds of experiment files, ...) -> name -> "module:object".
 ENTRIES: dict[str, dict[str, str]] = {
     "backends": {"native": "native:NativeBackend"},

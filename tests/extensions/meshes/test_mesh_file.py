@@ -103,6 +103,106 @@ def test_what_abaqus_writes_besides_is_left_out(tmp_path):
     assert float(mesh_file(file).mesh.areas.sum()) == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("*NODE", "*NODE, SYSTEM=C", "line 1: *NODE, SYSTEM is not read"),
+        ("*NODE", "*NODE, INPUT=nodes.txt", "line 1: *NODE, INPUT is not read"),
+        ("TYPE=S4R", "TYPE=S4R, OFFSET=0.5", "*ELEMENT, OFFSET is not read"),
+        ("*ELSET, ELSET=skin", "*ELSET, ELSET=web", "ELSET 'web' stands in *ELEMENT and in *ELSET"),
+    ],
+)
+def test_options_that_meshio_passes_over_are_refused(tmp_path, old, new, words):
+    file = tmp_path / "plate.inp"
+    file.write_text(ABAQUS.replace(old, new))
+    with pytest.raises(InputError) as error:
+        mesh_file(file)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("names", [("skin", "skin", "web"), ("", "skin", "web"), ("web", "skin", "skin")])
+def test_zones_of_blocks_that_share_a_name_or_have_none(tmp_path, names):
+    """The area of each zone is the sum over the lines of the file."""
+    heads = [", ELSET=" + name if name else "" for name in names]
+    nodes = ABAQUS[: ABAQUS.index("*ELEMENT")]
+    blocks = (("S4R", "10, 1, 2, 5, 6"), ("S3", "20, 2, 3, 4"), ("S3", "30, 2, 4, 5"))
+    text = "".join(f"*ELEMENT, TYPE={kind}{head}\n{line}\n" for head, (kind, line) in zip(heads, blocks, strict=True))
+    file = tmp_path / "plate.inp"
+    file.write_text(nodes + text)
+    mesh, zones = mesh_file(file)
+    expected: dict[str, float] = {}
+    for name, area in zip(names, (1.0, 0.5, 0.5), strict=True):
+        if name:
+            expected[name] = expected.get(name, 0.0) + area
+    assert {name: float(mesh.areas[members].sum()) for name, members in zones.items()} == pytest.approx(expected)
+
+
+def test_named_edges_of_abaqus(tmp_path):
+    """Mesh generators write named edges as trusses without a section."""
+    edge = "*ELEMENT, TYPE=T3D2, ELSET=root\n1, 1, 6\n*ELEMENT, TYPE=S4R"
+    file = tmp_path / "plate.inp"
+    file.write_text(ABAQUS.replace("*ELEMENT, TYPE=S4R", edge))
+    mesh, zones = mesh_file(file)
+    assert mesh.node_set("root") == (0, 5)
+    assert {name: len(members) for name, members in zones.items()} == {"web": 1, "flange": 2, "skin": 2}
+    file.write_text(file.read_text() + "*SOLID SECTION, ELSET=root, MATERIAL=AL\n1e-4\n")
+    with pytest.raises(InputError, match=r"it has beams, rods or masses"):
+        mesh_file(file)
+
+
+NASTRAN = """\
+BEGIN BULK
+CORD2C,5,0,0.,0.,0.,0.,0.,1.,+
++,1.,0.,0.
+GRID,1,,0.,0.,0.
+GRID,2,0,2.,0.,0.
+GRID,3,0,2.,1.,0.
+GRID,4,,0.,1.,0.
+GRID,5,,1.,2.,0.
+CQUAD4,1,7,1,2,3,4
+CTRIA3,2,7,4,3,5
+PSHELL,7,1,.001,1
+MAT1,1,7.+10,,.3,2700.
+SPC1,1,123456,1,4
+EIGRL,1,,,5
+ENDDATA
+"""
+
+
+def test_a_shell_of_nastran(tmp_path):
+    file = tmp_path / "plate.bdf"
+    file.write_text(NASTRAN)
+    assert float(mesh_file(file).mesh.areas.sum()) == pytest.approx(2.0 + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("GRID,2,0,", "GRID,2,5,", "GRID 2 (plate.bdf, line 5): CP = 5"),
+        ("GRID,2,0,2.,0.,0.", "GRID*,2,5,2.,0.\n*,0.", "GRID 2 (plate.bdf, line 5): CP = 5"),
+        ("GRID,1,", "GRDSET,,5\nGRID,1,", "defaults of GRID"),
+        ("CQUAD4,1,7,1,2,3,4", "CQUAD4,1,7,1,2,3,4,0.,.01", "CQUAD4 1 (plate.bdf, line 9): ZOFFS"),
+        ("CTRIA3,2,7,4,3,5", "CTRIA3,2,7,4,3,5,0.,.01", "CTRIA3 2 (plate.bdf, line 10): ZOFFS"),
+        ("SPC1", "CONM2,9,3,0,5.\nSPC1", "CONM2 9 (plate.bdf, line 13)"),
+        ("SPC1", "RBE2,9,1,123,2\nSPC1", "RBE2 9 (plate.bdf, line 13)"),
+        ("SPC1", "CELAS2,9,1.,1,1,2,1\nSPC1", "CELAS2 9 (plate.bdf, line 13)"),
+        ("SPC1", "MPC,9,1,1,1.,2,1,-1.\nSPC1", "MPC 9 (plate.bdf, line 13)"),
+        ("SPC1", "CSHEAR,9,7,1,2,3,4\nSPC1", "CSHEAR 9 (plate.bdf, line 13)"),
+        ("SPC1", "CBAR,9,7,1,2,0.,0.,1.\nSPC1", "CBAR 9 (plate.bdf, line 13)"),
+        ("SPC1", "UNKNOWN,9\nSPC1", "UNKNOWN 9 (plate.bdf, line 13)"),
+        ("SPC1", "INCLUDE 'more.bdf'\nSPC1", "meshio reads 5 nodes and 2 cells; the file has 6 and 2"),
+    ],
+)
+def test_what_meshio_loses_of_nastran_is_refused(tmp_path, old, new, words):
+    (tmp_path / "more.bdf").write_text("GRID,8,,3.,3.,0.\n")
+    file = tmp_path / "plate.bdf"
+    file.write_text(NASTRAN.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        mesh_file(file)
+    assert words in str(error.value)
+    assert "mbd.read_bdf" in str(error.value)
+
+
 def test_physical_groups_of_gmsh(tmp_path):
     """Named surfaces are zones; a named point and a named curve are node sets."""
     cells = [("vertex", np.array([[3]])), ("line", np.array([[0, 5]])), ("quad", QUADS), ("triangle", TRIANGLES)]

@@ -7,7 +7,7 @@ are the named groups of cells, node sets the named groups of nodes:
     Abaqus    *ELSET; *NSET
 
 Elements of second order or in three dimensions are refused: leaving them out would change the structure; so are keywords of
-Abaqus that meshio skips and that may be structure (abaqus_file.py).
+Abaqus and cards of Nastran that meshio skips and that may be structure (abaqus_file.py, nastran_file.py).
 Needs meshio, an optional dependency.
 Checked in tests/extensions/meshes/test_mesh_file.py.
 """
@@ -25,14 +25,14 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.extensions.meshes.abaqus_file import check_abaqus
+from torchmbd.extensions.meshes.abaqus_file import AbaqusFile
+from torchmbd.extensions.meshes.nastran_file import check_counts, check_nastran, is_nastran
 from torchmbd.fem.mesh.mesh import Mesh
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.units import meters
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
-_STRUCTURES = (".inp", ".bdf", ".fem", ".nas")  # formats of solvers, in which they are masses and beams
 
 
 class MeshFile(NamedTuple):
@@ -52,25 +52,30 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
     scale = meters("scale", scale)
-    if Path(path).suffix.lower() == ".inp":
-        check_abaqus(Path(path))
+    path = Path(path)
+    abaqus = AbaqusFile(path) if path.suffix.lower() == ".inp" else None
+    if is_nastran(path):
+        check_nastran(path)
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             source = meshio.read(path)
     except SystemExit as error:  # meshio prints the reason and leaves the interpreter
         reason = " ".join(printed.getvalue().split())
-        raise InputError(f"{Path(path).name}: meshio cannot read it: {reason}") from error
+        raise InputError(f"{path.name}: meshio cannot read it: {reason}") from error
     except (
         Exception
     ) as error:  # thirty readers, whose errors on spoilt files are of any kind: IndexError, struct.error, ...
-        raise InputError(f"{Path(path).name}: meshio cannot read it: {type(error).__name__} {error}") from error
+        raise InputError(f"{path.name}: meshio cannot read it: {type(error).__name__} {error}") from error
     try:
-        if Path(path).suffix.lower() in _STRUCTURES and any(x.type in _POINTS_AND_CURVES for x in source.cells):
-            raise InputError("it has beams, rods or masses; allowed: triangle, quad (mbd.read_bdf reads others)")
+        if is_nastran(path):
+            check_counts(path, source)
+        if abaqus is not None:
+            abaqus.check_lines(source)
+            abaqus.correct_zones(source)
         return mesh_of(source, scale)
     except InputError as error:
-        raise InputError(f"{Path(path).name}: {error}") from None
+        raise InputError(f"{path.name}: {error}") from None
 
 
 @constant_arguments
