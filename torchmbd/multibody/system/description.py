@@ -20,7 +20,7 @@ from torchmbd.math.pair import value
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.system.closing import Closing
 from torchmbd.multibody.system.equilibrium import vibrations
-from torchmbd.multibody.system.rank import Rank, jacobians, rank_of
+from torchmbd.multibody.system.rank import Rank, jacobians, rank_of, rank_of_columns
 
 _SHOWN = 6  # frequencies in the table
 
@@ -86,7 +86,7 @@ def describe(system: Any) -> Description:
         closing = dynamics.initial.closing(dynamics)
         J = jacobians(dynamics, q[:, 0, 0][None], torch.zeros(1, dtype=q.dtype))[0].numpy()
     rank = rank_of(T, J) if T.rows else Rank(0, ())
-    rigid = rank_of(T, J[:, : 6 * T.bodies]).rank if T.rows else 0
+    rigid = rank_of_columns(J[:, : 6 * T.bodies]) if T.rows else 0
     mass = dict(zip(T.names, value(dynamics.data["mass"])[:, 0, 0].tolist(), strict=True))
     freedoms = 6 * T.bodies + sum(T.mode_counts) - rank.rank
     return Description(

@@ -1,34 +1,43 @@
 """Consistent initial conditions: joints closed by Newton's method, then compatible velocities.
 
 Modal coordinates start as they were given (modal_start.py), by default undeformed and at rest in their body frames; the
-rigid coordinates move as little as possible (minimum norm) from the given approximate positions and velocities. Velocities f
-that were not given are as small as possible; velocities g that were given change only where no f would satisfy the constraints:
+rigid coordinates move as little as possible (minimum norm) from the given approximate positions and velocities. Rates that
+satisfy the constraints have three levels, and a level changes only where no rates of the levels before it would do:
 
-    q <- q o s,  s = -K Phi(q, t0)           repeated until closed; all coordinates are given
+    1  rigid velocities that were not given       least sum of squares
+    2  rigid velocities that were given           least change
+    3  modal rates                                least kinetic energy 1/2 w' w of the change: modes have unit modal mass
+
+A platform that is guided by leaves has elastic travel alone: a drive that starts with a speed bends the leaves (level 3).
+
+    q <- q o s,  s = -K Phi(q, t0)           repeated until closed; rigid coordinates alone
     v = v0 + s,  s = -K (J v0 + Phi_t)       v0 = 0 where no velocity was given
 
-    J = G + F     Jacobian Phi_q of the rigid coordinates at the current step: columns of g, columns of f
-    B = Q G       Q = 1 - F F+: constraint rates that no f can make;  + is the pseudo-inverse, for redundant and
-    K = C + F+ (1 - G C),  C = B+ Q                         underdetermined mechanisms. K = J+ where all, or none, are given
+    J = A1 + A2 + A3      Jacobian Phi_q at the current step: columns of the levels, zero elsewhere
+    K = C + L (1 - A C)   of a level with columns A;  L = K of the levels before it, K1 = A1+
+    C = (Q A)+            Q = 1 - R L: constraint rates that the columns R of the levels before it cannot make
 
-The derivatives by the design are those of these steps. With the multipliers y = C' s of g, z = F+' s of f,
++ is the pseudo-inverse, for redundant and underdetermined mechanisms. The derivatives by the design are those of these steps.
+With the multipliers y = C' s of a level:
 
-    ds = u - C G u + w - F+ (G (u - C G u) + F w) - K (dPhi + dJ s)     u = dG' y - G' F+' dF' y,  w = dF' z
+    ds = D - K (dPhi + dJ s)
+    D = (1 - L A) (u - C A u) + D of the levels before it,   u = dA' y - A' L' dR' y
 
 and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that changes gives a warning.
 
 Pairs, and tensors that require gradients, are carried through every step, and through a last step at the closed joints.
 InputError names the joints that do not close, with their residuals; a warning those that are closed from afar (closing.py).
 The start of undeformed bodies depends on the attached points and the laws of drives only. Where these do not depend on the
-design, the start of the first design is that of all (`SharedStart`). Positions and velocities that are Parameters of bodies
-are data of a design, "q0" and "v0".
+design, and no velocity needs modal rates, the start of the first design is that of all (`SharedStart`). Positions and
+velocities that are Parameters of bodies are data of a design, "q0" and "v0".
 Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).
 Over 300 lines: positions, velocities and their derivatives share the steps above.
-Checked in tests/multibody/system/test_initial.py.
+Checked in tests/multibody/system/test_initial.py, tests/multibody/system/test_compliant_start.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -46,7 +55,7 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.beams import stored_energy
 from torchmbd.multibody.system.closing import Closing, warn_far
 from torchmbd.multibody.system.condensation import Condensation, condense
-from torchmbd.multibody.system.rank import Rank
+from torchmbd.multibody.system.rank import RELATIVE, Rank
 from torchmbd.multibody.system.rigid_groups import RigidGroups
 from torchmbd.multibody.system.topology import Topology
 
@@ -55,6 +64,7 @@ _STRAINING = 1e-8  # [m] or [-]: largest violation of joints after rigid motions
 _STEPS = 50
 _RANK = 1e-10  # share of the largest singular value of J that counts as zero
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
+_OPEN = 1e-9  # share of the largest rate by which rounding leaves constraint rates open
 _SHOWN = 4  # changed velocities in a warning, the worst first
 
 
@@ -82,12 +92,10 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
 class SharedStart:
     """Initial state of all designs whose start depends on the same inputs.
 
-    inputs  attached points, and laws with their slopes at the start
     q, v    the initial state [n, 1, 1]
     ranks   topology -> rank of its constraints, where that does not depend on the modes of bodies
     """
 
-    inputs: list[Tensor]
     q: Tensor
     v: Tensor
     ranks: dict[Topology, Rank]
@@ -105,7 +113,8 @@ class InitialConditions:
     v: Tensor
     rate_mask: Tensor
     built: Tensor
-    _last: list[SharedStart] = field(default_factory=list, init=False, repr=False)
+    # inputs (attached points, and laws with their slopes at the start), and the start that designs share with these
+    _last: list[tuple[list[Tensor], SharedStart | None]] = field(default_factory=list, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_last": []}  # a cache of results, no part of the model
@@ -142,11 +151,35 @@ class InitialConditions:
             return None
         laws = [drive for drive in T.law_jets(x.new_zeros(()), dynamics.data) if drive]
         inputs = [x, *(part for drive in laws for jet in drive for part in jet.parts)]
-        if not self._last or not all(map(torch.equal, inputs, self._last[0].inputs)):
+        if not self._last or not all(map(torch.equal, inputs, self._last[0][0])):
             data = {name: value(y).detach()[..., :1] for name, y in dynamics.data.items()}
             data |= {name: torch.zeros_like(data[name]) for name in ("Y", "E") if name in data}
-            self._last[:] = [SharedStart(inputs, *self._solve(replace(dynamics, data=data)), {})]
-        return self._last[0]
+            undeformed = replace(dynamics, data=data)
+            q, v = self.assembled(undeformed)
+            shared = None
+            if not self._needs_modes(undeformed, q, v):
+                shared = SharedStart(q, self.compatible(undeformed, q, v), {})
+            self._last[:] = [(inputs, shared)]
+        return self._last[0][1]
+
+    def _needs_modes(self, undeformed: Any, q: Tensor, v: Tensor) -> bool:
+        """Whether rigid rates leave constraint rates open at q [n_q, 1, 1] and given v [n_v, 1, 1]."""
+        if not self.topology.flexible:
+            return False
+        joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask])
+        x = joints.rates(v)
+        size = max(float(y.abs().max()) for y in (v, x))
+        return float(joints.open_rates(x).abs().max()) > _OPEN * size
+
+    @property
+    def rigid_mask(self) -> Tensor:
+        """Rates that deform no body [n_v]."""
+        return torch.arange(self.topology.n_v) < 6 * self.topology.bodies
+
+    @property
+    def closing_levels(self) -> list[Tensor]:
+        """Levels of the coordinates that close the joints [n_v]."""
+        return [self.rigid_mask]
 
     def solve(self, dynamics: Any):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes] with closed joints; pairs where they depend on pairs.
@@ -180,7 +213,7 @@ class InitialConditions:
             q = RigidGroups.by_beams(T).closed(dynamics, q, t, _CLOSED)
         unstrained = value(q).detach()
         for step in range(_STEPS):
-            joints = _Joints.of(dynamics, q, t)
+            joints = _Joints.of(dynamics, q, t, self.closing_levels)
             phi = joints.violation()
             if float(untransformed(value(phi)).abs().max()) < _CLOSED:
                 if step or T.beams is not None:
@@ -229,7 +262,8 @@ class InitialConditions:
         if not self.topology.rows:
             return v
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
-        joints = _Joints.of(dynamics, q, t, self.rate_mask.to(t.device))
+        levels = [self.rigid_mask & ~self.rate_mask, self.rate_mask, ~self.rigid_mask]
+        joints = _Joints.of(dynamics, q, t, levels)
         s = -joints.correction(value(joints.rates(v)).detach())
         outside_transforms(self._warn_changed, value(v), s)
         return v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s))
@@ -259,101 +293,131 @@ class InitialConditions:
         raise InputError(
             f"the mechanism does not close at the given positions, lengths and axes: {rows}. "
             "Allowed: positions from which Newton's method can close all joints"
+            + (", or start='equilibrium', which bends flexible bodies to close them" if T.flexible else "")
         )
 
 
 @dataclass(frozen=True, eq=False)
-class _Joints:
-    """The joints of all lanes at coordinates q and time t, with the matrices of the module header.
+class _Level:
+    """Rates that satisfy constraints where those of the levels before cannot; matrices of the module header.
 
-    G, F          [lanes, rows, 6 bodies], zero in the columns of the other; without derivatives, as all that follow
-    C, F_inverse  C and F+ [lanes, 6 bodies, rows]
-    rate_mask     columns of G [6 bodies, 1, 1]
+    mask       rates of the level [n_v, 1, 1]
+    A          [lanes, rows, n_v], zero in the columns of other levels; without derivatives, as all that follow
+    C, K       [lanes, n_v, rows]
+    made       R K: projector on the constraint rates of this level and of those before [lanes, rows, rows]
+    rank       of it [lanes]
+    before     the level before, which is preferred
     """
+
+    mask: Tensor
+    A: Tensor
+    C: Tensor
+    K: Tensor
+    made: Tensor
+    rank: Tensor
+    before: _Level | None
+
+    @classmethod
+    def of(cls, J: Tensor, mask: Tensor, small: Tensor, before: _Level | None) -> _Level:
+        """The level of the rates `mask` [n_v]; J [lanes, rows, n_v], small: size of a singular value that is zero [lanes]."""
+        rows, columns = J.shape[1], torch.nonzero(mask)[:, 0]
+        A, C = J * mask, torch.zeros_like(J.mT)
+        some = J.index_select(2, columns)
+        inverse, rank = _pseudo_inverse(some if before is None else some - before.made @ some, small)
+        C = C.index_copy(1, columns, inverse)
+        K, made = C, A @ C
+        if before is not None:
+            Q = torch.eye(rows, dtype=J.dtype, device=J.device) - before.made
+            K, rank = C + before.K - before.K @ (A @ C), rank + before.rank
+            made = before.made + Q @ made
+        return cls(mask[:, None, None], A, C, K, made, rank, before)
+
+    @property
+    def complete(self) -> bool:
+        """Whether no constraint rate is left to the levels after it, in any lane."""
+        return bool((untransformed(self.rank) == self.A.shape[1]).all())
+
+    def changes(self, s: Tensor, forces: Callable[[Tensor], Any]) -> Any:
+        """D [n_v, ...] of a correction s [n_v, 1, lanes]; forces: J' y with the derivatives of J, of y [rows, 1, lanes]."""
+        D = linear(self._change, forces(apply(self.C.mT, s)))
+        return D if self.before is None else D + self.before.changes(s, forces)
+
+    def _change(self, f: Tensor) -> Tensor:
+        """(1 - L A) (u - C A u) of f = dJ' y [n_v, ...]."""
+        u = f * self.mask
+        if self.before is not None:
+            u = u - apply(self.A.mT, apply(self.before.K.mT, f))
+        u = u - apply(self.C, apply(self.A, u))
+        return u if self.before is None else u - apply(self.before.K, apply(self.A, u))
+
+
+@dataclass(frozen=True, eq=False)
+class _Joints:
+    """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them."""
 
     dynamics: Any
     at: equations.Placement
     t: Tensor
-    G: Tensor
-    F: Tensor
-    C: Tensor
-    F_inverse: Tensor
-    rate_mask: Tensor
+    level: _Level
 
     @classmethod
-    def of(cls, dynamics: Any, q, t: Tensor, mask: Tensor | None = None) -> _Joints:
-        """mask: which of the rigid velocities users gave; None: all."""
+    def of(cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor]) -> _Joints:
+        """masks: the rates of each level [n_v], the preferred ones first."""
         T, data = dynamics.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
-        J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
+        J = dynamics.saddle.jacobian(values, plain)
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        rows, rigid = J.shape[1:]
-        mask = torch.ones(rigid, dtype=torch.bool, device=J.device) if mask is None else mask[:rigid]
-        J_inverse, small = _pseudo_inverse(J)
-        G, F, zero = J * mask, J * ~mask, torch.zeros_like(J_inverse)
-        if bool(mask.all()):
-            C, F_inverse = J_inverse, zero
-        elif not bool(mask.any()):
-            C, F_inverse = zero, J_inverse
-        else:
-            F_inverse = torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
-            Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ F_inverse
-            C = torch.linalg.pinv(Q @ G, atol=small, rtol=torch.zeros_like(small)) @ Q
-        return cls(dynamics, at, t, G, F, C, F_inverse, mask[:, None, None])
+        return cls(dynamics, at, t, _levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())]))
 
-    def violation(self):
+    def violation(self) -> Any:
         """Phi [rows, ...]."""
         return equations.constraints(self.dynamics.topology, self.at)
 
-    def rates(self, v):
+    def rates(self, v: Any) -> Any:
         """Phi' = J v + Phi_t [rows, ...]."""
         T, data = self.dynamics.topology, self.dynamics.data
         return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(value(v)), self.t).velocity
 
-    def correction(self, x):
-        """K x [n_v, ...] of x [rows, ...]; modal rows zero."""
+    def correction(self, x: Any) -> Any:
+        """K x [n_v, ...] of x [rows, ...]."""
+        return linear(lambda y: apply(self.level.K, y), x)
 
-        def product(y: Tensor) -> Tensor:
-            s = apply(self.C, y)
-            return self._all_rates(s + apply(self.F_inverse, y - apply(self.G, s)))
+    def open_rates(self, x: Tensor) -> Tensor:
+        """The part of constraint rates x [rows, ...] that no rates of the levels make."""
+        return x - apply(self.level.made, x)
 
-        return linear(product, x)
+    def jacobian_part(self, s: Tensor) -> Any:
+        """D [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s, of value zero."""
+        D = self.level.changes(s, self._constraint_forces)
+        return D - value(D).detach()  # rounding, of small bodies with large modes
 
-    def jacobian_part(self, s: Tensor):
-        """The terms of ds with u and w [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s."""
-        rigid = self.G.shape[2]
-        ds = linear(lambda f: self._u_terms(f), self._constraint_forces(apply(self.C.mT, s[:rigid])))
-        if bool(untransformed(self.F).any()):
-            forces = self._constraint_forces(apply(self.F_inverse.mT, s[:rigid]))
-            ds = ds + linear(lambda f: self._w_terms(f), forces)
-        return ds
-
-    def _constraint_forces(self, y: Tensor):
-        """J' y [6 bodies, ...] with the derivatives of J."""
+    def _constraint_forces(self, y: Tensor) -> Any:
+        """J' y [n_v, ...] with the derivatives of J."""
         T, data = self.dynamics.topology, self.dynamics.data
-        return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])[: self.G.shape[2]]
-
-    def _u_terms(self, f: Tensor) -> Tensor:
-        """(1 - F+ G) (u - C G u) of f = dJ' y."""
-        f_G = f * self.rate_mask
-        u = f_G - apply(self.G.mT, apply(self.F_inverse.mT, f - f_G))
-        u = u - apply(self.C, apply(self.G, u))
-        return self._all_rates(u - apply(self.F_inverse, apply(self.G, u)))
-
-    def _w_terms(self, f: Tensor) -> Tensor:
-        """w - F+ F w of f = dJ' z."""
-        w = f * ~self.rate_mask
-        return self._all_rates(w - apply(self.F_inverse, apply(self.F, w)))
-
-    def _all_rates(self, rigid: Tensor) -> Tensor:
-        """Rigid rates with zeros for the modes [n_v, ...]."""
-        return torch.cat([rigid, rigid.new_zeros(self.dynamics.topology.n_v - len(rigid), *rigid.shape[1:])])
+        return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])
 
 
-def _pseudo_inverse(J: Tensor) -> tuple[Tensor, Tensor]:
-    """J+ [lanes, n, rows], and the size of a singular value that counts as zero [lanes]."""
-    U, s, V = torch.linalg.svd(J, full_matrices=False)
-    small = _RANK * s[:, 0]
-    inverse = torch.where(s > small[:, None], 1.0 / s, 0.0)
-    return V.mT @ (inverse[..., None] * U.mT), small
+def _levels(T: Topology, J: Tensor, masks: Sequence[Tensor]) -> _Level:
+    """The last level of the rates `masks` [n_v] that a Jacobian [lanes, rows, n_v] needs."""
+    rigid = 6 * T.bodies
+    level, largest = None, None
+    for mask in masks:
+        if bool(mask[:rigid].any()):
+            largest = torch.linalg.matrix_norm(J[:, :, :rigid], 2) if largest is None else largest
+            small = _RANK * largest
+        else:
+            small = RELATIVE * torch.linalg.matrix_norm(J[:, :, rigid:], 2)
+        level = _Level.of(J, mask, small, level)
+        if level.complete:
+            break
+    assert level is not None  # a system has rigid rates
+    return level
+
+
+def _pseudo_inverse(A: Tensor, small: Tensor) -> tuple[Tensor, Tensor]:
+    """A+ [lanes, n, rows] without singular values below `small` [lanes], and the rank [lanes]."""
+    U, s, V = torch.linalg.svd(A, full_matrices=False)
+    independent = s > small[:, None]
+    inverse = torch.where(independent, 1.0 / s, 0.0)
+    return V.mT @ (inverse[..., None] * U.mT), independent.sum(1)

@@ -158,7 +158,12 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
 
 def full_rank_undeformed(T: Topology, J: np.ndarray) -> bool:
     """Whether all rows of a Jacobian [rows, n_v] are independent even for undeformed bodies, and so for all designs."""
-    return _dependent(_unit(J[:, _rigid(T)]))[0] == T.rows
+    return rank_of_columns(J[:, _rigid(T)]) == T.rows
+
+
+def rank_of_columns(J: np.ndarray) -> int:
+    """Rank of some columns of a Jacobian [rows, n]: a drive may need the freedoms of the other columns."""
+    return _dependent(_unit(J))[0]
 
 
 def _unit(J: np.ndarray) -> np.ndarray:

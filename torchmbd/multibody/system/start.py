@@ -37,6 +37,11 @@ _TURNED = 1e-9  # |A'A - 1| of a rotation
 class EquilibriumConditions(InitialConditions):
     """Initial conditions in static equilibrium; `Dynamics.start_errors` names the lanes that have none."""
 
+    @property
+    def closing_levels(self) -> list[Tensor]:
+        """As those of `InitialConditions`; then modal ones, from which the equilibrium is sought."""
+        return [self.rigid_mask, ~self.rigid_mask]
+
     def shared_start(self, dynamics: Any) -> None:
         """None: an equilibrium depends on the stiffness and mass of the design."""
 
