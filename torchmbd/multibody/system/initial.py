@@ -13,31 +13,21 @@ A platform that is guided by leaves has elastic travel alone: a drive that start
     q <- q o s,  s = -K Phi(q, t0)           repeated until closed; rigid coordinates alone
     v = v0 + s,  s = -K (J v0 + Phi_t)       v0 = 0 where no velocity was given
 
-    J = A1 + A2 + A3      Jacobian Phi_q at the current step: columns of the levels, zero elsewhere
-    K = C + L (1 - A C)   of a level with columns A;  L = K of the levels before it, K1 = A1+
-    C = (Q A)+            Q = 1 - R L: constraint rates that the columns R of the levels before it cannot make
-
-+ is the pseudo-inverse, for redundant and underdetermined mechanisms. The derivatives by the design are those of these steps.
-With the multipliers y = C' s of a level:
-
-    ds = D - K (dPhi + dJ s)
-    D = (1 - L A) (u - C A u) + D of the levels before it,   u = dA' y - A' L' dR' y
-
-and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that changes gives a warning.
+J is the Jacobian Phi_q at the current step, and K its inverse by levels, with the derivatives of rate_levels.py: K dPhi, and
+for a velocity K d(J v0 + Phi_t). A given velocity that changes gives a warning.
 
 Pairs, and tensors that require gradients, are carried through every step, and through a last step at the closed joints.
 InputError names the joints that do not close, with their residuals; a warning those that are closed from afar (closing.py).
 The start of undeformed bodies depends on the attached points and the laws of drives only. Where these do not depend on the
 design, and no velocity needs modal rates, the start of the first design is that of all (`SharedStart`). Positions and
 velocities that are Parameters of bodies are data of a design, "q0" and "v0".
-Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).
 Over 300 lines: positions, velocities and their derivatives share the steps above.
 Checked in tests/multibody/system/test_initial.py, tests/multibody/system/test_compliant_start.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -55,14 +45,14 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.beams import stored_energy
 from torchmbd.multibody.system.closing import Closing, warn_far
 from torchmbd.multibody.system.condensation import Condensation, condense
-from torchmbd.multibody.system.rank import RELATIVE, Rank
+from torchmbd.multibody.system.rank import Rank
+from torchmbd.multibody.system.rate_levels import RateLevel, rate_levels
 from torchmbd.multibody.system.rigid_groups import RigidGroups
 from torchmbd.multibody.system.topology import Topology
 
 _CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
 _STRAINING = 1e-8  # [m] or [-]: largest violation of joints after rigid motions that strains beams without a warning
 _STEPS = 50
-_RANK = 1e-10  # share of the largest singular value of J that counts as zero
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
 _OPEN = 1e-9  # share of the largest rate by which rounding leaves constraint rates open
 _SHOWN = 4  # changed velocities in a warning, the worst first
@@ -298,67 +288,13 @@ class InitialConditions:
 
 
 @dataclass(frozen=True, eq=False)
-class _Level:
-    """Rates that satisfy constraints where those of the levels before cannot; matrices of the module header.
-
-    mask       rates of the level [n_v, 1, 1]
-    A          [lanes, rows, n_v], zero in the columns of other levels; without derivatives, as all that follow
-    C, K       [lanes, n_v, rows]
-    made       R K: projector on the constraint rates of this level and of those before [lanes, rows, rows]
-    rank       of it [lanes]
-    before     the level before, which is preferred
-    """
-
-    mask: Tensor
-    A: Tensor
-    C: Tensor
-    K: Tensor
-    made: Tensor
-    rank: Tensor
-    before: _Level | None
-
-    @classmethod
-    def of(cls, J: Tensor, mask: Tensor, small: Tensor, before: _Level | None) -> _Level:
-        """The level of the rates `mask` [n_v]; J [lanes, rows, n_v], small: size of a singular value that is zero [lanes]."""
-        rows, columns = J.shape[1], torch.nonzero(mask)[:, 0]
-        A, C = J * mask, torch.zeros_like(J.mT)
-        some = J.index_select(2, columns)
-        inverse, rank = _pseudo_inverse(some if before is None else some - before.made @ some, small)
-        C = C.index_copy(1, columns, inverse)
-        K, made = C, A @ C
-        if before is not None:
-            Q = torch.eye(rows, dtype=J.dtype, device=J.device) - before.made
-            K, rank = C + before.K - before.K @ (A @ C), rank + before.rank
-            made = before.made + Q @ made
-        return cls(mask[:, None, None], A, C, K, made, rank, before)
-
-    @property
-    def complete(self) -> bool:
-        """Whether no constraint rate is left to the levels after it, in any lane."""
-        return bool((untransformed(self.rank) == self.A.shape[1]).all())
-
-    def changes(self, s: Tensor, forces: Callable[[Tensor], Any]) -> Any:
-        """D [n_v, ...] of a correction s [n_v, 1, lanes]; forces: J' y with the derivatives of J, of y [rows, 1, lanes]."""
-        D = linear(self._change, forces(apply(self.C.mT, s)))
-        return D if self.before is None else D + self.before.changes(s, forces)
-
-    def _change(self, f: Tensor) -> Tensor:
-        """(1 - L A) (u - C A u) of f = dJ' y [n_v, ...]."""
-        u = f * self.mask
-        if self.before is not None:
-            u = u - apply(self.A.mT, apply(self.before.K.mT, f))
-        u = u - apply(self.C, apply(self.A, u))
-        return u if self.before is None else u - apply(self.before.K, apply(self.A, u))
-
-
-@dataclass(frozen=True, eq=False)
 class _Joints:
     """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them."""
 
     dynamics: Any
     at: equations.Placement
     t: Tensor
-    level: _Level
+    level: RateLevel
 
     @classmethod
     def of(cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor]) -> _Joints:
@@ -368,7 +304,7 @@ class _Joints:
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, plain)
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        return cls(dynamics, at, t, _levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())]))
+        return cls(dynamics, at, t, rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())]))
 
     def violation(self) -> Any:
         """Phi [rows, ...]."""
@@ -396,28 +332,3 @@ class _Joints:
         """J' y [n_v, ...] with the derivatives of J."""
         T, data = self.dynamics.topology, self.dynamics.data
         return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])
-
-
-def _levels(T: Topology, J: Tensor, masks: Sequence[Tensor]) -> _Level:
-    """The last level of the rates `masks` [n_v] that a Jacobian [lanes, rows, n_v] needs."""
-    rigid = 6 * T.bodies
-    level, largest = None, None
-    for mask in masks:
-        if bool(mask[:rigid].any()):
-            largest = torch.linalg.matrix_norm(J[:, :, :rigid], 2) if largest is None else largest
-            small = _RANK * largest
-        else:
-            small = RELATIVE * torch.linalg.matrix_norm(J[:, :, rigid:], 2)
-        level = _Level.of(J, mask, small, level)
-        if level.complete:
-            break
-    assert level is not None  # a system has rigid rates
-    return level
-
-
-def _pseudo_inverse(A: Tensor, small: Tensor) -> tuple[Tensor, Tensor]:
-    """A+ [lanes, n, rows] without singular values below `small` [lanes], and the rank [lanes]."""
-    U, s, V = torch.linalg.svd(A, full_matrices=False)
-    independent = s > small[:, None]
-    inverse = torch.where(independent, 1.0 / s, 0.0)
-    return V.mT @ (inverse[..., None] * U.mT), independent.sum(1)
