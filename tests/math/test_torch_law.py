@@ -6,6 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import torchmbd as mbd
 from torchmbd.errors import InputError
 from torchmbd.math.torch_law import PLACES, require_differentiable
 
@@ -43,3 +44,25 @@ LOST = {
 def test_laws_that_leave_torch_are_refused(law):
     with pytest.raises(InputError, match=r"angle .*torch.*allowed: functions of torch"):
         require_differentiable("angle", law, "allowed: functions of torch")
+
+
+@pytest.mark.parametrize(
+    ("law", "lost"),
+    [
+        (lambda s, rate, t: -2.0 * s**3 - rate**3, False),
+        (lambda s, rate, t: -2.0 * s - rate * rate.abs(), False),
+        (lambda s, rate, t: -2.0 * s - 0.1 * rate.detach(), True),
+        (lambda s, rate, t: 5.0 * torch.clamp_min(-s, 0.0).detach() - rate, True),
+    ],
+    ids=["cubic", "signed square", "rate detached", "negative side detached"],
+)
+def test_laws_of_forces_are_compared_by_coordinate_and_rate_on_both_sides_of_zero(law, lost):
+    def spring():
+        ground, slider = mbd.Ground(), mbd.RigidBody("slider", 1.0, (0.01,) * 3)
+        return mbd.SpringDamper(ground.at(), slider.at(1.0, 0.0, 0.0), law=law)
+
+    if lost:
+        with pytest.raises(InputError, match="leaves torch"):
+            spring()
+    else:
+        spring()

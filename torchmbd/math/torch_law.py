@@ -25,23 +25,24 @@ AROUND = (0.0, -1.0, -0.4, 0.7, 1.0)  # steps from a place: not symmetric, so th
 SMOOTH = 0.1
 
 
-def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str) -> None:
+def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str, signed: bool = False) -> None:
     """InputError for a law of one number [] that torch does not differentiate.
 
     what     names the law in the message
     allowed  what a law may be
+    signed   the argument is a coordinate or a rate, which may be negative, and no time
     """
     _slope(what, law, 0.0, allowed)
-    for place in PLACES:
+    for place in (*PLACES, *(-x for x in PLACES[1:] if signed)):
         try:
             before, here, after = (float(law(_number(place + k * STEP))) for k in (-1, 0, 1))
         except OUT_OF_RANGE:
             continue
         except Exception as error:  # a law may do anything
             raise InputError(f"{what} raises {error!r} in {user_line(error)} near {place:.6g}; {allowed}") from error
-        lost = all(_slope(what, law, place + k * STEP, allowed) == 0.0 for k in AROUND)
         change = after - before
-        if lost and change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change):
+        smooth = change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change)
+        if smooth and all(_slope(what, law, place + k * STEP, allowed) == 0.0 for k in AROUND):
             raise InputError(
                 f"{what} changes, but its derivative by torch is zero: it leaves torch (float, .item(), .detach(), NumPy, "
                 f"SciPy); {allowed}"

@@ -296,11 +296,16 @@ def check_law(name: str, law: Any) -> Any:
         )
     if not hasattr(law, "slopes") and not isinstance(law, Scaled):
         function: Any = law
-        require_differentiable(
-            f"law of {name!r}",
-            lambda s: function(s.reshape(1, 1, 1), zero, zero[0, 0, 0])[0, 0, 0],
-            "allowed: a torch function of (s, s', t), or mbd.forces.Table of points",
-        )
+        allowed = "allowed: a torch function of (s, s', t), or mbd.forces.Table of points"
+
+        def by_coordinate(s: Tensor) -> Tensor:
+            return function(s.reshape(1, 1, 1), zero, zero[0, 0, 0])[0, 0, 0]
+
+        def by_rate(rate: Tensor) -> Tensor:
+            return function(zero, rate.reshape(1, 1, 1), zero[0, 0, 0])[0, 0, 0]
+
+        for argument in (by_coordinate, by_rate):
+            require_differentiable(f"law of {name!r}", argument, allowed, signed=True)
     return law
 
 
