@@ -23,6 +23,9 @@ def read_beamdyn(path: str | Path) -> SectionTable:
     """A SectionTable of the stations of a BeamDyn blade file: their axes (z along the blade) become ours (x along the beam).
 
     path   the blade file, named by BldFile of a primary input file
+
+    The twist stands in the primary file. BeamDyn turns its sections about -z, so a beam with this table takes
+    `twist=-mbd.deg(initial_twist)`.
     Raises InputError that names file and line.
 
     >>> rows = "\\n".join(" ".join(map(str, row)) for row in np.diag([2.0, 2, 9, 4, 3, 1]).tolist())

@@ -22,6 +22,55 @@ def test_a_table_is_linear_between_its_stations():
     assert [name for name, _ in table.named_parameters()] == ["0.matrix", "2.matrix"]
 
 
+RAGGED = [0.0, 0.13, 0.1301, 0.19, 0.1901, 0.3, 0.62, 0.83, 1.0]  # a ballast of 0.18 m, a taper, a kink
+MASSES = [10.0, 10.0, 1010.0, 1010.0, 10.0, 20.0, 5.0, 5.0, 1.0]  # [kg/m]
+SOFTNESS = [1.0, 1.0, 50.0, 50.0, 1.0, 1.0, 3.0, 2.0, 2.0]
+SPAN = 3.0  # [m]
+
+
+def ragged() -> mbd.SectionTable:
+    stiffness = matrix(1e8, 1e7, 1e7, 1e5, 1e6, 1e6)
+    mass = matrix(1.0, 1.0, 1.0, 0.02, 0.01, 0.01)
+    return mbd.SectionTable(RAGGED, [(stiffness / c, m * mass) for m, c in zip(MASSES, SOFTNESS, strict=True)])
+
+
+def over_the_table(values, power: int = 0) -> float:
+    """Integral of s^power times a function that is linear between the stations, by itself."""
+    s = np.linspace(0.0, 1.0, 2_000_001)
+    return float(np.trapezoid(np.interp(s, RAGGED, values) * (SPAN * s) ** power, SPAN * s))
+
+
+@pytest.mark.parametrize("elements", [1, 2, 3, 5, 8, 13, 50])
+def test_mass_does_not_depend_on_the_number_of_elements(elements):
+    """Mass, first and second moment about the root, of the statics and of a motion."""
+    line = mbd.BeamLine.straight(SPAN, elements)
+    beam = mbd.ExactBeam("beam", line, ragged())
+    weight = beam.equilibrium(gravity=(0.0, 0.0, -1.0)).reactions[0, 2].item()
+    assert weight == pytest.approx(over_the_table(MASSES), rel=1e-6)  # of the sum beside it
+    mass, first, second = mbd.FlexibleBeam("beam", line, ragged()).structure()[:3]
+    x = line.nodes[:, 0]
+    moments = (
+        mass.sum(),
+        (mass * x + first[:, 0]).sum(),
+        (mass * x**2 + 2.0 * first[:, 0] * x + second[:, 0, 0]).sum(),
+    )
+    for power, moment in enumerate(moments):
+        assert moment.item() == pytest.approx(over_the_table(MASSES, power), rel=1e-6)
+
+
+@pytest.mark.parametrize("elements", [1, 2, 3, 5, 8, 13, 50])
+def test_compliance_does_not_depend_on_the_number_of_elements(elements):
+    """Stretch under a force, turn under a moment: integrals of 1 / stiffness, which is linear between the stations."""
+    beam = mbd.ExactBeam("beam", mbd.BeamLine.straight(SPAN, elements), ragged())
+    s = np.linspace(0.0, 1.0, 2_000_001)
+    softness = 1.0 / np.interp(s, RAGGED, [1.0 / c for c in SOFTNESS])
+    integral = float(np.trapezoid(softness, SPAN * s))
+    stretch = beam.equilibrium({"end": (1.0, 0.0, 0.0)}).nodes[-1, 0].item() - SPAN
+    assert stretch == pytest.approx(integral / 1e8, rel=1e-4)
+    turned = beam.equilibrium({"end": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}).rotations[-1, 1, 0].item()
+    assert turned == pytest.approx(integral / 1e6, rel=1e-4)
+
+
 @pytest.mark.thorough
 def test_a_tapered_twisted_coupled_beam_is_that_of_the_differential_equation():
     K = coupled()

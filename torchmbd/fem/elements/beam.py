@@ -81,7 +81,7 @@ class BeamMatrices:
     pattern   where K is not zero
     axes      rows e_x, e_y, e_z of each element (of its chord) in mesh axes   [m, 3, 3]
     length    of each element, along its arc                    [m], m
-    stations  integration points, as parts of the length from the start    [g]
+    stations  integration points, as parts of the length from the start, and their weights    [g]
 
     orientation   the sections' y-axis in mesh axes, projected across each element, of an arc across its tangents: [3], or
                   one for each element of the mesh [m, 3]
@@ -101,7 +101,7 @@ class BeamMatrices:
         self.elements = mesh.elements[self.members]
         self._orientation = orientation
         points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
-        self.stations, self._weights, self._running = 0.5 + points, weights, cumulative(stations)
+        self.stations, self.weights, self._running = 0.5 + points, weights, cumulative(stations)
         freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
         self.pattern, self._position = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
@@ -143,13 +143,8 @@ class BeamMatrices:
 
     def flexibility(self, compliance: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
         """F of the module header."""
-        weight = self.length[..., None] * self._weights
+        weight = self.length[..., None] * self.weights
         return (weight[..., None, None] * (self._carry.mT @ compliance @ self._carry)).sum(-3)
-
-    def average(self, compliance: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
-        """Integral of the sections' compliance along the elements."""
-        weight = self.length[..., None] * self._weights
-        return (weight[..., None, None] * compliance).sum(-3)
 
     def forces(
         self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
@@ -179,7 +174,7 @@ class BeamMatrices:
         rows = torch.cat([turned, slope, kappa], -2)  # [*lanes, m, g, 9, 12]
         forces = torch.cat([F, M], -2) @ corner_motions(self.elements, motion)[..., None, :, :]
         F, M = forces.movedim(-1, -4).split(3, dim=-1)  # [*lanes, k, m, g, 3]
-        weight = self.length[..., None] * self._weights
+        weight = self.length[..., None] * self.weights
         law = _law(F, M, tangent.unsqueeze(-4)) * weight[..., None, :, :, None, None]
         return [StressedCells(self.elements, rows.unsqueeze(-2), factors(law))]
 

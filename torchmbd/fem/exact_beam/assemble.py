@@ -28,8 +28,9 @@ class NodalMass(NamedTuple):
 
 def nodal_mass(line: BeamLine, sections: SpanSections, elements: ElementProperties) -> NodalMass:
     """Masses of the nodes: half of each element's mass at each of its ends."""
-    ends = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    mass = elements.to_line @ sections.mass(elements.matrices.length, ends) @ elements.to_line.mT
+    length = elements.matrices.length
+    mean = sections.mass_moments(length)[0] / (0.5 * length)[..., None, None, None]
+    mass = elements.to_line @ mean @ elements.to_line.mT
     points = elements.matrices.particles(mass)
     n, where = len(line.nodes), points.ends[:, 0]
     m, a = points.mass, points.arm

@@ -1,5 +1,11 @@
 """The sections of an exact beam along its line, and the properties of its elements.
 
+Stiffness and mass of a table are integrated over every piece between two positions of the table and two ends of elements:
+
+    compliance   int (W S W')^-1 ds                    over an element
+    mass         int m ds, int s m ds, int s^2 m ds    over half an element, s from its node
+
+So nothing between two nodes is lost, however few the elements: the mass is exact, the compliance to the order of Gauss's rule.
 Checked in tests/fem/exact_beam/test_section_table.py.
 """
 
@@ -8,8 +14,9 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
@@ -51,39 +58,93 @@ class SpanSections:
         names = ["section"] if len(self._sections) == 1 else [f"section{k}" for k in range(len(self._sections))]
         self.modules = dict(zip(names, self._sections, strict=True))
 
-    def stiffness(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
-        """Stiffness at parts t of the elements; InputError where it is not positive definite."""
-        at = positions(length, t)
-        matrices = self._at("stiffness", at)
+    def compliance_rule(self, matrices: BeamMatrices) -> Rule:
+        """Points at which the compliance of the elements is taken."""
+        start, end = _ends_of_elements(matrices.length)
+        rule = self._rule(start, end, matrices.stations, matrices.weights)
+        return rule._replace(weight=rule.weight * matrices.length.sum(-1)[..., None, None])
+
+    def stiffness(self, rule: Rule) -> Float[Tensor, "*lanes p g 6 6"]:
+        """Stiffness at the points of a rule (g is 1 where it is the same); InputError where it is not positive definite."""
+        matrices = self._at("stiffness", rule)
         good = torch.linalg.cholesky_ex(untransformed(matrices))[1] == 0
         if not all_true(good):
-            m, g = at.shape[-2:]
-            k = int(good.reshape(-1, m * good.shape[-1]).all(0).logical_not().nonzero()[0, 0])
-            element, place = (
-                k // good.shape[-1],
-                float(untransformed(at).reshape(-1, m, g)[0].flatten()[k if good.shape[-1] == g else k * g]),
-            )
+            count = good.shape[-1]
+            k = int(good.reshape(-1, len(rule.span) * count).all(0).logical_not().nonzero()[0, 0])
+            places = untransformed(rule.at).reshape(-1, *rule.at.shape[-2:])[0]
+            element, place = int(rule.span[k // count]), float(places[k // count, k % count])
             raise InputError(
                 f"section of {self.name!r} at {place:.3g} of its length (element {element}) is not positive definite; "
                 "allowed: a stiffness that does work in every strain"
             )
         return matrices
 
-    def mass(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
-        """Mass per length at parts t of the elements."""
-        return self._at("mass", positions(length, t))
+    def mass_moments(self, length: Float[Tensor, "*lanes m"]) -> list[Float[Tensor, "*lanes m 2 6 6"]]:
+        """Integrals of m, s m, s^2 m over both halves of the elements; m: the mass per length, s from the node of the half."""
+        start, end = _ends_of_elements(length)
+        middle, whole = 0.5 * (start + end), length.sum(-1)[..., None, None]
+        halves = torch.stack([start, middle], -1).flatten(-2), torch.stack([middle, end], -1).flatten(-2)
+        rule = self._rule(*halves, *_CUBIC)
+        node = torch.stack([start, end], -1).flatten(-2)[..., rule.span]
+        s = whole * (rule.at - node[..., None]).abs()
+        element = rule.span // 2
+        mass = self._at("mass", rule._replace(span=element))
+        weights = (whole * rule.weight * s**k for k in range(3))
+        sums = (rule.sum(weight[..., None, None] * mass, 2 * length.shape[-1]) for weight in weights)
+        return [x.unflatten(-3, (-1, 2)) for x in sums]
 
-    def _at(self, what: str, at: Tensor) -> Tensor:
+    def _rule(self, start: Tensor, end: Tensor, points: Tensor, weights: Tensor) -> Rule:
+        """Points [g] of a rule in each linear piece of the spans from `start` to `end` [*lanes, spans]."""
+        if self._table is None:
+            span, low, high = torch.arange(start.shape[-1]), start, end
+        else:
+            table = self._table.positions
+            low, high = torch.maximum(start[..., None], table[:-1]), torch.minimum(end[..., None], table[1:])
+            inside = (untransformed(high - low) > 0.0).reshape(-1, *low.shape[-2:]).any(0)
+            span, interval = inside.nonzero(as_tuple=True)
+            low, high = low[..., span, interval], torch.maximum(low, high)[..., span, interval]
+        at = low[..., None] + points * (high - low)[..., None]
+        first, last = start[..., span, None], end[..., span, None]
+        return Rule(span, at, (at - first) / (last - first), weights * (high - low)[..., None])
+
+    def _at(self, what: str, rule: Rule) -> Tensor:
         if self._table is not None:
-            return getattr(self._table, what)(at)
+            return getattr(self._table, what)(rule.at)
         every = torch.stack(torch.broadcast_tensors(*(getattr(section, what)() for section in self._sections)), -3)
-        return every[..., self._index, None, :, :]
+        return every[..., self._index[rule.span], None, :, :]
 
 
-def positions(length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g"]:
-    """Return the positions of parts t of the elements, as parts of the whole length of a chain."""
+class Rule(NamedTuple):
+    """Points of integration along a beam, g in each of p pieces.
+
+    span     number of the element that a piece belongs to [p]
+    at, part of the whole length;  t, part of the element [*lanes, p, g]
+    weight   share of the whole length
+    """
+
+    span: Int[Tensor, " p"]
+    at: Float[Tensor, "*lanes p g"]
+    t: Float[Tensor, "*lanes p g"]
+    weight: Float[Tensor, "*lanes p g"]
+
+    def sum(self, x: Float[Tensor, "*lanes p g 6 6"], spans: int) -> Float[Tensor, "*lanes spans 6 6"]:
+        """Sum numbers at the points over each span."""
+        pieces = x.sum(-3)
+        return pieces.new_zeros(*pieces.shape[:-3], spans, 6, 6).index_add(-3, self.span, pieces)
+
+
+def _gauss(count: int) -> tuple[Tensor, Tensor]:
+    points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(count))
+    return 0.5 + points, weights
+
+
+_CUBIC = _gauss(2)  # exact for s^2 times a linear mass
+
+
+def _ends_of_elements(length: Float[Tensor, "*lanes m"]) -> tuple[Tensor, Tensor]:
+    """Return the starts and ends of the elements of a chain, as parts of the whole length [*lanes, m]."""
     end = length.cumsum(-1)
-    return ((end - length)[..., None] + t * length[..., None]) / end[..., -1:, None]
+    return (end - length) / end[..., -1:], end / end[..., -1:]
 
 
 class ElementProperties(NamedTuple):
@@ -119,13 +180,15 @@ def element_properties(
     Raises InputError where an element turns by more than LARGEST, or a section is not positive definite.
     """
     ends = twist[..., None].expand(*twist.shape, 2) if twist.dim() < 2 else twist
-    offset = offset.expand(len(matrices.elements), 2)[:, None]
-    t = matrices.stations
-    at = ends[..., :1] + t * (ends[..., 1:] - ends[..., :1])
+    m = len(matrices.elements)
+    offset = offset.expand(m, 2)[:, None]
+    rule = sections.compliance_rule(matrices)
+    first, last = ends.expand(torch.broadcast_shapes(ends.shape, (m, 2)))[..., rule.span, :].unbind(-1)
+    at = first[..., None] + rule.t * (last - first)[..., None]
     # Forces of the section about the line, in the section's axes.
-    force_map = block(_turn(at)).mT @ line_transform(offset, at)
-    stiffness = force_map @ sections.stiffness(matrices.length, t) @ force_map.mT
-    compliance = matrices.average(balanced_inverse(stiffness))
+    force_map = block(_turn(at)).mT @ line_transform(offset[rule.span], at)
+    stiffness = force_map @ sections.stiffness(rule) @ force_map.mT
+    compliance = rule.sum(rule.weight[..., None, None] * balanced_inverse(stiffness), m)
     turn = _turn(ends)
     axes = matrices.frames(_ENDS).mT @ turn
     first, second = axes.unbind(-3)
