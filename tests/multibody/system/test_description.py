@@ -7,7 +7,7 @@ import math
 import pytest
 
 import torchmbd as mbd
-from tests.mechanisms import box
+from tests.mechanisms import box, plate
 from tests.multibody.system.test_initial import four_bar
 from torchmbd.errors import InputError
 from torchmbd.examples.slider_crank import build
@@ -92,3 +92,40 @@ def test_freedoms_without_inertia_are_named(ask):
     system = mbd.System([rod], [mbd.Spherical(mbd.Ground().at(), rod.at(-0.5, 0, 0))], gravity=(9.81, 0, 0))
     with pytest.raises(InputError, match=r"no vibrations: .* without inertia .*; allowed: masses and inertias > 0"):
         ask(system)
+
+
+def test_frames_are_shown_by_the_names_of_their_nodes():
+    """An edge by its name, of an interface too; nodes without a name by few numbers."""
+    body = plate("leaf", cells=(8, 8))
+    edge = list(body.mesh.node_sets["left_edge"])
+    assert repr(body.at("left_edge")) == repr(body.at(edge[::-1])) == "leaf.at('left_edge')"
+    assert repr(body.at(body.mesh.node("center"))) == "leaf.at('center')"
+    uneven = body.at("left_edge", weights=[1.0 + k for k in range(len(edge))])
+    assert repr(uneven) == f"leaf.at(9 nodes, {min(edge)} to {max(edge)})"
+    assert repr(body.at(edge[:2])) == f"leaf.at(nodes {edge[:2]})"
+
+
+def test_a_joint_that_is_listed_twice_is_refused():
+    body = box("a")
+    joint, spring = mbd.Revolute(mbd.Ground().at(), body.at()), mbd.Force(body.at(), (1.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="joints: 'revolute_ground_a' is listed 2 times"):
+        mbd.System([body], [joint, joint])
+    with pytest.raises(InputError, match=r"forces: '.*' is listed 2 times"):
+        mbd.System([body], [joint], [spring, spring])
+
+
+def test_joints_with_the_same_equations_are_told():
+    """Each with its own number of rows, under one name or two; hinges at other places are not repeated."""
+    ground, body = mbd.Ground(), box("a")
+    hinges = [mbd.Revolute(ground.at(), body.at()) for _ in range(2)]
+    far = mbd.Spherical(ground.at(0.5, 0.0, 0.0), body.at(0.5, 0.0, 0.0), name=hinges[0].name)
+    result = mbd.System([body], [*hinges, far]).describe()
+    assert [entry.numbers["rows"] for entry in result.joints] == [5, 5, 3]
+    assert result.repeated == ("revolute_ground_a",)
+    assert "repeated    revolute_ground_a: an earlier joint has these equations" in str(result)
+
+
+def test_a_joint_on_another_body_of_the_same_name_is_named():
+    body, other = box("a"), box("a")
+    with pytest.raises(InputError, match="joints or forces hold other bodies of the names 'a'"):
+        mbd.System([body], [mbd.Revolute(mbd.Ground().at(), other.at())])

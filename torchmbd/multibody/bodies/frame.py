@@ -30,6 +30,8 @@ from torchmbd.math.rigid_motion import exponential
 from torchmbd.math.variable import Numbers, is_variable, number, stacked
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 
+_SHOWN = 6  # nodes that a frame without a name lists
+
 
 class Body(Protocol):
     """What a frame needs of its body."""
@@ -88,12 +90,22 @@ class Frame:
         if self.interpolation is None:
             where = ", ".join(f"{float(x):.6g}" for x in self.present_point)
         else:
-            where = (
-                f"node {self.interpolation.nodes[0]}"
-                if len(self.interpolation.nodes) == 1
-                else f"nodes {list(self.interpolation.nodes)}"
-            )
+            where = _nodes_shown(self.body, self.interpolation)
         return f"{self.body.name}.at({where})"
+
+
+def _nodes_shown(body: Any, interpolation: InterpolationConstraint) -> str:
+    """The name of an interface or a node set of these nodes with equal weights; else the nodes, or how many there are."""
+    nodes = interpolation.nodes
+    if interpolation == InterpolationConstraint.on(nodes):
+        sets = {name: constraint.nodes for name, constraint in getattr(body, "interfaces", {}).items()}
+        sets |= {name: members for name, members in body.mesh.node_sets.items() if name not in sets}
+        for name, members in sets.items():
+            if sorted(map(int, members)) == sorted(nodes):
+                return repr(name)
+    if len(nodes) == 1:
+        return f"node {nodes[0]}"
+    return f"nodes {list(nodes)}" if len(nodes) <= _SHOWN else f"{len(nodes)} nodes, {min(nodes)} to {max(nodes)}"
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ from torchmbd.multibody.system.topology import Topology
 
 def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[ForceElement] = ()) -> Topology:
     """The topology of a system; InputError for joints and forces on bodies that are not among `bodies`."""
+    _refuse_repeated("joints", joints)
+    _refuse_repeated("forces", forces)
     order = sorted(bodies, key=lambda body: not hasattr(body, "mesh"))
     number = {id(body): i for i, body in enumerate(order)}
     flexible = sum(hasattr(body, "mesh") for body in order)
@@ -111,6 +113,13 @@ def assemble(
         spread=None if rates is None else SparseMap(rates),
         gather=None if rates is None else SparseMap(rates.T),
     )
+
+
+def _refuse_repeated(argument: str, elements: Sequence[Any]) -> None:
+    """InputError where a list has one joint or force element several times."""
+    for element, times in Counter(elements).items():
+        if times > 1:
+            raise InputError(f"{argument}: {element.name!r} is listed {times} times; allowed: each once")
 
 
 def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int]) -> list[Equation]:

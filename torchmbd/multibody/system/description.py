@@ -40,6 +40,7 @@ class Description:
 
     redundant    rows ("joint: row") that follow from others
     separate     groups of bodies that no joint ties to the ground
+    repeated     joints whose equations another joint before them has
     closing      joints that are open where the bodies were put, and bodies that the start moves
     """
 
@@ -54,6 +55,7 @@ class Description:
     mass: float
     frequencies: tuple[float, ...] = field(repr=False)
     separate: tuple[tuple[str, ...], ...] = ()
+    repeated: tuple[str, ...] = ()
     closing: Closing = field(default_factory=Closing)
 
     def __str__(self) -> str:
@@ -72,6 +74,7 @@ class Description:
             f"vibrations  {first} Hz",
         ]
         lines += [f"free        {', '.join(group)}: no joint to the ground" for group in self.separate]
+        lines += [f"repeated    {name}: an earlier joint has these equations" for name in self.repeated]
         lines += [f"open        {joint} where the bodies were put" for joint in self.closing.joints]
         lines += [f"moved       {body} to close the joints" for body in self.closing.bodies]
         return "\n".join(lines)
@@ -91,7 +94,7 @@ def describe(system: Any) -> Description:
     freedoms = 6 * T.bodies + sum(T.mode_counts) - rank.rank
     return Description(
         bodies=tuple(_body(body, mass[body.name]) for body in system.bodies),
-        joints=tuple(_joint(joint, T.row_joints) for joint in system.joints),
+        joints=tuple(map(_joint, system.joints)),
         forces=tuple(_force(force) for force in system.forces),
         rows=T.rows,
         rank=rank.rank,
@@ -101,6 +104,7 @@ def describe(system: Any) -> Description:
         mass=sum(mass.values()),
         frequencies=tuple(vibrations(dynamics).frequencies.tolist()) if freedoms else (),
         separate=_separate(system.bodies, [*system.joints, *(f for f in system.forces if f.beams(AttachmentTable()))]),
+        repeated=_repeated(system.joints),
         closing=closing,
     )
 
@@ -118,8 +122,11 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
     apart = [body for body in bodies if not any(id(x) in connected for x in getattr(body, "node_bodies", [body]))]
     loose = [body.name for body in apart if body.name not in free]
     if joints and loose:
+        names = {frame.body.name for frame in frames}
+        others = [name for name in loose if name in names]
+        hint = f"; joints or forces hold other bodies of the names {', '.join(map(repr, others))}" if others else ""
         raise InputError(
-            f"no joint and no force holds {', '.join(map(repr, loose))}; "
+            f"no joint and no force holds {', '.join(map(repr, loose))}{hint}; "
             f"allowed: a joint for every body, or free={loose} for bodies that fly on purpose"
         )
 
@@ -130,9 +137,20 @@ def _body(body: Any, mass: float) -> Entry:
     return Entry(body.name, "rigid", {"mass [kg]": f"{mass:.6g}", "modes": 0})
 
 
-def _joint(joint: Any, row_joints: tuple[str, ...]) -> Entry:
-    rows = row_joints.count(joint.name)
+def _joint(joint: Any) -> Entry:
+    rows = sum(equation.kind.rows for equation in joint.equations(AttachmentTable()))
     return Entry(joint.name, type(joint).__name__, {"rows": rows, "between": f"{joint.a!r} - {joint.b!r}"})
+
+
+def _repeated(joints: list[Any]) -> tuple[str, ...]:
+    """Names of joints with equations between the vectors of an earlier joint, whatever the laws of drives."""
+    table, seen, repeated = AttachmentTable(), set(), []
+    for joint in joints:
+        key = tuple((equation.kind, tuple(equation.vectors)) for equation in joint.equations(table))
+        if key in seen:
+            repeated.append(joint.name)
+        seen.add(key)
+    return tuple(repeated)
 
 
 def _force(force: Any) -> Entry:

@@ -40,7 +40,7 @@ class Chain:
     >>> arm = mbd.FlexibleBody.beam("arm", mbd.BeamLine.straight(2.0, 8), tube)
     >>> chain = mbd.split(arm, 4)
     >>> [body.name for body in chain.bodies], chain.at("end")
-    (['arm_0', 'arm_1', 'arm_2', 'arm_3'], arm_3.at(node 2))
+    (['arm_0', 'arm_1', 'arm_2', 'arm_3'], arm_3.at('end'))
     """
 
     bodies: tuple[FlexibleBody, ...]
