@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -185,6 +186,32 @@ def test_points_of_a_wave_are_one_batch_and_warm():
     assert max(lanes) == 8  # the last of the waves 1, 2, 4, 8
     assert len(lanes) < 0.5 * sum(lanes)
     assert all(point.result.converged for point in front.points)
+
+
+def test_an_end_is_the_best_of_all_designs_with_the_minimum_of_its_criterion():
+    """The first criterion does not depend on x1 and x2, on which the second does, however small it is at the other end."""
+
+    def f(x: Sequence):
+        return [3.0 + x[2], 1e-3 * (1 + (x[0] - 0.3) ** 2 + 2 * (x[1] + 0.4 + 0.1 * x[2]) ** 2) / x[2]]
+
+    for method in ("mmfd", "slsqp"):
+        problem = Several([0.9, 0.8, 0.5], f, 2, lower=[-1.0, -1.0, 0.1], upper=[1.0, 1.0, 1.0])
+        front = pareto_front(problem, divisions=2, method=method)
+        assert np.allclose(front.points[0].criteria, [3.1, 1e-2], rtol=1e-5)
+        assert np.allclose(front.points[-1].criteria, [4.0, 1e-3], rtol=1e-5)
+
+
+@pytest.mark.thorough
+def test_a_constant_part_of_a_criterion_leaves_the_front():
+    """Units of criteria come from what the variables change."""
+    shifted = two_bowls()
+    inner, constants = shifted.evaluate, np.array([1e8, -1e8])
+    shifted.evaluate = lambda X, gradients: [
+        dataclasses.replace(criteria, values=criteria.values + constants) for criteria in inner(X, gradients)
+    ]
+    front, other = pareto_front(two_bowls(), divisions=4), pareto_front(shifted, divisions=4)
+    assert len(front.points) == len(other.points) == 5
+    assert np.allclose(front.criteria, other.criteria - constants, atol=2e-3 * (front.nadir - front.utopia))
 
 
 @pytest.mark.thorough

@@ -1,7 +1,9 @@
 """The Pareto front of several criteria by the normalized normal constraint method.
 
-1. Anchors: each criterion f_i is minimized alone. g = (f - utopia) / (nadir - utopia) makes them comparable: utopia holds
-   the anchors' best values, nadir their worst.
+1. Anchors: each criterion f_i is minimized alone. Where several designs have its minimum, such as all fiber angles for a
+   mass, a second search takes the one that is best for the other criteria:
+       minimize sum_j (f_j - utopia_j) / range_j + (f_i - utopia_i) / (TIE range_i),   range = nadir - utopia
+   g = (f - utopia) / (nadir - utopia) makes criteria comparable: utopia holds the anchors' best values, nadir their worst.
 2. The plane through the anchors g^1 .. g^k is covered evenly by points p.
 3. For each p:   minimize g_k(x)   subject to   (g^k - g^i)'(g(x) - p) <= 0,   i = 1 .. k-1,   and the constraints of x.
 4. Dropped are dominated points (of local fronts, behind a gap), and points where the multipliers mu_i give a criterion a
@@ -30,7 +32,7 @@ from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, 
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.multistart.sampling import Starts, recipe
-from torchmbd.optimization.multistart.warm_start import ScalarizedSearches
+from torchmbd.optimization.multistart.warm_start import MIN_GAIN, ScalarizedSearches
 from torchmbd.optimization.optimizer import (
     Evaluation,
     OptimizationResult,
@@ -47,7 +49,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 DIVISIONS = 10
-TIE = 1e-4  # weight of the other criteria in an anchor: among equal minima it selects the one that is best for them
+# Weight of the other criteria in an anchor: among equal minima it selects the one that is best for them. A second search, in
+# whose objective they are of order one, resolves them.
+TIE = 1e-4
 NEGATIVE_WEIGHT = 1e-2  # a criterion with a weight below minus this could be improved at no cost
 SAME = 1e-6  # share of the range of each criterion: smaller differences count as none
 
@@ -169,8 +173,9 @@ def pareto_front(
 
     cache = MemoryCachedProblem(problem)
     searches = ScalarizedSearches(cache, run_one, box, feasibility, max_lanes, ended)
-    anchors = _anchors(searches, points, list(problem.criteria))
-    inner_points, failed = _points_between(searches, anchors, divisions, points if everywhere else points[:0])
+    units = _units(searches, points, list(problem.criteria))
+    anchors = _anchors(searches, points, list(problem.criteria), units)
+    inner_points, failed = _points_between(searches, anchors, divisions, points if everywhere else points[:0], units)
     points = [*anchors, *(point for point in inner_points if point.weights.min() >= -NEGATIVE_WEIGHT)]
     span = np.ptp([anchor.criteria for anchor in anchors], axis=0)
     keep = non_dominated(np.array([point.criteria for point in points]), SAME * span)
@@ -189,11 +194,16 @@ def pareto_front(
 def group_sizes(criteria: int, starts: int, divisions: int = DIVISIONS, everywhere: bool = False) -> list[int]:
     """Return how many searches run together, group after group: anchors, waves of points, points from all starts.
 
-    Anchors and points count once more: they are searched again where another search came across a better design.
+    Both searches of anchors, and points, count once more: they are searched again where another search came across a better
+    design.
     """
     waves = [len(wave) for wave in _waves(_simplex(divisions, criteria), criteria)]
     points = sum(waves)
-    return [size for size in (criteria * starts, criteria, *waves, points * starts * everywhere, points) if size]
+    return [
+        size
+        for size in (criteria * starts, criteria, criteria**2, criteria, *waves, points * starts * everywhere, points)
+        if size
+    ]
 
 
 def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
@@ -209,8 +219,8 @@ def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
     return keep
 
 
-def _anchors(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -> list[ParetoPoint]:
-    """Return the minimum of each criterion."""
+def _units(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -> np.ndarray:
+    """Return the units of the criteria [k] by their values and changes at a start, a constant part without influence."""
     known = [criteria for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
     if not known:
         raise InputError("start: none could be evaluated")
@@ -221,25 +231,37 @@ def _anchors(searches: ScalarizedSearches, starts: np.ndarray, names: list[str])
         )
     size = variable_scale(searches.start, searches.lower, searches.upper)
     changes = [0.0] * len(names) if slopes is None else [first_order_change(slope, size) for slope in slopes]
-    scale = np.array([unit_of(value, change) for value, change in zip(values, changes, strict=True)])
-    weights = np.where(np.eye(len(names)), 1.0, TIE) / scale
-    results = searches.from_starts([partial(_weighted, w) for w in weights], starts)
+    return np.array([unit_of(value, change) for value, change in zip(values, changes, strict=True)])
+
+
+def _anchors(
+    searches: ScalarizedSearches, starts: np.ndarray, names: list[str], units: np.ndarray
+) -> list[ParetoPoint]:
+    """Return the minimum of each criterion."""
+    weights = np.where(np.eye(len(names)), 1.0, TIE)
+    results = searches.from_starts([partial(_weighted, row, np.zeros(len(names))) for row in weights / units], starts)
     if searches.interrupted:
         raise KeyboardInterrupt
     for name, result in zip(names, results, strict=True):
         if result is None:
             raise InputError(f"criterion {name!r}: no feasible design was found from the starts given")
-    return [
-        _point(searches, result, w * scale) for result, w in zip(results, weights, strict=True) if result is not None
-    ]
+    anchors = [result for result in results if result is not None]
+    F = np.array([searches.cache.evaluate(anchor.x[None], False)[0].values for anchor in anchors])
+    span = np.where(np.ptp(F, axis=0) > SAME * units, np.ptp(F, axis=0), units)
+    utopia, rows = F.min(axis=0), weights / TIE / span
+    results = searches.from_starts([partial(_weighted, row, utopia) for row in rows], np.array([a.x for a in anchors]))
+    for i, result in enumerate(results):
+        if result is not None and result.value < rows[i] @ (F[i] - utopia) - MIN_GAIN:
+            anchors[i] = result
+    return [_point(searches, anchor, row) for anchor, row in zip(anchors, weights, strict=True)]
 
 
 def _points_between(
-    searches: ScalarizedSearches, anchors: list[ParetoPoint], divisions: int, starts: np.ndarray
+    searches: ScalarizedSearches, anchors: list[ParetoPoint], divisions: int, starts: np.ndarray, units: np.ndarray
 ) -> tuple[list[ParetoPoint], int]:
     """Return the points between the anchors and the number of those for which there is no feasible design."""
     F = np.array([anchor.criteria for anchor in anchors])
-    if (np.ptp(F, axis=0) <= SAME * np.abs(F).max(axis=0)).any():
+    if (np.ptp(F, axis=0) <= SAME * units).any():
         return [], 0  # one design is best for several criteria: there is no plane
     G = (F - F.min(axis=0)) / np.ptp(F, axis=0)
     plane = _simplex(divisions, len(anchors)) @ G
@@ -261,12 +283,14 @@ def _point(searches: ScalarizedSearches, result: OptimizationResult, weights: np
     return ParetoPoint(result.x, criteria.values, weights / np.abs(weights).sum(), result)
 
 
-def _weighted(weights: np.ndarray, criteria: Criteria) -> Evaluation:
-    """Return the evaluation of the weighted sum of criteria, `weights` [k]."""
+def _weighted(weights: np.ndarray, origin: np.ndarray, criteria: Criteria) -> Evaluation:
+    """Return the evaluation of the sum of `weights` [k] times the criteria's differences from `origin` [k]."""
     if not criteria.ok:
         return Evaluation.failure(criteria.status)
     df = None if criteria.gradients is None else weights @ criteria.gradients
-    return Evaluation(float(weights @ criteria.values), criteria.constraints, df, criteria.constraint_gradients)
+    return Evaluation(
+        float(weights @ (criteria.values - origin)), criteria.constraints, df, criteria.constraint_gradients
+    )
 
 
 def _normal_constraint(F: np.ndarray, p: np.ndarray, criteria: Criteria) -> Evaluation:

@@ -8,9 +8,9 @@ Gradients are measured in forward and in reverse mode, where the method has both
 has chosen by counting operations.
 
 Simulations of a sweep: its points. Of an optimization: 1.5 for each iteration of each start, as in the shipped studies, and no
-start ends early. Of a front: the same for each anchor from each start and for each point, and once more for each. For methods
-that choose their steps, a unit of time takes the place of a step. Pictures: one is drawn, its time counts for each of their
-axes. Times are those of this machine without other load.
+start ends early. Of a front: the same for each anchor from each start and from each anchor, for each point, and once more for
+each. For methods that choose their steps, a unit of time takes the place of a step. Pictures: one is drawn, its time counts
+for each of their axes. Times are those of this machine without other load.
 Over 300 lines: what is said of the model before a study runs is printed here as well.
 Checked in tests/study/test_estimate.py.
 """
