@@ -240,3 +240,25 @@ def test_gradients_of_torch_func():
         torch.testing.assert_close(vmap(grad(f))(b), forward)
         torch.testing.assert_close(vjp(f, b[0])[1](ONE[0])[0], forward[0])
         torch.testing.assert_close(grad(f)(b[1]), forward[1])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
+def test_rigid_motions_alone_have_no_derivative_but_zero(unit):
+    """A free beam of Hermite's elements in a plane: a change of its stiffness moves no rigid motion, in any unit."""
+    h, nodes = 0.2, 6
+    rows = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h]]
+    rows += [[-x for x in rows[0]], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]
+    element = torch.tensor(rows, dtype=torch.float64) / h**3
+    mass = torch.tensor([1.0, 1e-2], dtype=torch.float64).repeat(nodes)
+
+    def values(b: torch.Tensor) -> torch.Tensor:
+        K = torch.zeros(2 * nodes, 2 * nodes, dtype=torch.float64)
+        for e in range(nodes - 1):
+            at = torch.arange(2 * e, 2 * e + 4)
+            K = K.index_put((at[:, None], at), unit * b[0] * element, accumulate=True)
+        return eigenpairs(K, b[1] * mass, 2).values
+
+    b = torch.tensor([2.0, 1.5], dtype=torch.float64)
+    largest = unit * float(element.diagonal().max()) / 1e-2
+    for jacobian in (jacfwd(values)(b), jacrev(values)(b), vmap(jacfwd(values))(b[None])[0]):
+        assert float(jacobian.abs().max()) < 1e-12 * largest

@@ -26,7 +26,8 @@ sum, the sum of their squares), and of functions of their span alone (Psi Psi').
 such as Psi g(Lambda) Psi'**, are exact in forward mode, for C is diagonal. In reverse mode all entries of C would enter: such
 functions, and those of a single vector (whose dR is missing in forward mode), are recognized by their cotangents, and
 refused by InputError. So is forward mode where the direction is not known when the modes are made, as under `jvp` of `vmap`,
-if C is not diagonal. `spectral_function` has these derivatives in every mode; so have functions of `modal_basis` with its
+if C is not diagonal. C of rigid motions, which no change of K stiffens, is zero but for rounding, and counts as zero.
+`spectral_function` has these derivatives in every mode; so have functions of `modal_basis` with its
 full Kr.
 
 Along *one* direction individual modes have derivatives even here: `eigenpair_branches` finds them by Dailey's method.
@@ -65,7 +66,7 @@ from torch.autograd.forward_ad import unpack_dual
 from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, parse_pencil, rounding
+from torchmbd.fem.reduction.basis import CLUSTER, ROUNDING, modal_basis, parse_pencil, rounding
 from torchmbd.fem.reduction.forms import Diagonal, Form, Sparse
 from torchmbd.fem.reduction.spectral import chained
 from torchmbd.fem.reduction.transport import Pencil
@@ -108,6 +109,7 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     """
     basis = modal_basis(K, M, n, cluster)
     pencil, K_values, M_values, lanes = parse_pencil(K, M, n)
+    entries = pencil.K_form.diagonal(K_values) / pencil.M_form.diagonal(M_values)
     K_values, M_values, Kr, psi = (x.detach() for x in (K_values, M_values, *basis[::-1]))
     accuracy = rounding(pencil, K_values, M_values)
     values = Kr.diagonal(dim1=-2, dim2=-1).reshape(-1, n)
@@ -116,7 +118,7 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
         *lanes, n, n
     )
     stiffness, accuracy = turn.mT @ basis.stiffness @ turn, accuracy.reshape(lanes)
-    values, R = _Split.apply(stiffness, _choice(stiffness, accuracy), accuracy, cluster)
+    values, R = _Split.apply(stiffness, _choice(stiffness, accuracy), accuracy, cluster, entries)
     return Eigenpairs(values, basis.vectors @ (turn @ R))
 
 
@@ -147,12 +149,15 @@ def same_cluster(values: Tensor, accuracy: Tensor, cluster: float) -> Tensor:
 
 
 class _Split(torch.autograd.Function):
-    """Eigenvalues and eigenvectors R = Q of the reduced stiffness, which is diagonal at the design at hand."""
+    """Eigenvalues and eigenvectors R = Q of the reduced stiffness, which is diagonal at the design at hand.
+
+    entries   K_ii / M_ii [..., N]: their change along a direction is the measure of rounding in that of the stiffness
+    """
 
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(Kr: Tensor, Q: Tensor, accuracy: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
+    def forward(Kr: Tensor, Q: Tensor, accuracy: Tensor, cluster: float, entries: Tensor) -> tuple[Tensor, Tensor]:
         return Kr.diagonal(dim1=-2, dim2=-1).clone(), Q.expand(Kr.shape).clone()
 
     @staticmethod
@@ -163,14 +168,15 @@ class _Split(torch.autograd.Function):
         ctx.save_for_backward(*output, inputs[2])
 
     @staticmethod
-    def jvp(ctx: Any, dKr: Tensor, *_: Any) -> tuple[Tensor, Tensor]:
+    def jvp(ctx: Any, dKr: Tensor, *others: Any) -> tuple[Tensor, Tensor]:
         values, Q, accuracy = ctx.saved_tensors
         C = Q.mT @ dKr @ Q
-        C = C + _Refusal.apply(values, accuracy, ctx.cluster, None, C)
+        noise = ROUNDING * others[-1].abs().amax(-1)
+        C = C + _Refusal.apply(values, accuracy, ctx.cluster, None, C, noise)
         return C.diagonal(dim1=-2, dim2=-1).clone(), Q @ (C * _inverse_gaps(values, accuracy))
 
     @staticmethod
-    def backward(ctx: Any, g: Tensor | None, G: Tensor | None) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: Any, g: Tensor | None, G: Tensor | None) -> tuple[Tensor, None, None, None, None]:
         values, Q, accuracy = ctx.saved_tensors
         bar = torch.zeros_like(Q)
         if g is not None:
@@ -180,9 +186,9 @@ class _Split(torch.autograd.Function):
         if G is not None:
             G = Q.mT @ G
             g = torch.zeros_like(values) if g is None else g
-            turned = (G + _Refusal.apply(values, accuracy, ctx.cluster, g, G)) * _inverse_gaps(values, accuracy)
+            turned = (G + _Refusal.apply(values, accuracy, ctx.cluster, g, G, None)) * _inverse_gaps(values, accuracy)
             bar = bar + (turned + turned.mT) / 2
-        return Q @ bar @ Q.mT, None, None, None
+        return Q @ bar @ Q.mT, None, None, None, None
 
 
 class _Refusal(FirstDerivative):
@@ -191,33 +197,39 @@ class _Refusal(FirstDerivative):
     of = "modes"
 
     @staticmethod
-    def forward(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor) -> Tensor:
-        return _refuse(values, accuracy, cluster, g, X)
+    def forward(
+        values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor, noise: Tensor | None
+    ) -> Tensor:
+        return _refuse(values, accuracy, cluster, g, X, noise)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, values: Tensor, accuracy: Tensor, cluster: float, g: Any, X: Tensor) -> tuple:
-        return _Refusal.apply(*_lanes_first(info.batch_size, in_dims, values, accuracy, cluster, g, X)), 0
+    def vmap(info: Any, in_dims: tuple, *arguments: Any) -> tuple:
+        return _Refusal.apply(*_lanes_first(info.batch_size, in_dims, *arguments)), 0
 
 
 @torch.library.custom_op("torchmbd::refuse_single_modes", mutates_args=())
-def _refuse(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor) -> Tensor:
+def _refuse(
+    values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor, noise: Tensor | None
+) -> Tensor:
     """Zeros [..., n, n]; InputError where derivatives of single modes were asked for that do not exist.
 
     g, X   cotangents of values [..., n] and of R [..., n, n], which must not tell one mode of a cluster from another: a
            function of a span has a symmetric block, one of its values alone has equal g. None, C: a direction, which
-           must be diagonal where modes repeat
+           must be diagonal where modes repeat, but for rounding: noise [...], of C
     It is an operator of torch, because batched tangents of torch.autograd cannot read numbers in Python functions.
     """
     noisy = same_cluster(values, accuracy, NOISE)
-    if g is None:
+    if noise is not None:
         gaps = (values[..., None, :] - values[..., :, None]).abs()
         mixed = UNEQUAL + torch.where(
             chained(values, accuracy[..., None]), 0.0, accuracy[..., None, None] / 16.0 / gaps
         )
         beside = torch.where(noisy & ~torch.eye(values.shape[-1], dtype=torch.bool), X, 0.0).abs()
-        wrong = (beside > mixed * X.abs().amax((-2, -1), keepdim=True)).any(-1)
+        size = X.abs().amax((-2, -1), keepdim=True)
+        wrong = (beside > mixed * size + noise[..., None, None]).any(-1)
         near, what = noisy, "a derivative along a direction that turns them in their span"
     else:
+        assert g is not None
         near = same_cluster(values, accuracy, cluster)
         size, asymmetry = X.abs().amax((-2, -1))[..., None], (X - X.mT).abs()
         turned = torch.where(near, asymmetry, 0.0).amax(-1) > UNEQUAL * size
@@ -238,8 +250,8 @@ def _refuse(values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, 
 
 
 @_refuse.register_vmap
-def _(info: Any, in_dims: tuple, values: Tensor, accuracy: Tensor, cluster: float, g: Any, X: Tensor) -> tuple:
-    return _refuse(*_lanes_first(info.batch_size, in_dims, values, accuracy, cluster, g, X)), 0
+def _(info: Any, in_dims: tuple, *arguments: Any) -> tuple:
+    return _refuse(*_lanes_first(info.batch_size, in_dims, *arguments)), 0
 
 
 def _lanes_first(size: int, in_dims: tuple, *arguments: Any) -> list[Any]:
