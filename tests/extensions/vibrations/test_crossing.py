@@ -102,3 +102,11 @@ def test_at_symmetry(speed):
     assert mean(k).item() == pytest.approx(math.sqrt(35.0) / (2.0 * math.pi), rel=1e-12)
     for by in (torch.autograd.grad(mean(k), k)[0], torch.func.jacfwd(mean)(k.detach())):
         assert by.item() == pytest.approx(0.5 * expected / (2.0 * math.pi), rel=ACCURACY)
+    cut = mbd.SystemFrequency(cluster=(3, 4), speed=speed, axis="x", observer="ground")
+
+    def half(k: Tensor) -> Tensor:
+        return cut(mbd.simulate(system, 1e-4, steps=2, designs={"bearing0.stiffness_y": k}))[0]
+
+    for gradient in (lambda: torch.autograd.grad(half(k), k), lambda: torch.func.jacfwd(half)(k.detach())):
+        with pytest.raises(mbd.DesignFailure, match=r"eigenvalues 2, 3 coincide at .* a single one has no derivative"):
+            gradient()

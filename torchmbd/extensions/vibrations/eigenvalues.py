@@ -46,16 +46,20 @@ def eigenvalues(
     kind: str,
     modes: Sequence[int] | Choice | None = None,
     symmetric: bool = False,
+    mean: bool = False,
 ) -> Tensor:
     """Eigenvalues [k, lanes] of small vibrations about q [n_q, 1, lanes], at rest or in steady rotation; differentiable by q
     and the data of the dynamics.
 
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
     modes       their numbers from 0, in the order of spectrum.py; None: all; or a function that chooses them
-    symmetric   what is made of them is symmetric in those that coincide, so that no derivative is refused
+    symmetric   the caller makes a symmetric function of these numbers: derivatives are refused only where another eigenvalue,
+                which is not among the numbers, coincides with one of them
+    mean        the derivative of each is the mean of those that coincide, and none is refused: for a search
     """
     model, names = replace(dynamics, data={}), tuple(dynamics.data)
-    problem = AboutState(kind=kind, modes=modes, symmetric=symmetric, model=model, names=names, t=t, rotation=rotation)
+    options: dict[str, Any] = {"kind": kind, "modes": modes, "symmetric": symmetric, "mean": mean}
+    problem = AboutState(**options, model=model, names=names, t=t, rotation=rotation)
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
@@ -93,6 +97,7 @@ class _Eigenproblem:
     kind: str
     modes: Sequence[int] | Choice | None
     symmetric: bool
+    mean: bool = False
     numbers: Sequence[int] = field(default=(), init=False)
     inputs: list[Tensor] = field(default_factory=list, init=False)
     spectra: list[Spectrum] = field(default_factory=list, init=False)
@@ -140,9 +145,8 @@ class _Eigenproblem:
                 along = x.expand(*x.shape[:-1], lanes)[..., slope.lane].flatten(0, -2)
                 places = [k % len(pairs) for k in slope.numbers]
                 blocks[slope.part, places, :, slope.lane] += slope.by.flatten(0, -2).T @ along
-        if not self.symmetric:
-            for lane in range(lanes):
-                self._refuse_split(lane, pairs, blocks[..., lane])
+        for lane in range(lanes):
+            self._refuse_split(lane, pairs, blocks[..., lane])
         single = [k for k, (i, j) in enumerate(pairs) if i == j]
         tangents = self._shared(blocks[:, single], modes)[:, : len(self.numbers)]
         for lane, spectrum in enumerate(self.spectra):
@@ -164,8 +168,7 @@ class _Eigenproblem:
                     raise DesignFailure(
                         f"eigenvalue {mode + 1}{where} has no derivative: it is {spectrum.fault[mode]}; {_HELD}"
                     )
-            if not self.symmetric:
-                self._refuse_unequal(lane, modes, bars[..., lane])
+            self._refuse_unequal(lane, modes, bars[..., lane])
         bars = self._shared(bars, modes)
         needed = bars.abs().amax((0, 2)).T.nonzero().flip(1).tolist()  # of many eigenvalues and lanes few may count
         terms = [Term(modes[i], modes[i], lane) for i, lane in needed]
@@ -203,18 +206,15 @@ class _Eigenproblem:
 
     def _refuse_unequal(self, lane: int, modes: Sequence[int], bars: Tensor) -> None:
         """DesignFailure for cotangents [parts, modes, rows] that differ among eigenvalues that coincide."""
-        spectrum = self.spectra[lane]
-        for number in spectrum.cluster[list(modes)].unique():
-            members = (spectrum.cluster[list(modes)] == number).nonzero()[:, 0]
+        for members in self._told_apart(lane, modes):
             bar = bars[:, members]
             if float((bar - bar[:, :1]).abs().max()) > _UNEQUAL * float(bar.abs().max()):
-                raise self._coincide(lane, [modes[i] for i in members.tolist()])
+                raise self._coincide(lane, [modes[i] for i in members])
 
     def _refuse_split(self, lane: int, pairs: Sequence[tuple[int, int]], blocks: Tensor) -> None:
         """DesignFailure where derivatives [parts, pairs, tangents] of eigenvalues that coincide differ along a direction."""
-        spectrum, (modes, _) = self.spectra[lane], self._columns()
-        for number in spectrum.cluster[modes].unique():
-            members = (spectrum.cluster[modes] == number).nonzero()[:, 0].tolist()
+        modes, _ = self._columns()
+        for members in self._told_apart(lane, modes):
             of = [k for k, (i, j) in enumerate(pairs) if i in members and j in members]
             block = blocks[:, of]
             mean = torch.stack([blocks[:, k] for k, (i, j) in enumerate(pairs) if i == j and i in members]).mean(0)
@@ -222,8 +222,16 @@ class _Eigenproblem:
             if bool(((block - unit * mean[:, None]).abs() > _UNEQUAL * block.abs().amax((0, 1))).any()):
                 raise self._coincide(lane, [modes[i] for i in members])
 
+    def _told_apart(self, lane: int, modes: Sequence[int]) -> Iterator[list[int]]:
+        """Positions of eigenvalues that coincide, for each group in which a function may tell one from another."""
+        cluster = self.spectra[lane].cluster[list(modes)]
+        for number in cluster.unique() if not self.mean else ():
+            members = (cluster == number).nonzero()[:, 0].tolist()
+            if not self.symmetric or members[-1] >= len(self.numbers):
+                yield members
+
     def _coincide(self, lane: int, modes: Sequence[int]) -> DesignFailure:
-        numbers, value = ", ".join(str(k + 1) for k in modes), self.spectra[lane].values[modes[0]].item()
+        numbers, value = ", ".join(str(k + 1) for k in sorted(modes)), self.spectra[lane].values[modes[0]].item()
         return DesignFailure(
             f"eigenvalues {numbers}{self._where(lane)} coincide at {value:.6g}: a single one has no derivative; allowed: "
             "functions symmetric in them, such as SystemFrequency(cluster=...)"

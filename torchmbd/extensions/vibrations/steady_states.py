@@ -89,9 +89,15 @@ class SteadyStates:
     speeds: int
     modes: Mapping[str, Tensor]
 
-    def eigenvalues(self, kind: str, modes: Sequence[int] | Choice | None = None, symmetric: bool = False) -> Tensor:
+    def eigenvalues(
+        self,
+        kind: str,
+        modes: Sequence[int] | Choice | None = None,
+        symmetric: bool = False,
+        mean: bool = False,
+    ) -> Tensor:
         """Eigenvalues [designs, speeds, k], as of eigenvalues.py."""
-        values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric)
+        values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric, mean)
         return values.T.unflatten(0, (-1, self.speeds))
 
     def linearization(self, lane: int) -> Linearization:
