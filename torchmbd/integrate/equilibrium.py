@@ -106,7 +106,7 @@ class Equilibrium(Trajectory):
     def stable(self) -> bool:
         """Whether no freedom of any lane is unstable, at any time."""
         vibrations = [self._vibrations(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
-        return not any(bool(x.frequencies.isnan().any()) for x in [*vibrations, *self.vibrations])
+        return not any(x.grow for x in [*vibrations, *self.vibrations])
 
     def _vibrations(self, lane: int, time: int) -> Vibrations:
         with torch.no_grad():

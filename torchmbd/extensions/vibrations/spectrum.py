@@ -22,14 +22,13 @@ import torch
 from torch import Tensor
 
 from torchmbd.fem.reduction.basis import CLUSTER
-from torchmbd.multibody.system.linearized import GROWS, Linearization, Vibrations, rounding_of_squares
+from torchmbd.multibody.system.linearized import Linearization, Vibrations, rounding_of_squares, whirl
 from torchmbd.multibody.system.rank import RELATIVE
 
 _GUARD = 4  # vibrations beyond those asked for, so that those that coincide are complete
 _FEW = 6  # the reciprocal of the largest share of all vibrations that `_lowest_whirl` is for
 _SINGLE_SHAPE = "one of several that coincide and have a single shape (defective)"
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
-_FLUTTER = "that of a vibration that grows"
 # Share of |s| that the imaginary part of an oscillating pole has at least: nearly equal real poles get 1e-4 by rounding.
 SWINGS = 1e-2
 _DEFECTIVE = 1e-6  # cosine between the left and the right vector, P' between them, below which rounding decides
@@ -78,26 +77,24 @@ class Spectrum:
             if pairs is not None:
                 w, right = pairs[0][:count], pairs[1][:, :count]
                 return _normalized(rest, w, _full(rest, right), _full(rest, right), ("",) * count)
-        vibrations = Vibrations.of(rest)
-        w = 2.0 * math.pi * vibrations.frequencies
-        grows = torch.zeros(len(w), dtype=torch.bool)
-        right = left = vibrations.shapes.to(torch.complex128)
-        if rest.rotates:
+        if rest.rotates and n:
+            rest.factored_inertia()
             C, K = rest.reduced(rest.C), rest.reduced(rest.K)
             s, V, _ = _state_vectors(rest.inertia, 0.5 * (C - C.T), 0.5 * (K + K.T))
-            pairs = s.imag.abs().argsort(stable=True).reshape(-1, 2)
-            upper = torch.where(s.imag[pairs[:, 0]] >= 0.0, pairs[:, 0], pairs[:, 1])
+            w, upper = whirl(s)
             right = left = _full(rest, V[:, upper])
-            grows = s.real[upper].abs() > GROWS * s[upper].abs()  # as in flutter, whose roots are not imaginary
-        elif rest.nonconservative:
+        else:
+            vibrations = Vibrations.of(rest)
+            w = 2.0 * math.pi * vibrations.frequencies
+            right = left = vibrations.shapes.to(torch.complex128)
+        if rest.nonconservative and not rest.rotates:
             M, K = rest.inertia, rest.reduced(rest.K)
             squares, L, R = _eigenvectors(torch.linalg.solve(M, K))
             order = squares.real.argsort()
             right = _full(rest, R[:, order])
             left = _full(rest, torch.linalg.solve(M.to(L.dtype), L[:, order]))
         keep = slice(0, count)
-        known = zip(w[keep].tolist(), grows[keep].tolist(), strict=True)
-        fault = tuple(_GROWS if math.isnan(x) else _FREE if x == 0.0 else _FLUTTER if bad else "" for x, bad in known)
+        fault = tuple(_GROWS if math.isnan(x) else _FREE if x == 0.0 else "" for x in w[keep].tolist())
         return _normalized(rest, w[keep], right[:, keep], left[:, keep], fault)
 
     @classmethod

@@ -238,10 +238,11 @@ class Vibrations:
     frequencies   [freedoms] [Hz], ascending, without damping; zero for a freedom without stiffness, nan for an unstable one
     shapes        [n_v, freedoms], increments of the coordinates of unit modal mass
     poles         [2 freedoms] [1/s], with damping; on demand
+    grow          whether a vibration grows: by the stiffness or, in a steady rotation, also by the damping
 
-    In a steady rotation the frequencies include Coriolis's forces, the shapes do not, and the lowest frequency is nan where
-    vibrations grow. Where forces turn with a body two freedoms may drive each other (flutter): both frequencies are then nan,
-    and both shapes are the real part of the complex one.
+    In a steady rotation the frequencies include Coriolis's forces, the shapes do not. Damping changes no frequency, also where
+    it makes vibrations grow. Where forces turn with a body two freedoms may drive each other (flutter): both frequencies are
+    then nan, and both shapes are the real part of the complex one.
     """
 
     frequencies: Tensor
@@ -251,6 +252,15 @@ class Vibrations:
     @cached_property
     def poles(self) -> Tensor:
         return _poles(self.rest.inertia, self.rest.reduced(self.rest.C), self.rest.stiffness)
+
+    @cached_property
+    def grow(self) -> bool:
+        if bool(self.frequencies.isnan().any()):
+            return True
+        if not self.rest.rotates or self.rest.gyroscopic or not len(self.frequencies):
+            return False
+        size, largest = self.poles.abs(), 2.0 * math.pi * self.frequencies[-1]  # strong dampers have much larger poles
+        return bool(((self.poles.real > GROWS * size) & (size > _AT_REST * largest)).any())
 
     @classmethod
     def of(cls, rest: Linearization) -> Vibrations:
@@ -267,13 +277,27 @@ class Vibrations:
         if not rest.rotates or not n:
             return cls(squares.sqrt() / (2.0 * math.pi), shapes, rest)
         C = rest.reduced(rest.C)
-        whirl = _poles(M, 0.5 * (C - C.T), K)
-        w = whirl.imag.abs().sort().values[::2]
-        w = torch.where(w > _AT_REST * w[-1], w, 0.0)
-        vibrations = cls(w / (2.0 * math.pi), shapes, rest)
-        if _grow(whirl if rest.gyroscopic else vibrations.poles, w[-1]):
-            vibrations.frequencies[0] = torch.nan
-        return vibrations
+        w, _ = whirl(_poles(M, 0.5 * (C - C.T), K))
+        return cls(w / (2.0 * math.pi), shapes, rest)
+
+
+def whirl(poles: Tensor) -> tuple[Tensor, Tensor]:
+    """Angular frequencies [n] [rad/s] of the poles [2 n] of a system with Coriolis's forces and no damping, ascending; and the
+    numbers of the poles with a positive imaginary part.
+
+    A frequency is zero for a free motion and nan where the vibration grows. A negative stiffness does not imply that it does,
+    as Coriolis's forces may stabilize.
+    """
+    size, w = poles.abs(), poles.imag.abs()
+    rounding = _AT_REST * w.amax()
+    w = torch.where(w > rounding, w, 0.0)
+    rate = poles.real.abs()
+    sure = rate * size > torch.finfo(w.dtype).eps * w.amax().square()  # rounding is that of squares of the largest
+    grows = (rate > GROWS * size) & (size > rounding) & sure
+    order = (~grows).to(torch.int8).argsort(stable=True)  # the unstable before the free, as at rest
+    pairs = order[w[order].argsort(stable=True)].reshape(-1, 2)
+    upper = torch.where(poles.imag[pairs[:, 0]] >= 0.0, pairs[:, 0], pairs[:, 1])
+    return torch.where(grows[upper], torch.nan, w[upper]), upper
 
 
 def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
@@ -283,15 +307,6 @@ def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
     A[:n, n:] = torch.eye(n, dtype=K.dtype)
     A[n:, :n], A[n:, n:] = -torch.linalg.solve(M, K), -torch.linalg.solve(M, C)
     return torch.linalg.eigvals(A)
-
-
-def _grow(poles: Tensor, largest: Tensor) -> bool:
-    """Whether vibrations grow. A negative stiffness does not imply it, as Coriolis's forces may stabilize.
-
-    largest   the largest angular frequency [rad/s], a measure of rounding; poles of strong dampers are much larger
-    """
-    size = poles.abs()
-    return bool(((poles.real > GROWS * size) & (size > _AT_REST * largest)).any())
 
 
 def rounding_of_squares(rest: Linearization, shapes: Tensor, squares: Tensor) -> Tensor:

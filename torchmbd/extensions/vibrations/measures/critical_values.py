@@ -39,9 +39,9 @@ Function = Callable[[Tensor, Designs, Any, bool], Tensor]
 
 
 def root(g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]], name: str) -> Tensor:
-    """The zero p [] of g(p, designs, more, symmetric); a differentiable function of the designs.
+    """The zero p [] of g(p, designs, more, mean); a differentiable function of the designs.
 
-    g         with `symmetric` eigenvalues that coincide have the mean of their derivatives, which is enough for the search
+    g         with `mean` eigenvalues that coincide have the mean of their derivatives, which is enough for the search
     bracket   of constant designs: two numbers between which g has two signs, and what else g takes
     """
     tensors = list(designs.values())
@@ -128,9 +128,9 @@ class CriticalSpeed(OfVibrations):
         return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
 
     def _of_lane(self, system: System, designs: Designs) -> Tensor:
-        def g(speed: Tensor, designs: Designs, mode: int, symmetric: bool) -> Tensor:
+        def g(speed: Tensor, designs: Designs, mode: int, mean: bool) -> Tensor:
             states = steady_states(system, speed[None], self.shaft, designs)
-            return states.eigenvalues(NATURAL, [mode], symmetric)[0, 0, 0] - self.order * speed
+            return states.eigenvalues(NATURAL, [mode], mean=mean)[0, 0, 0] - self.order * speed
 
         return root(g, designs, lambda designs: self._bracket(system, designs), "the critical speed")
 
@@ -204,20 +204,20 @@ class StabilityLimit(OfVibrations):
         return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
 
     def _of_lane(self, system: System, designs: Designs) -> Tensor:
-        def g(p: Tensor, designs: Designs, _: None, symmetric: bool) -> Tensor:
-            poles = self._poles(system, p[None], designs, symmetric)[0]
+        def g(p: Tensor, designs: Designs, _: None, mean: bool) -> Tensor:
+            poles = self._poles(system, p[None], designs, mean)[0]
             return poles[int(untransformed(poles).real.argmax())].real
 
         return root(g, designs, lambda designs: self._bracket(system, designs), "the limit of stability")
 
-    def _poles(self, system: System, p: Tensor, designs: Designs, symmetric: bool = True) -> Tensor:
+    def _poles(self, system: System, p: Tensor, designs: Designs, mean: bool = True) -> Tensor:
         """Poles [n, 2 freedoms] at values p [n] of one design."""
         if self.parameter == SPEED:
-            return steady_states(system, p, self.shaft, designs).eigenvalues(POLES, None, symmetric)[0]
+            return steady_states(system, p, self.shaft, designs).eigenvalues(POLES, None, mean=mean)[0]
         like = system.get_parameter(self.parameter)
         wide = {name: x.expand(len(p), *x.shape[1:]) for name, x in designs.items() if name != self.parameter}
         wide[self.parameter] = p.reshape(-1, *like.shape)
-        return steady_states(system, [0.0], self.shaft, wide).eigenvalues(POLES, None, symmetric)[:, 0]
+        return steady_states(system, [0.0], self.shaft, wide).eigenvalues(POLES, None, mean=mean)[:, 0]
 
     def _bracket(self, system: System, designs: Designs) -> tuple[float, float, None]:
         """Two values around the limit."""
