@@ -132,7 +132,7 @@ class StaticIntegration:
     follow: bool
     rotation: SteadyRotation | None = None
     unstable: bool = False
-    sweep: int = 1
+    sweep: int = 0
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)

@@ -1,4 +1,4 @@
-"""States at many speeds are those that a search from speed to speed finds, whether all are found at once or one by one."""
+"""States at many speeds are those of a search from speed to speed; drives turn at each of the speeds, whatever their laws."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.extensions.vibrations.steady_states import steady_states
+from torchmbd.extensions.vibrations.steady_states import Shaft, steady_states
 from torchmbd.multibody.system import equilibrium as search
 
 SPEEDS = torch.linspace(2.0, 14.0, 13, dtype=torch.float64)
@@ -45,3 +45,25 @@ def test_a_governor_swings_outward_with_the_speed(monkeypatch):
     monkeypatch.setattr(search, "_NEAR", -1.0)  # no step between neighbors is near enough
     assert_close(heights(), z, rtol=1e-10, atol=0.0)
     assert at_once < len(SPEEDS) == len(calls) - at_once
+
+
+def shaft(drive: float | None) -> mbd.System:
+    """A disk in the middle of a flexible shaft in round bearings, critical at about 66 rad/s; drive: speed of its law."""
+    steel = mbd.GivenSection.isotropic(210e9, 0.3, 7850.0, 3e-4, Iyy=8e-9, Izz=8e-9, J=16e-9)
+    beam = mbd.FlexibleBeam("shaft", mbd.BeamLine.straight(1.0, elements=2), steel)
+    disk, ground = mbd.RigidBody("disk", 15.0, (0.04, 0.02, 0.02), position=(0.5, 0, 0)), mbd.Ground()
+    joints: list[mbd.Joint] = [mbd.Fixed(beam.at(1), disk.at())]
+    joints += [] if drive is None else [mbd.Drive(ground, disk, axis="x", speed=drive)]
+    bearings = [mbd.Bushing(ground.at(x, 0, 0), beam.at(2 * x), (along, 1e6, 1e6)) for x, along in ((0, 1e6), (1, 0.0))]
+    return mbd.System([beam, disk], joints, bearings)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("law", [0.0, 100.0])
+def test_a_drive_with_any_law_changes_no_vibration_across_the_shaft(law):
+    """Also above the critical speed, where Coriolis's forces hold the shaft, and not its stiffness; at one speed or many."""
+    turning = Shaft("x", observer="ground")
+    free = steady_states(shaft(None), [30.0, 150.0], turning).eigenvalues("natural")[0]
+    for speeds, rows in (([30.0, 150.0], [0, 1]), ([150.0], [1])):
+        driven = steady_states(shaft(law), speeds, turning).eigenvalues("natural")[0]
+        assert_close(driven[:, :4], free[rows, 1:5], rtol=1e-8, atol=0.0)

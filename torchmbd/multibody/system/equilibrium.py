@@ -76,30 +76,34 @@ def find_equilibria(
     follow: bool = False,
     rotation: SteadyRotation | None = None,
     unstable: bool = False,
-    sweep: int = 1,
+    sweep: int = 0,
 ) -> list[Balance]:
     """Equilibria of all lanes of an uncondensed system at time t, near q [n_q, 1, lanes].
 
     follow     search each lane near the equilibrium of the lane before
     unstable   find the nearest equilibrium, whether it is stable or not
     sweep      number of neighboring lanes that are one design at rising speeds: the first is searched downhill in energy, each
-               other near the one before, stable or not; whether the rotation is steady is looked at for the fastest
+               other near the one before, stable or not; whether the rotation is steady is looked at for the fastest. A shaft
+               that turns above its critical speed is held by Coriolis's forces: where the search downhill fails, the nearest
+               state is taken. 0: lanes are designs by themselves
     """
     start, balances = value(q).detach(), []
     with torch.no_grad():
         values = dynamics.values()
         while len(balances) < dynamics.lanes:
             lane = len(balances)
-            follows = (follow and bool(balances)) or lane % sweep > 0
-            near = balances[-1].q if follows else start[:, 0, min(lane, start.shape[-1] - 1)]
+            place = lane % sweep if sweep else 0
+            near = balances[-1].q if (follow and balances) or place else start[:, 0, min(lane, start.shape[-1] - 1)]
             of_lane = values.select_lanes([lane])
-            arguments = of_lane, near, t, _at_spin(rotation, of_lane.data)
-            fastest = lane % sweep == sweep - 1
-            balance = _find_equilibrium(*arguments, unstable or lane % sweep > 0, fastest)
-            if balance.failure and sweep > 1:
-                balance = _find_equilibrium(*arguments, not lane % sweep, fastest)
+            turning = _at_spin(rotation, of_lane.data)
+            arguments = of_lane, near, t, turning
+            fastest = place == max(sweep - 1, 0)
+            balance = _find_equilibrium(*arguments, unstable or place > 0, fastest)
+            if balance.failure and (sweep > 1 or (sweep and turning is not None and bool(turning.spin.any()))):
+                other = _find_equilibrium(*arguments, not place, fastest)
+                balance = balance if other.failure and place else other
             balances.append(balance)
-            if lane % sweep == 0 < sweep - 1 and not balance.failure:
+            if not place and sweep > 1 and not balance.failure:
                 others = values.select_lanes(list(range(lane + 1, lane + sweep)))
                 balances += _sweep(others, balance.q, t, _at_spin(rotation, others.data))
     return balances

@@ -27,7 +27,7 @@ from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.topology import Prescribed, Topology
 
 # A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
 _CANCELS, _EIGEN = 1e-10, 1e-15
@@ -78,9 +78,10 @@ class Linearization:
         offset: tuple[Tensor, Tensor] | None = None,
         observer: Observer | None = None,
         unstrained: Tensor | None = None,
+        excitation: Prescribed | None = None,
     ) -> Linearization:
         """Linearize `dynamics` of one design at q and time t; arguments as of `each`."""
-        return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained)[0]
+        return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained, excitation)[0]
 
     @classmethod
     def each(
@@ -91,16 +92,18 @@ class Linearization:
         offset: tuple[Tensor, Tensor] | None = None,
         observer: Observer | None = None,
         unstrained: Tensor | None = None,
+        excitation: Prescribed | None = None,
     ) -> list[Linearization]:
         """Linearize all lanes of `dynamics` at q [n_q, 1, lanes] and time t; equations of all lanes are evaluated at once.
 
         observer     of the increments, with the rates of the state; None: a state at rest
         offset       forces with torques in ground axes [n_v] and violations [rows], to be subtracted from forces and phi
         unstrained   screws [6, n, 1, 1] at which beam elements have no force in K and lam; None: those of the data
+        excitation   what drives prescribe; None: their laws at time t
         """
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
-        excitation = T.prescribed(t, data).values()
+        prescribed = T.prescribed(t, data).values() if excitation is None else excitation
         lanes = q.shape[-1]
         none, still = q.new_zeros(T.rows, 1, lanes), q.new_zeros(T.n_v, 1, lanes)
         observer = observer or ObserverAtRest()
@@ -109,7 +112,7 @@ class Linearization:
         zero = Pair.of(still, torch.zeros_like(unit.tangent))
         near, *rates_moved = observer.perturbed(T, q, unit, zero, zero)
         rates = tuple(value(x) for x in rates_moved)
-        at, moved = (equations.placement(T, data, x, excitation) for x in (q, near))
+        at, moved = (equations.placement(T, data, x, prescribed) for x in (q, near))
 
         def residual(at: Any, rates: Sequence[Any], lam: Tensor) -> Any:
             v, a = rates

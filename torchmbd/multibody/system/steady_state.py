@@ -15,10 +15,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.pair import dot
 from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import Linearization
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
+from torchmbd.multibody.system.topology import Prescribed
 
 _ANGLES = (
     32  # turns by 1 rad, 2 rad, ...: no two within 0.01 rad, no gap above 0.4 rad, so that contacts are met all around
@@ -53,7 +55,8 @@ def unsteady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation:
     q_after = rotation.turned(T, q[:, None, None])[:, 0, 0]
     if rotation.turning is not rotation:
         rest = Linearization.of(dynamics, q, t, observer=rotation)
-    after = Linearization.of(dynamics, q_after, t + period, observer=rotation)
+    excitation = _prescribed(dynamics, q_after, t + period, rotation)
+    after = Linearization.of(dynamics, q_after, t + period, observer=rotation, excitation=excitation)
     return _changed_tangents(T, rest, after, rotation)
 
 
@@ -71,9 +74,28 @@ def _period(dynamics: Any, t: Tensor, rotation: SteadyRotation) -> float:
 def _loads(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation) -> tuple[Tensor, Tensor]:
     """Forces without those of joints [n_v], and violations of joints [rows], at q and time t."""
     T, data, wide = dynamics.topology, dynamics.values().data, q[:, None, None]
-    at = equations.placement(T, data, wide, T.prescribed(t, data))
+    at = equations.placement(T, data, wide, _prescribed(dynamics, q, t, rotation))
     forces = equations.dynamic_residual(T, data, at, *rotation.rates(T, wide), q.new_zeros(T.rows, 1, 1))
     return forces[:, 0, 0], equations.constraints(T, at)[:, 0, 0] if T.rows else q.new_zeros(0)
+
+
+def _prescribed(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation) -> Prescribed:
+    """What drives prescribe at q [n_q] and time t: those between the ground and what turns follow the rotation if they do."""
+    T, data = dynamics.topology, dynamics.values().data
+    excitation = T.prescribed(t, data).values()
+    if not rotation.drives_follow:
+        return excitation
+    at = equations.placement(T, data, q[:, None, None], excitation)
+    on_ground = (T.vector_body == T.vector_body.new_tensor(T.bodies + len(T.prescribed_bodies)))[None, :, None, None]
+    laws = list(excitation.laws)
+    for i, (kind, vectors, held) in enumerate(zip(T.primitives, at.arguments, T.arguments(on_ground), strict=True)):
+        law = laws[i]
+        if isinstance(kind, Angle) and law is not None:
+            x, y, b = vectors
+            c, s = dot(x, b), dot(y, b)
+            size, turns = (c * c + s * s).sqrt(), held[0][0] != held[2][0]
+            laws[i] = tuple(torch.where(turns, part / size, old) for part, old in zip((c, s), law, strict=True))
+    return excitation._replace(laws=laws)
 
 
 def _changed_tangents(T: Any, rest: Linearization, after: Linearization, rotation: SteadyRotation) -> str:
