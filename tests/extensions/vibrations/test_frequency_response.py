@@ -9,7 +9,8 @@ import torch
 import torchmbd as mbd
 from tests.extensions.vibrations.test_linear_system import carriage as two_masses
 from torchmbd.extensions.vibrations.frequency_response import frequency_response
-from torchmbd.extensions.vibrations.linear_system import Ports, system_with_ports
+from torchmbd.extensions.vibrations.linear_system import system_with_ports
+from torchmbd.extensions.vibrations.port_functions import Ports
 
 HERTZ = torch.tensor([1.5, 7.0, 40.0], dtype=torch.float64)  # between vibrations at 1.1, 3.0, 10.9, 17.8 and 31.8 Hz
 

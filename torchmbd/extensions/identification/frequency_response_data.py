@@ -24,7 +24,8 @@ from torchmbd.extensions.identification.modal_data import check_options
 from torchmbd.extensions.identification.run import Run
 from torchmbd.extensions.identification.table import Table
 from torchmbd.extensions.vibrations.frequency_response import QUANTITIES, frequency_response
-from torchmbd.extensions.vibrations.linear_system import Ports, checked_ports, system_with_ports
+from torchmbd.extensions.vibrations.linear_system import checked_ports, system_with_ports
+from torchmbd.extensions.vibrations.port_functions import Ports
 from torchmbd.multibody.forces.signals import Actuator, Signal
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
@@ -49,7 +50,8 @@ class FrequencyResponseData(Measurement):
                 phase
     deviation   name -> standard deviation of both parts, in the unit of the response or, of "polar", [-] and [rad]: a number,
                 or one for each row, by which rows have weights; estimated from the residuals where there is none
-    options     of `equilibrium`: spin, center, observer for a steady rotation, times
+    options     of `equilibrium`: spin, center, observer for a steady rotation, times. Sensors and forces across the axis that
+                stand still need observer="ground"
 
     >>> [hinge] = mbd.examples.pendulum().joints
     >>> shown = {"f": [0.2, 0.4], "swing": [0.1 + 0.0j, -0.2 - 0.01j]}

@@ -23,8 +23,8 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.eigenvalues import POLES, AboutState, Term
 from torchmbd.extensions.vibrations.inner_products import Vectors, inner, inner_products, real_and_imaginary
-from torchmbd.extensions.vibrations.linear_system import Ports, link_of_ports
-from torchmbd.extensions.vibrations.port_functions import PortFunctions
+from torchmbd.extensions.vibrations.linear_system import link_of_ports
+from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.extensions.vibrations.spectrum import Spectrum
 from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.integrate.motion import Motion
@@ -107,6 +107,7 @@ class Responses(AboutState):
     def _vectors_of(self, rest: Linearization, q: Tensor, data: dict[str, Tensor]) -> _Vectors:
         """Solve for all inputs and outputs of one design."""
         at, ports, active = (q, data, self._observer(data)), self.functions, rest.active
+        ports.require_steady(*at)
         f = torch.cat([ports.forces(*at, k)[active][..., 0] for k in range(len(ports.ports.u))], 1)
         c, rates = (x[:, active, 0] for x in ports.output_rows(*at))
         roots = self._roots(rest, f, c, rates)

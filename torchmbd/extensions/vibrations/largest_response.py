@@ -24,8 +24,8 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure
 from torchmbd.extensions.vibrations.frequency_response import Responses, arguments_of
-from torchmbd.extensions.vibrations.linear_system import Ports, link_of_ports
-from torchmbd.extensions.vibrations.port_functions import PortFunctions
+from torchmbd.extensions.vibrations.linear_system import link_of_ports
+from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.extensions.vibrations.spectrum import Spectrum
 from torchmbd.extensions.vibrations.steady_states import SteadyStates
 from torchmbd.math.gradients import all_true, is_differentiated

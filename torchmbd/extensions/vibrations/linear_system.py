@@ -19,10 +19,11 @@ import numpy as np
 import scipy.signal
 import torch
 from numpy.typing import ArrayLike
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure, checked_signature
 from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
+from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
@@ -87,17 +88,6 @@ class LinearSystem:
         return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 
 
-class Ports(nn.Module):
-    """Inputs that do not depend on the outputs."""
-
-    def __init__(self, inputs: int):
-        super().__init__()
-        self.u = torch.zeros(inputs, dtype=torch.float64)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return self.u + 0.0 * x.sum(1, keepdim=True)
-
-
 @checked_signature
 def linearize(
     system: System,
@@ -120,7 +110,9 @@ def linearize(
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
     but the eigenvalues of A at one time depend on them, if their relation turns with the motion; `states` has their names.
-    Raises InputError for a state that is none, and for a motion in phases; SimulationFailure for a lane that failed.
+    Raises InputError for a state that is none, for a motion in phases, and for inputs and outputs of a steady rotation that its
+    observer sees turn: directions of the ground across the axis need observer="ground". SimulationFailure for a lane that
+    failed.
 
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> bob = hinge.b.body
@@ -263,6 +255,7 @@ def _matrices(
         residual = equations.dynamic_residual(T, data, at, v, a, q.new_zeros(T.rows, 1, 1))
         return -observer.rows(T, q, residual)[:, 0, 0]
 
+    PortFunctions(T, t, ports, link.read).require_steady(q, data, observer)
     none = torch.zeros_like(ports.u)
     unit = torch.stack([forces(u) for u in torch.eye(len(none), dtype=q.dtype)], 1) - forces(none)[:, None]
     ports.u = none

@@ -3,6 +3,9 @@
     F   generalized forces of a unit input        y = c x + c1 x'   an output by increments of the coordinates and their rates
 
 Written in the functions of the equations, so that their derivatives by the state and the data are exact.
+In a steady rotation F, c and c1 must be the same at every turn, as their observer sees them: a direction of the ground across
+the axis turns for an observer who turns with the machine, and one of a body for an observer in the ground. Inputs and outputs
+in such directions are refused, because a harmonic input has no harmonic output then.
 Checked in tests/extensions/vibrations/test_frequency_response.py,
 tests/extensions/vibrations/measures/test_frequency_response.py.
 """
@@ -13,13 +16,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from torchmbd.extensions.vibrations.linear_system import Ports
+from torchmbd.errors import InputError
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.steady_rotation import Observer
+from torchmbd.multibody.system.steady_rotation import GroundObserver, Observer, SteadyRotation
 from torchmbd.multibody.system.topology import Topology
+
+_SAME = 1e-6  # of the largest entry: a change by a turn that counts as none
+
+
+class Ports(nn.Module):
+    """Inputs that do not depend on the outputs."""
+
+    def __init__(self, inputs: int):
+        super().__init__()
+        self.u = torch.zeros(inputs, dtype=torch.float64)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.u + 0.0 * x.sum(1, keepdim=True)
 
 
 @dataclass(frozen=True)
@@ -64,3 +80,27 @@ class PortFunctions:
         unit = torch.eye(self.topology.n_v, dtype=q.dtype)[..., None].expand(-1, -1, q.shape[-1])
         still = torch.zeros_like(unit)
         return self.outputs(q, data, observer, unit, still), self.outputs(q, data, observer, still, unit)
+
+    def require_steady(self, q: Tensor, data: Any, observer: Observer) -> None:
+        """InputError where an input or an output is another after a turn of a steady rotation; q [n_q, 1, 1]."""
+        if not isinstance(observer, SteadyRotation) or not bool(observer.spin.any()):
+            return
+        T = self.topology
+        turned, inputs = observer.turned(T, q), range(len(self.ports.u))
+        rows, rows_after = ([y[:, :, 0] for y in self.output_rows(x, data, observer)] for x in (q, turned))
+        forces, forces_after = (
+            torch.stack([self.forces(x, data, observer, k)[:, 0, 0] for k in inputs]) for x in (q, turned)
+        )
+        pairs = [("output", *pair) for pair in zip(rows, rows_after, strict=True)]
+        for name, before, after in (*pairs, ("input", forces, forces_after)):
+            for k, (x, y) in enumerate(zip(before, after, strict=True), 1):
+                change = observer.turned_increments(T, x) - y
+                if not float(change.abs().max()) <= _SAME * float(x.abs().max()):
+                    here, there = (
+                        ("ground", "turning") if isinstance(observer, GroundObserver) else ("turning", "ground")
+                    )
+                    raise InputError(
+                        f"observer = {here!r}: must see {name} {k} in the same direction at every turn, but it "
+                        f"{'turns with the machine' if here == 'ground' else 'is one of the ground across the axis'}. "
+                        f"Try: observer={there!r}, or a direction along the axis."
+                    )

@@ -30,7 +30,7 @@ class NamedPort:
     """A joint, or a point of a body in a direction; `labels`: what the three are called in messages.
 
     name        of a joint or a body
-    direction   "x", "y", "z" of the ground; None: a joint
+    direction   "x", "y", "z" of the ground, at every turn of a rotation; None: a joint
     place       a node of a flexible body, or (x, y, z) on a rigid one [m]; None: its origin
     """
 

@@ -15,6 +15,7 @@ import torchmbd as mbd
 from tests.extensions.vibrations.measures.test_system_vibrations import carriage, measured
 from tests.extensions.vibrations.test_eigenvalues import angles_of, blade
 from torchmbd.design.response_spec import measure_of
+from torchmbd.extensions.identification.run import Run
 
 pytestmark = pytest.mark.thorough
 
@@ -103,6 +104,72 @@ def test_gradients_in_both_modes_and_lanes():
         h = 1e-4 * x[name]
         up, down = (measured(measure, mass(), x | {name: x[name] + sign * h}).detach() for sign in (1.0, -1.0))
         assert_close(reverse.gradient[:, i], (up - down) / (2.0 * h), rtol=1e-6, atol=1e-10)
+
+
+M, K, C = 2.0, 8e3, 10.0  # of a mass on a round mount
+
+
+def round_mount() -> mbd.System:
+    disc = mbd.RigidBody("disc", M, (0.01, 0.01, 0.02))
+    mount = mbd.Bushing(GROUND.at(), disc.at(), (K, K, 5e4), (C, C, C), (50.0, 50.0, 0.0), (0.1, 0.1, 0.0))
+    return mbd.System([disc], [], [mount], free=["disc"])
+
+
+@pytest.mark.parametrize("speed", [0.0, 30.0])
+@pytest.mark.parametrize("direction", ["x", "y"])
+def test_a_direction_of_the_ground_stands_still_while_the_machine_turns(direction, speed):
+    """|1 / (k - m w^2 + i w c)| at any speed; an observer who turns does not see it, and says who does."""
+    ports: dict[str, Any] = {"direction": direction, "input_direction": direction}
+    motion, band = short(round_mount()), (5.0, 15.0)
+    largest = mbd.FrequencyResponse("disc", "disc", band, speed=speed, observer="ground", **ports).peak(motion)
+    w = math.sqrt(K / M - 0.5 * (C / M) ** 2)
+    assert float(largest.frequency) == pytest.approx(w / (2.0 * math.pi), rel=1e-9)
+    assert float(largest.magnitude) == pytest.approx(abs(1.0 / (K - M * w * w + 1j * w * C)), rel=1e-9)
+    turning = mbd.FrequencyResponse("disc", "disc", band, speed=speed, **ports)
+    if speed:
+        with pytest.raises(mbd.InputError, match=r"observer = 'turning': .* output 1 .* Try: observer='ground'"):
+            turning(motion)
+    else:
+        assert float(turning(motion)) == pytest.approx(float(largest.magnitude), rel=1e-9)
+
+
+def test_a_direction_along_the_axis_is_the_same_for_both_observers():
+    motion = short(round_mount())
+    ground, turning = (
+        mbd.FrequencyResponse(
+            "disc", "disc", (5.0, 40.0), direction="z", input_direction="z", speed=30.0, observer=observer
+        )(motion)
+        for observer in ("ground", "turning")
+    )
+    assert_close(ground, turning, rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("force", "observer", "message"),
+    [
+        ("x", "turning", r"must see output 1 .* is one of the ground across the axis"),
+        ("z", "turning", r"must see output 1 .* is one of the ground across the axis"),
+        ("x", "ground", None),
+    ],
+)
+def test_matrices_and_data_refuse_what_their_observer_sees_turn(force, observer, message):
+    system = round_mount()
+    at, spin = system.bodies[0].at(), (0.0, 0.0, 30.0)
+    inputs, outputs = mbd.signals.ForceOn(at, force), mbd.signals.PointPosition(at)
+    state = mbd.equilibrium(system, spin=spin, observer=observer, unstable=True)
+    shown = {"frequency": [8.0, 9.0], "sway": [1e-3 + 0j, 1e-3 + 0j]}
+    data = mbd.FrequencyResponseData(
+        shown, inputs, {"sway": (outputs, "x")}, deviation={"sway": 1e-5}, spin=spin, observer=observer
+    )
+    if message is None:
+        G = mbd.linearize(system, [inputs], [outputs], state).response([8.0])[0, 0, 0]
+        w = 16.0 * math.pi
+        assert abs(G * (K - M * w * w + 1j * w * C) - 1.0) < 1e-9
+        return
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.linearize(system, [inputs], [outputs], state)
+    with pytest.raises(mbd.InputError, match=message):
+        data.predict(Run(system, 1.0, {}, {}, {}, 1, False), {})
 
 
 def test_of_a_bent_blade_in_rotation():

@@ -19,8 +19,9 @@ from torch import Tensor
 from torchmbd.errors import checked_signature, one_of
 from torchmbd.extensions.vibrations.frequency_response import QUANTITIES
 from torchmbd.extensions.vibrations.largest_response import largest_response
-from torchmbd.extensions.vibrations.linear_system import Ports, system_with_ports
+from torchmbd.extensions.vibrations.linear_system import system_with_ports
 from torchmbd.extensions.vibrations.measures.system_vibrations import OfVibrations, rising
+from torchmbd.extensions.vibrations.port_functions import Ports
 from torchmbd.extensions.vibrations.ports_by_name import NamedPort, Place
 from torchmbd.extensions.vibrations.steady_states import steady_states
 from torchmbd.integrate import Trajectory
@@ -54,7 +55,8 @@ class FrequencyResponse(OfVibrations):
     output      name of a joint, of which it is the angle [rad] or the travel [m]; or of a body: the position of a point [m]
     input       name of a joint, in which a motor acts [N m] or [N]; or of a body on which a force acts [N]
     band        (lowest, highest) frequency [Hz]
-    direction   of the position: "x", "y", "z" of the ground; None: output is a joint
+    direction   of the position: "x", "y", "z" of the ground; None: output is a joint. Across the axis of a rotation it needs
+                observer="ground", because an observer who turns sees it turn
     place       of the point: a node of a flexible body, or (x, y, z) on a rigid one [m]; None: its origin
     input_direction, input_place   of the force, as of the position
     quantity    "displacement", or its rates "velocity", "acceleration"
@@ -63,7 +65,8 @@ class FrequencyResponse(OfVibrations):
 
     The peak is located exactly, not on a grid. Its derivative is that of the magnitude at its frequency; where two peaks
     are the largest it is that of one of them.
-    Raises InputError where a vibration in the band has no damping: the response is infinite.
+    Raises InputError where a vibration in the band has no damping: the response is infinite; and where the observer of a
+    rotation sees a direction turn.
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y", name="rail")
