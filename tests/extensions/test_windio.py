@@ -155,10 +155,16 @@ def test_caps_carry_along_the_span(blade):
         ([skin("outer", "steel", 2e-3) | {"thickness": {"grid": FLAT, "values": ["a", 1]}}], [], "thickness of outer"),
         ([layer("outer", "steel", 2e-3, start_nd_arc=along(0.0))], [], "outer"),
         (
-            [skin("outer", "steel", 2e-3), layer("cap", "steel", 2e-3, start_nd_arc=along(0.9), end_nd_arc=along(0.9))],
+            [skin("outer", "steel", 2e-3), layer("cap", "steel", 2e-3, start_nd_arc=along(1.1), end_nd_arc=along(1.3))],
             [],
-            r"layer 'cap' at 0\.5 reaches from 0\.9 to 0\.9 of the contour; allowed: start below end",
+            r"layer 'cap' at 0\.5 lies from 1 to 1\.3|layer 'cap' at 0\.5 lies from 1\.1 to 1, beyond the contour; allowed: 0",
         ),
+        (
+            FULL,
+            [WEBS[0] | {"start_nd_arc": along(0.3), "end_nd_arc": along(0.32)}],
+            r"web 'web' from 0\.3000 to 0\.3200 .* no room",
+        ),
+        (FULL, [WEBS[0] | {"start_nd_arc": along(0.0)}], r"web 'web' reaches from -0\.\d+ to 0\.\d+ of the contour"),
         ([*FULL[:6], *FULL[6:]], [*WEBS, WEBS[0] | {"name": "other"}], None),
     ],
 )
@@ -204,7 +210,7 @@ def test_a_blade_of_one_airfoil(blade):
         (FULL, [{"name": "web", "end_nd_arc": along(0.7)}], {}, "web 'web' has no start_nd_arc"),
         ([FULL[0], FULL[0]], [], {}, "layer 'outer' stands twice"),
         ([{"name": "outer", "thickness": along(1e-3)}], [], {}, "layer 'outer' has no material"),
-        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": 0.3} for k in ("root", "tip")]}, "have the same"),
+        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": 0.3} for k in ("root", "tip")]}, "'coordinates'"),
         (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": "x"} for k in ("root", "tip")]}, "is no windIO"),
         (FULL, WEBS, {"airfoils": [{"name": "root", "relative_thickness": float("nan")}] * 2}, "'root' stands twice"),
     ],
@@ -342,3 +348,80 @@ def test_a_core_thicker_than_the_radius_of_the_nose(core, ends, blade):
     length = float(np.linalg.norm(np.diff(blade(wing(0.18), [], []).contour(0.5) * 2.0, axis=0), axis=1).sum())
     assert 0.1 * core * (ends[1] - ends[0]) * length < area < core * (ends[1] - ends[0]) * length
     assert float(torch.linalg.eigvalsh(section.stiffness())[0]) > 0.0
+
+
+def wall_mass(points: np.ndarray, layers: list[tuple[float, float, float]]) -> float:
+    """Mass per length [kg/m] of thin layers (kg/m2, and the parts of the contour where they start and end)."""
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return length * sum(area * max(end - start, 0.0) for area, start, end in layers)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "cap", [0.2, 0.155, 0.1505, 0.15, 0.1499, 0.149, 0.12, 0.05], ids=lambda cap: f"room {cap - 0.15:+.4f}"
+)
+def test_a_filler_between_layers_that_overlap_is_left_out(cap, blade):
+    layers = [
+        skin("outer", "steel", 2e-3),
+        layer("edge", "steel", 1e-3, start_nd_arc={"fixed": "TE"}, end_nd_arc=along(0.15)),
+        layer("cap", "steel", 4e-3, start_nd_arc=along(cap), end_nd_arc=along(0.4)),
+        layer("filler", "foam", 0.02, start_nd_arc={"fixed": "edge"}, end_nd_arc={"fixed": "cap"}),
+    ]
+    airfoil = circle()
+    result = blade(airfoil, layers, [])
+    if cap < 0.149:
+        with pytest.warns(UserWarning, match="'filler' at 0.5 starts at 0.15 of the contour, behind its end at"):
+            mass = float(result.section(0.5).mass()[0, 0])
+    else:
+        mass = float(result.section(0.5).mass()[0, 0])
+    steel = [(7850.0 * t, a, b) for t, a, b in ((2e-3, 0.0, 1.0), (1e-3, 0.0, 0.15), (4e-3, cap, 0.4))]
+    expected = wall_mass(2.0 * result.contour(0.5), [*steel, (130.0 * 0.02, 0.15, cap)])
+    assert mass == pytest.approx(expected, rel=8e-3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("position", [0.0, 0.5, 0.66, 2 / 3, 0.67, 0.7, 1.0])
+def test_a_layer_that_tapers_to_nothing(position, blade):
+    cap = layer("cap", "steel", 4e-3, start_nd_arc=along(0.4, 0.55), end_nd_arc=along(0.6, 0.45))
+    result = blade(circle(), [skin("outer", "steel", 2e-3), cap], [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mass = float(result.section(position).mass()[0, 0])
+    width = 0.2 - 0.3 * position
+    expected = wall_mass(2.0 * result.contour(0.5), [(7850.0 * 2e-3, 0.0, 1.0), (7850.0 * 4e-3, 0.0, width)])
+    assert mass == pytest.approx(expected, rel=8e-3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("width", [0.0, 1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 5e-3])
+def test_a_narrow_layer_has_its_mass(width, blade):
+    cap = layer("cap", "steel", 4e-3, start_nd_arc=along(0.3), end_nd_arc=along(0.3 + width))
+    plain, result = (blade(circle(), layers, []) for layers in ([FULL[0]], [FULL[0], cap]))
+    added = float(result.section(0.5).mass()[0, 0] - plain.section(0.5).mass()[0, 0])
+    full = wall_mass(2.0 * plain.contour(0.5), [(7850.0 * 4e-3, 0.0, 1.0)])
+    assert added == pytest.approx(width * full, abs=1e-3 * full)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("place", [0.3, 0.5, 0.9, 1.0])
+def test_a_web_without_height_is_left_out_with_a_warning(place, blade):
+    webs = [{"name": "web", "start_nd_arc": along(0.3, place), "end_nd_arc": along(0.7, place)}]
+    outer = skin("outer", "steel", 2e-3)
+    result = blade(wing(), [outer, *FULL[6:]], webs)
+    with pytest.warns(UserWarning, match="web 'web' at 1 runs from .* it is left out"):
+        mass = float(result.section(1.0).mass()[0, 0])
+    assert mass == pytest.approx(float(blade(wing(), [outer], []).section(1.0).mass()[0, 0]), rel=1e-3)
+
+
+def test_two_airfoils_of_one_thickness_blend_along_the_span(blade):
+    """Between them the contour is linear along the span; a third airfoil changes nothing there."""
+    upper = wing(0.3)
+    lower = {"x": upper["x"], "y": (0.5 * np.array(upper["y"])).tolist()}
+    shapes = (("a", upper, 0.3), ("b", lower, 0.3), ("c", wing(0.1), 0.1))
+    airfoils = [{"name": k, "coordinates": x, "relative_thickness": t} for k, x, t in shapes]
+    result = blade(wing(), FULL, WEBS)
+    result._airfoils({"grid": [0.0, 0.6, 1.0], "labels": ["a", "b", "c"]}, {x["name"]: x for x in airfoils})
+    first, second, last = (result.contour(x) for x in (0.0, 0.6, 1.0))
+    np.testing.assert_allclose(second[:, 1], 0.5 * first[:, 1], atol=1e-12)
+    np.testing.assert_allclose(result.contour(0.15), 0.75 * first + 0.25 * second, atol=1e-12)
+    assert second[:, 1].max() > result.contour(0.8)[:, 1].max() > last[:, 1].max()

@@ -2,7 +2,10 @@
 
 Numbers are given along the span, linear between; positions s along a contour run from the trailing edge over the suction side
 and the leading edge to the trailing edge, as parts of its length. Contours are linear in the relative thickness between the
-airfoils beside, and this is monotone cubic along the span.
+airfoils that are placed beside, and this is monotone cubic along the span. Between two airfoils of one thickness they are
+linear along the span.
+A layer that starts behind its end goes round the trailing edge if that way is the shorter one. Otherwise there is no room for
+it, as for a filler between two layers that overlap, or for a layer that tapers to nothing: it is left out.
 Over 300 lines: one reader of one file, and the checks of its entries.
 Source: windIO 1.x (IEA Wind Task 37). Checked in tests/extensions/test_windio.py, experiments/peers/iea_blade.py.
 """
@@ -20,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from torchmbd.errors import InputError, checked_signature, unknown, warn
-from torchmbd.extensions.windio.profile import Layer, Profile, Web, profile_section
+from torchmbd.extensions.windio.profile import NARROWEST, Layer, Profile, Web, profile_section
 from torchmbd.fem.materials.ply import IsotropicPly
 from torchmbd.fem.sections.generators import check_order
 from torchmbd.fem.sections.orthotropic import Orthotropic
@@ -34,6 +37,7 @@ BEYOND = 1e-3  # share of the contour that layers may reach beyond it without a 
 BRACKETS = 1000  # open at once, those in comments and texts counted too
 ALONG = {"grid": [0.0, 1.0], "values": [0.0, 0.0]}  # the schema's default of fiber_orientation [rad]
 THIN = 2e-5  # m: layers below are left out
+SHORTER = 0.5  # of the contour: a layer goes round the trailing edge if its start is farther behind its end
 _POINTS = 200  # of a contour
 Array = NDArray[np.float64]
 
@@ -95,27 +99,25 @@ class WindIOBlade:
             ) from None
 
     def _airfoils(self, placement: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
-        labels: dict[float, str] = {}
-        for name in placement["labels"]:
-            thickness = float(airfoils[name]["relative_thickness"])
-            if (first := labels.setdefault(thickness, name)) != name:
-                raise InputError(f"airfoils {first!r} and {name!r} have the same relative_thickness, {thickness:g}")
-        rising = sorted(labels)
-        shapes = [_resampled(labels[t], airfoils[labels[t]]["coordinates"]) for t in rising]
-        self._profiles = np.array(rising), np.stack(shapes)
-        along = [float(airfoils[name]["relative_thickness"]) for name in placement["labels"]]
-        thicknesses = _span_values("airfoil_position", {"grid": placement["grid"], "values": along})
-        self._relative = thicknesses if len(rising) == 1 else PchipInterpolator(thicknesses.grid, thicknesses.values)
+        labels = list(placement["labels"])
+        thicknesses = [float(airfoils[name]["relative_thickness"]) for name in labels]
+        along = _span_values("airfoil_position", {"grid": placement["grid"], "values": thicknesses})
+        shapes = {name: _resampled(name, airfoils[name]["coordinates"]) for name in dict.fromkeys(labels)}
+        self._places, self._profiles = along, [shapes[name] for name in labels]
+        self._relative = along if len(labels) == 1 else PchipInterpolator(along.grid, along.values)
 
     def contour(self, position: float) -> Array:
         """Points [n, 2] of the contour over the chord: x from the leading edge, y to the suction side."""
-        t, shapes = self._profiles
-        if len(t) == 1:
-            return shapes[0]
-        thickness = float(np.clip(self._relative(position), t[0], t[-1]))
-        k = int(np.clip(np.searchsorted(t, thickness), 1, len(t) - 1))
-        share = (thickness - t[k - 1]) / (t[k] - t[k - 1])
-        return shapes[k - 1] + share * (shapes[k] - shapes[k - 1])
+        grid, t = self._places.grid, self._places.values
+        if len(grid) == 1:
+            return self._profiles[0]
+        position = float(np.clip(position, grid[0], grid[-1]))
+        k = int(np.clip(np.searchsorted(grid, position), 1, len(grid) - 1))
+        if t[k] == t[k - 1]:
+            share = (position - grid[k - 1]) / (grid[k] - grid[k - 1])
+        else:
+            share = float(np.clip((self._relative(position) - t[k - 1]) / (t[k] - t[k - 1]), 0.0, 1.0))
+        return self._profiles[k - 1] + share * (self._profiles[k] - self._profiles[k - 1])
 
     def station(self, position: float) -> dict[str, float]:
         """Chord [m], twist [rad], share of the chord at the reference axis, and its place x, y, z [m]."""
@@ -166,7 +168,14 @@ class WindIOBlade:
                 places_of = [
                     _span_values(f"{side} of {name}", web[f"{side}_nd_arc"])(position) for side in ("start", "end")
                 ]
-                made.append(Web(tuple(stack), *places_of))
+                part = Web(name, tuple(stack), *places_of)
+                if part.has_height(length):
+                    made.append(part)
+                else:
+                    warn(
+                        f"web {name!r} at {position:g} runs from {part.start:g} to {part.end:g} of the contour, and is "
+                        f"{part.thickness:g} m thick; there is no room for it, and it is left out"
+                    )
         plies = [self._solid(layer["material"]) for layer in self._layers.values()]
         angles = [
             _span_values(f"fiber_orientation of {name}", layer.get("fiber_orientation", ALONG))(position)
@@ -255,10 +264,15 @@ def _loaded(text: str) -> Any:
 
 
 def _parts(name: str, position: float, start: float, end: float) -> list[tuple[float, float]]:
-    """Return the parts of the contour that a layer covers: two of one round the trailing edge, whose start is above its end."""
-    if 0.0 <= end < start <= 1.0:
-        return [part for part in ((0.0, end), (start, 1.0)) if part[0] < part[1]]
-    return [_clipped(name, position, start, end)]
+    """Return the parts of the contour that a layer covers: two round the trailing edge, none where there is no room for it."""
+    if start - end > SHORTER and end >= 0.0 and start <= 1.0:
+        return [part for part in ((0.0, end), (start, 1.0)) if part[1] - part[0] >= NARROWEST]
+    if start - end > BEYOND:
+        warn(
+            f"layer {name!r} at {position:g} starts at {start:g} of the contour, behind its end at {end:g}; there is no room "
+            "for it, and it is left out"
+        )
+    return [_clipped(name, position, start, end)] if end - start >= NARROWEST else []
 
 
 def _clipped(name: str, position: float, start: float, end: float) -> tuple[float, float]:
@@ -270,7 +284,7 @@ def _clipped(name: str, position: float, start: float, end: float) -> tuple[floa
     start, end = max(start, 0.0), min(end, 1.0)
     if not start < end:
         raise InputError(
-            f"layer {name!r} at {position:g} reaches from {start:g} to {end:g} of the contour; allowed: start below end, 0 to 1"
+            f"layer {name!r} at {position:g} lies from {start:g} to {end:g}, beyond the contour; allowed: 0 to 1"
         )
     return start, end
 

@@ -22,6 +22,7 @@ from torchmbd.fem.sections.patches import Patch, patch_mesh
 
 SHARE = 0.45  # of the inner width
 _STEP = 2e-3  # of the contour: columns in which a stack changes
+NARROWEST = 2e-4  # of the contour: no column is narrower, and no layer
 _EDGE = 2.5 * _STEP  # ends of layers as near to the trailing edge lie at the edge: no room for columns beside them
 _THINNER, _THINNEST = 0.9, 0.05  # a wall whose columns cross becomes thinner by this factor, down to this share
 _TOLD = 0.5  # share of its thickness below which a wall is told
@@ -44,6 +45,7 @@ class Layer:
 class Web:
     """(number, thickness) of its layers from the leading edge to the trailing one; where it meets both sides of the contour."""
 
+    name: str
     layers: tuple[tuple[int, float], ...]
     start: float
     end: float
@@ -51,6 +53,11 @@ class Web:
     @property
     def thickness(self) -> float:
         return sum(t for _, t in self.layers)
+
+    def has_height(self, length: float) -> bool:
+        """Whether its ends are farther apart along a contour of some length [m] than the web is thick."""
+        apart = abs(self.end - self.start)
+        return min(apart, 1.0 - apart) > max(NARROWEST, self.thickness / length)
 
 
 class Profile:
@@ -98,8 +105,14 @@ class Profile:
 def profile_section(
     profile: Profile, layers: list[Layer], webs: list[Web], cells: int = 60, order: int = 2
 ) -> SectionMesh:
-    """The mesh; layers from outside to inside. InputError where walls cannot be meshed."""
+    """The mesh; layers from outside to inside. InputError where walls cannot be meshed; it names a web without room."""
     feet = [(_feet(web, profile, +1), _feet(web, profile, -1)) for web in webs]
+    for web, pair in zip(webs, feet, strict=True):
+        low, high = min(x.min() for x in pair), max(x.max() for x in pair)
+        if low < 0.0 or high > 1.0:
+            raise InputError(
+                f"web {web.name!r} reaches from {low:.4f} to {high:.4f} of the contour; allowed: 0 to 1, with its thickness"
+            )
     s = _stations(profile, layers, [foot for pair in feet for foot in pair], cells)
     middles = 0.5 * (s[:-1] + s[1:])
     stacks = [_stack(layers, x, profile.closed) for x in middles]
@@ -115,9 +128,25 @@ def profile_section(
         for k, stack in enumerate(stacks)
         for j in range(count)
     ]
-    for web, pair in zip(webs, feet, strict=True):
-        patches += _web_patches(web, pair, s, inner, order)
-    return patch_mesh(patches, order)[0]
+    of_webs = [_web_patches(web, pair, s, inner, order) for web, pair in zip(webs, feet, strict=True)]
+    try:
+        return patch_mesh([*patches, *(patch for group in of_webs for patch in group)], order)[0]
+    except InputError:
+        for web, group in zip(webs, of_webs, strict=True):
+            _require_room(web, patches, group, order)
+        raise
+
+
+def _require_room(web: Web, wall: list[Patch], group: list[Patch], order: int) -> None:
+    """InputError names a web that cannot be meshed within the wall."""
+    patch_mesh(wall, order)
+    try:
+        patch_mesh([*wall, *group], order)
+    except InputError as error:
+        raise InputError(
+            f"web {web.name!r} from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls "
+            f"({str(error).partition(';')[0]}); allowed: from one side to the other"
+        ) from None
 
 
 def _thick(faces: Array, j: int) -> Array:
@@ -157,8 +186,8 @@ def _stations(profile: Profile, layers: list[Layer], feet: list[Array], cells: i
     keep = [s[0]]
     exact = np.round([*webs, 0.0, 1.0, profile.closed], 9)
     for x in s[1:]:
-        if x - keep[-1] > 2e-4 or x in exact:
-            if x - keep[-1] <= 2e-4 and keep[-1] not in exact:
+        if x - keep[-1] > NARROWEST or x in exact:
+            if x - keep[-1] <= NARROWEST and keep[-1] not in exact:
                 keep.pop()
             keep.append(x)
     return np.array(keep)
@@ -259,7 +288,7 @@ def _web_patches(web: Web, feet: tuple[Array, Array], s: Array, faces: list[Arra
         down = [columns[round(float(x), 9)] for x in feet[1]]
     except KeyError:
         raise InputError(
-            f"a web at {web.start:.4f} and {web.end:.4f} of the contour meets others there; allowed: webs apart"
+            f"web {web.name!r} at {web.start:.4f} and {web.end:.4f} of the contour meets others there; allowed: webs apart"
         ) from None
     patches = []
     for j, (number, _) in enumerate(reversed(web.layers)):
