@@ -163,8 +163,12 @@ def test_phases():
 def test_checkpoints_and_options_are_kept():
     system = cantilever(3)
     plain = mbd.simulate(system, 0.02, steps=80, spectral_radius=0.6, gradients="none").error_of(mbd.Final(TIP))
-    sparse = mbd.simulate(system, 0.02, steps=80, spectral_radius=0.6, checkpoint=10).error_of(mbd.Final(TIP))
-    torch.testing.assert_close(plain.by_steps, sparse.by_steps, rtol=1e-6, atol=0.0)
+    options = {"spectral_radius": 0.6, "checkpoint": 10}
+    sparse = mbd.simulate(system, 0.02, steps=80, **options).error_of(mbd.Final(TIP))
+    more = mbd.Final(TIP)(mbd.simulate(system, 0.02, steps=170, gradients="none", **options))  # a multiple of 10
+    of_more = (more - sparse.value) / (1.0 - (80 / 170) ** 2)
+    torch.testing.assert_close(of_more, sparse.by_steps, rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(plain.by_steps, sparse.by_steps, rtol=0.1, atol=0.0)
     torch.testing.assert_close(plain.by_modes, sparse.by_modes, rtol=1e-6, atol=0.0)
 
 

@@ -291,6 +291,33 @@ def test_a_module_that_jumps_is_found():
     assert "the module of the controller 'pd' jumps at t = 1.25 s" in text
 
 
+class Late(nn.Module):
+    """A controller of angle and time whose jump is where a number of it says."""
+
+    def __init__(self, when: float, kind: str):
+        super().__init__()
+        number = tensor(when)
+        if kind == "buffer":
+            self.register_buffer("when", number)
+        else:
+            self.when = nn.Parameter(number)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.where(x[:, 1:] < self.when, 1.0, -1.0) * (1.0 + 0.0 * self.when + x[:, :1])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["parameter", "buffer"])
+def test_jumps_move_with_the_numbers_of_a_module(kind):
+    module = Late(1.25, kind)
+    system = controlled(module)
+    for when in (1.25, 0.75, 1.25):
+        with torch.no_grad():
+            module.when.fill_(when)
+        (text,) = texts(lambda: mbd.simulate(system, 2.0, steps=8, gradients="none", backend="eager"))
+        assert f"jumps at t = {when} s" in text
+
+
 def _line(law) -> str:
     return rf"in {re.escape(__file__)}:{law.__code__.co_firstlineno + 2}"
 

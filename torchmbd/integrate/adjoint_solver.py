@@ -17,7 +17,7 @@ from torch import Tensor
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.pullback import leaf
-from torchmbd.integrate.step import Model, Weights
+from torchmbd.integrate.step import Model, Weights, algorithmic
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.pull_back import pull_back
@@ -56,7 +56,9 @@ class Grid:
     start        its initial state: both functions of the leaves in reverse mode
     times        of all steps [steps + 1]
     every        steps between two states that are outputs, from `offset` steps on
+    first        the point of the grid of the motion at which they begin
     starts       states from which steps are made again, by their number; None: the history has the states of all steps
+    restarts     numbers of further states at which the stepper discarded what it keeps
     cuts         further numbers of states at which segments of steps end
     integrator   that made the steps;  corrections: of their cotangents, at least
     substeps     intervals of kept states for each of the batch
@@ -73,7 +75,9 @@ class Grid:
     corrections: int
     every: int = 1
     offset: int = 0
+    first: int = 0
     starts: dict[int, State] | None = None
+    restarts: Sequence[int] = ()
     cuts: Sequence[int] = ()
     substeps: int = 1
 
@@ -202,8 +206,13 @@ class AdjointSolver:
         grid, steps = self.grid, self.segments[number]
         if grid.starts is None:
             return grid.history.at(slice(steps.start, steps.stop + 1)), self.accelerations[number]
-        stepper, x = grid.integrator.stepper(self.dynamics.values(), float(grid.weights.h)), grid.starts[steps.start]
-        return resume(stepper, x, schedule, steps.start)[1], value(x.a)
+        begin = max(k for k in grid.starts if k <= steps.start)
+        stepper, x = grid.integrator.stepper(self.dynamics.values(), float(grid.weights.h)), grid.starts[begin]
+        schedule = schedule if begin == steps.start else self._schedule(range(begin, steps.stop))
+        restarts = (grid.first + k for k in grid.restarts)
+        history, before = resume(stepper, x, schedule, grid.first + begin, restarts)[1], steps.start - begin
+        a = value(algorithmic(grid.weights, x.a, history.vd[: before + 1])) if before else value(x.a)
+        return history.at(slice(before, None)), a
 
     def _states(self, known: tuple[History, Tensor]) -> list[State]:
         """States [n, 1, lanes] of a history at all its times."""

@@ -82,8 +82,9 @@ class Stepper(ABC):
 
     @abstractmethod
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
-        """The last state of many steps, the first of number `first`; with tangents, the exact derivative of the steps.
+        """The last state of many steps; with tangents, the exact derivative of the steps.
 
+        first      the point of the grid at which the first step begins: step k leads from point k to point k + 1
         schedule   drives and bodies of known motion at the ends of the steps
         record     takes all states, from time `start` on
         """

@@ -7,7 +7,7 @@ h D (s - 1/2), of first order, whatever the weights of a method. At s = 0 the me
 
 `ControlHistory(kind="hold")` has this mean, and its jumps are known: the number of steps is chosen such that some end there
 (step_count.py), and steps that the caller states are divided until they do (retries.py). Where that cannot be, a warning says
-so. Functions of users are sampled (math/jumps.py), once for an element and a duration, and a warning names jumps.
+so. Functions of users are sampled (math/jumps.py), once for an element, its parameters and a duration, and a warning names jumps.
 Checked in tests/integrate/test_jumps.py.
 """
 
@@ -20,13 +20,14 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError, user_line, warn
 from torchmbd.integrate.contacts import MOST_SUBSTEPS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.phase import Phase
+from torchmbd.math.gradients import untransformed
 from torchmbd.math.jumps import distinct, jump_times
 from torchmbd.math.torch_law import OUT_OF_RANGE
 from torchmbd.multibody.forces.control_history import ControlHistory
@@ -43,8 +44,8 @@ _SAME = 1e-9  # relative: times that are equal, and of a step
 _MOST = 20_000  # steps: a larger number that all jumps need is not taken
 _SHOWN = 3  # times in a message
 
-# Element -> duration -> times of its jumps.
-_known: WeakKeyDictionary[Any, dict[float, list[float]]] = WeakKeyDictionary()
+# Element -> duration -> its numbers, and times of its jumps.
+_known: WeakKeyDictionary[Any, dict[float, tuple[list[bytes], list[float]]]] = WeakKeyDictionary()
 
 
 def held_times(control: Control, duration: float) -> list[float]:
@@ -132,10 +133,17 @@ def _jumps(
     label: str, element: Any, functions: Callable[[], list], duration: float, without: Sequence[float] = ()
 ) -> list[float]:
     """Times of the jumps of an element's functions of time, sampled once for a duration; `label` names their law."""
-    times = _known.setdefault(element, {})
-    if duration not in times:
-        times[duration] = _sampled(label, functions(), duration, without)
-    return times[duration]
+    known, numbers = _known.setdefault(element, {}), _numbers(element)
+    if duration not in known or known[duration][0] != numbers:
+        known[duration] = numbers, _sampled(label, functions(), duration, without)
+    return known[duration][1]
+
+
+def _numbers(element: Any) -> list[bytes]:
+    """Values of parameters and buffers of an element, which may move its jumps."""
+    modules = (getattr(element, "module", None), getattr(element.variables, "module", None))
+    states = (x for m in modules if isinstance(m, nn.Module) for x in m.state_dict().values())
+    return [untransformed(x).numpy().tobytes() for x in states]
 
 
 def _sampled(

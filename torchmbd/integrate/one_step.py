@@ -123,7 +123,7 @@ class OneStep(Integrator):
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
         by_duration = condensed.data.get(DURATION)
         stepper: Stepper = (
-            MovingSteps(self, condensed, lambda i: by_duration * ((i + 1) / steps))
+            MovingSteps(self, condensed, lambda k: by_duration * (k / steps))
             if isinstance(by_duration, Pair)
             else self.stepper(condensed, h)
         )

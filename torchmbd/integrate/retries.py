@@ -162,7 +162,10 @@ def integrate_lanes(
     mark_unresolved_contacts(results.status, contacts)
     if to_retry and retry is not None:
         other = integrate_lanes(
-            retry.integrator, problem.select_lanes(to_retry), retry.substeps * steps, substeps=substeps
+            retry.integrator,
+            problem.select_lanes(to_retry),
+            retry.substeps * steps,
+            substeps=retry.substeps * substeps,
         )
         results.replace_lanes(to_retry, retry, other)
     warn_unresolved([reason for lane, reason in enumerate(results.status) if lane not in results.replaced])

@@ -43,7 +43,7 @@ from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
 from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
 from torchmbd.integrate.simulation import Simulation
-from torchmbd.integrate.step_count import FEWEST
+from torchmbd.integrate.step_count import FEWEST, rounding
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
 from torchmbd.multibody.system import Dynamics, System
@@ -206,6 +206,7 @@ def simulate(
             system=model,
             integrator=integrator,
             steps=count,
+            multiple=rounding(integrator, motion.integration.dynamics, seconds)(1),
             arguments=arguments,
             options=options,
             parameters={name: x.detach().clone() for name, x in model.named_parameters()},

@@ -39,6 +39,7 @@ class Simulation:
     """The arguments of `simulate` for one motion.
 
     steps      of the motion, also where they were chosen
+    multiple   of which any number of steps is one, as held control histories and checkpoints demand
     parameters values that the system had
     """
 
@@ -46,6 +47,7 @@ class Simulation:
     system: System
     integrator: Integrator
     steps: int
+    multiple: int
     arguments: Mapping[str, Any]
     options: Mapping[str, Any]
     parameters: Mapping[str, Tensor]
@@ -63,13 +65,19 @@ class Simulation:
         )
 
     def finer(self, factor: int) -> Any:
-        """The motion with `factor` (2 or 4) times the steps, values only; adaptive methods with tighter tolerances."""
+        """The motion with `factor` (2 or 4) times the steps and a few more, values only.
+
+        Its number of steps shares no factor with that of the motion, but for `multiple`: a load whose period divides a step of
+        the motion, which shows one value of it, does not divide these. Adaptive methods have tighter tolerances instead.
+        """
         options = dict(self.options)
         if self.order is None:
             assert isinstance(self.integrator, Torchdiffeq)
             share = _TIGHTER ** (factor // 2)
             options |= {"rtol": max(_LEAST_RTOL, self.integrator.rtol * share), "atol": self.integrator.atol * share}
-        return self._again(self.system, factor * self.steps, self.arguments, options)
+            return self._again(self.system, factor * self.steps, self.arguments, options)
+        parts = -(-self.steps // self.multiple)
+        return self._again(self.system, self.multiple * (factor * parts + 1), self.arguments, options)
 
     def coarser(self) -> Any | None:
         """The motion with half as many equal steps, values only, without its warnings; None where there is none."""

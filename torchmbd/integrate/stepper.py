@@ -7,7 +7,9 @@ Checked in tests/integrate/.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -193,12 +195,20 @@ class EagerStepper(Stepper):
         return Statistics(tangent_error=error, further_corrections=self.further)
 
 
-def resume(stepper: Stepper, x: State, schedule: Schedule, number: int) -> tuple[State, History]:
+def resume(
+    stepper: Stepper, x: State, schedule: Schedule, number: int, restarts: Iterable[int] = ()
+) -> tuple[State, History]:
     """The last state of steps from x, the first of that number, and all states.
 
     The stepper starts without factors: so the steps can be made again as they were.
+    restarts   numbers of further steps before which it discards them
     """
     record = Record(x, len(schedule) + 1)
     record.put(0, x)
     stepper.restart()
-    return stepper.run(x, schedule, record, number), record.history()
+    bounds = [number, *(k for k in sorted(restarts) if number < k < number + len(schedule)), number + len(schedule)]
+    for first, last in itertools.pairwise(bounds):
+        if first > number:
+            stepper.restart(torch.zeros_like(stepper.counts))
+        x = stepper.run(x, schedule[first - number : last - number], record, first, first - number + 1)
+    return x, record.history()

@@ -70,7 +70,7 @@ def step_to(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: 
 
 
 class MovingSteps(Stepper):
-    """Steps of an integrator whose sizes depend on the design; time(i): the time [1 + n, lanes] at the end of step i."""
+    """Steps of an integrator whose sizes depend on the design; time(k): that of point k of the grid [1 + n, lanes]."""
 
     def __init__(self, integrator: Any, dynamics: Dynamics, time: Callable[[int], Any]):
         super().__init__(dynamics)
@@ -80,7 +80,7 @@ class MovingSteps(Stepper):
         """See Stepper. The schedule counts steps only: laws are evaluated at times that depend on the design."""
         self.steps = len(schedule)  # the last ones
         for k in range(len(schedule)):
-            begin, end = self.time(first + k - 1), self.time(first + k)
+            begin, end = self.time(first + k), self.time(first + k + 1)
             x = self.integrator.step_of_size(self.dynamics, x, end - begin, end)
             record.put(start + k, x)
         return x

@@ -244,8 +244,6 @@ class PhaseAdjoint:
                 if points.start < k < points[-1]:
                     q, v, vd, lam = (x[(k - points.start - offset) // every] for x in history.states)
                     starts[k - points.start] = State(q, v, vd, a[..., lanes], lam)
-            if cuts:
-                starts[base] = pick_states(record.base, lanes)
         return Grid(
             lanes=lanes,
             history=history,
@@ -258,7 +256,9 @@ class PhaseAdjoint:
             corrections=self.integrator.counts(dynamics)[1],
             every=every,
             offset=offset,
+            first=points.start,
             starts=starts,
+            restarts=[k - points.start for k in record.restarts if points.start < k < points[-1]],
             cuts=cuts,
         )
 

@@ -106,6 +106,7 @@ class _PhaseLoop:
             if arriving:
                 x = put_states(x, arriving, pick_states(record.arrival, arriving))
                 stepper.restart(self.alive & (self.first == i))
+                record.restarts.append(i)
                 inside |= self._arrived(i, arriving, x)
             if i == last or not bool(self.alive.any()):
                 break

@@ -44,6 +44,7 @@ class PhaseRecord:
     base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
     base        the condensed state there
     checkpoints  algorithmic accelerations [n_v, 1, lanes] at points of the grid from which steps can be made again
+    restarts    points at which lanes arrived, and the stepper discarded what it keeps of all lanes
     """
 
     number: int
@@ -54,6 +55,7 @@ class PhaseRecord:
     first: Tensor
     on_grid: Tensor
     checkpoints: dict[int, Tensor] = field(default_factory=dict)
+    restarts: list[int] = field(default_factory=list)
     arrival: State = field(init=False)
     exit: PhaseExit = field(init=False)
     base: State = field(init=False)

@@ -39,7 +39,7 @@ class RegularSteps:
         record.put(0, x)
         schedule = dynamics.topology.schedule(times[first + 1 : last + 1], dynamics.data)
         stepper.counts = lanes
-        self.end = stepper.run(x, schedule, record, first + 1)
+        self.end = stepper.run(x, schedule, record, first)
         self.states = record.history()
 
     def state(self, k: int) -> State:
