@@ -7,7 +7,8 @@ h D (s - 1/2), of first order, whatever the weights of a method. At s = 0 the me
 
 `ControlHistory(kind="hold")` has this mean, and its jumps are known: the number of steps is chosen such that some end there
 (step_count.py), and steps that the caller states are divided until they do (retries.py). Where that cannot be, a warning says
-so. Functions of users are sampled (math/jumps.py), once for an element, its parameters and a duration, and a warning names jumps.
+so. Functions of users are sampled (math/jumps.py), once for an element with its parameters and a duration; a warning names
+jumps.
 Checked in tests/integrate/test_jumps.py.
 """
 
