@@ -1,6 +1,6 @@
 """The warning of large displacements: of a stiffened beam beyond its buckling load, not of one below it.
 
-The warning of spin: said of lanes that are known, silent on those that failed and on bodies that nothing holds.
+The warning of spin: said of lanes that are known, silent on bodies that nothing holds. A lane that failed has the spin before.
 The part of loads in the stiffness: that of Euler's load, in tension and pressure, at rest and in motion.
 """
 
@@ -152,3 +152,33 @@ def test_loads_that_grow_are_looked_at_again():
     for part in (0.001, 0.2, 0.1):
         motion = mbd.equilibrium(system, designs={name: torch.tensor([part * EULER], dtype=torch.float64)})
         assert motion.stats["load_share"]["rod"] == pytest.approx(part if part > 0.01 else 0.0, rel=1e-2)
+
+
+class _Ramp(torch.nn.Module):
+    """An angle whose rate grows for the whole motion [rad/s2], from the rate at the start [rad/s]."""
+
+    def __init__(self, rate: float, acceleration: float):
+        super().__init__()
+        self.rate, self.acceleration = rate, acceleration
+
+    def forward(self, t: torch.Tensor) -> torch.Tensor:
+        return self.rate * t + 0.5 * self.acceleration * t**2
+
+
+def spun(rate: float, acceleration: float, stiffening: bool = False) -> mbd.Trajectory:
+    body = rod("start", stiffening=stiffening)
+    hinge = [mbd.Revolute(mbd.Ground().at(), body.at("start"), axis="z")]
+    drive = mbd.Drive(mbd.Ground(), body, axis="z", angle=_Ramp(rate, acceleration))
+    return mbd.simulate(mbd.System([body], [*hinge, drive], truncation=None), 0.4, steps=200, backend="eager")
+
+
+@pytest.mark.thorough
+def test_a_spin_that_makes_a_motion_fail_is_warned_of_and_named_in_the_status():
+    """A rod whose spin passes its first frequency, 210 rad/s: without stiffening it bends without bound."""
+    with pytest.warns(UserWarning, match=r"body 'rod' turns at [\d.]+ of its first frequency: centrifugal stiffening"):
+        motion = spun(350.0, 1500.0)
+    assert motion.status[0].startswith("failed: ")
+    assert "likely cause: body 'rod' turns at" in motion.status[0]
+    assert "stiffening=True helps" in motion.status[0]
+    assert 0.1 < float(motion.stats["spin_ratio"]["rod"][0]) < 3.0  # of the drive, not of the motion that explodes
+    assert spun(350.0, 1500.0, stiffening=True).status == ["ok"]

@@ -50,7 +50,12 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
-from torchmbd.results.elastic_limits import warn_of_displacements, warn_of_loads, warn_of_spin
+from torchmbd.results.elastic_limits import (
+    name_causes,
+    warn_of_displacements,
+    warn_of_loads,
+    warn_of_spin,
+)
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import report_singular_positions
@@ -194,6 +199,7 @@ def simulate(
             warn_of_spin(values)
             warn_of_loads(values)
             warn_of_displacements(values)
+            name_causes(values)
         arguments = {
             "duration": seconds,
             "method": method,

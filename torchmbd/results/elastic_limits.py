@@ -76,12 +76,21 @@ def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
     T, ratios = motion.dynamics.topology, {}
     for k, name in enumerate(T.names[: T.flexible]):
         second = value(motion.dynamics.data["P0"])[:, :, k, 0].diagonal().sum(-1)
-        ratios[name] = motion.body(name).w.norm(dim=-1).amax(-1) / second.sqrt()
+        ratios[name] = _lasting(motion, motion.body(name).w.norm(dim=-1)) / second.sqrt()
     return ratios
 
 
+def _lasting(motion: Trajectory, x: Tensor) -> Tensor:
+    """Largest value [lanes] of x [lanes, times]; of a lane that failed, the median of the times before.
+
+    At its end a motion that grows without bound has any speed and size, whatever made it grow.
+    """
+    failed = torch.tensor([has_failed(status) for status in motion.status])
+    return torch.where(failed, x.nanmedian(-1).values, x.amax(-1))
+
+
 def _largest(ratios: Tensor) -> float:
-    """Of the lanes that have a number: not of a motion that failed, nor of a body without size or support."""
+    """Of the lanes that have a number: not of a motion without any, nor of a body without size or support."""
     known = ratios[ratios.isfinite()]
     return float(known.max()) if len(known) else 0.0
 
@@ -104,23 +113,47 @@ def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
     for name in T.names[: T.flexible]:
         view = motion.body(name)
         first = torch.linalg.eigvalsh(view.stiffness[0].detach())[:, 0].clamp_min(0.0).sqrt()
-        ratios[name] = view.omega.norm(dim=-1).amax(-1) / first
+        ratios[name] = _lasting(motion, view.omega.norm(dim=-1)) / first
     return ratios
 
 
 def warn_of_spin(motion: Trajectory) -> None:
     """Keep the ratios in stats["spin_ratio"], and warn of bodies without stiffening that turn too fast."""
     motion.stats["spin_ratio"] = spin_ratios(motion)
-    V1 = motion.dynamics.data.get("V1")  # displacements of second order (multibody/bodies/stiffening.py)
     for name, ratios in motion.stats["spin_ratio"].items():
         ratio = _largest(ratios)
-        if ratio > _FAST and (V1 is None or not value(V1)[:, :, :, motion.dynamics.topology.names.index(name)].any()):
+        if ratio > _FAST and not _is_stiffened(motion, name):
             rounded = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
             warn(
                 f"body {name!r} turns at {rounded} of its first frequency: centrifugal stiffening, which linear elastic "
                 f"displacements leave out, is of the size {min(float(rounded) ** 2, 1.0):.0%} of its deflections; allowed: "
                 "stiffening=True of a body of plates and beams",
             )
+
+
+def _is_stiffened(motion: Trajectory, name: str) -> bool:
+    V1 = motion.dynamics.data.get("V1")  # displacements of second order (multibody/bodies/stiffening.py)
+    return V1 is not None and bool(value(V1)[:, :, :, motion.dynamics.topology.names.index(name)].any())
+
+
+def name_causes(motion: Trajectory) -> None:
+    """Append to the status of each lane that failed the spin or the displacements that likely made it fail."""
+    spins, displacements = motion.stats["spin_ratio"], displacement_ratios(motion)
+    for lane, status in enumerate(motion.status):
+        if not has_failed(status):
+            continue
+        spin = {name: float(ratio[lane]) for name, ratio in spins.items() if not _is_stiffened(motion, name)}
+        size = {name: float(ratio[lane]) for name, ratio in displacements.items()}
+        for ratios, limit, text in (
+            (spin, _FAST, "turns at {:.1g} of its first frequency without stiffening; stiffening=True helps"),
+            (size, _LARGE, "is displaced by {:.1g} of its size, but elastic displacements are taken as small"),
+        ):
+            name = max(
+                (name for name, x in ratios.items() if limit < x < torch.inf), key=ratios.__getitem__, default=None
+            )
+            if name is not None:
+                motion.status[lane] = f"{status}; likely cause: body {name!r} {text.format(ratios[name])}"
+                break
 
 
 def load_shares(motion: Trajectory) -> dict[str, float]:
