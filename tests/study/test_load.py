@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 import torchmbd as mbd
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study as load
+from torchmbd.study.model import find_function
 from torchmbd.study.schema import StudyFile
 from torchmbd.study.yaml_file import parse_yaml
 
@@ -419,3 +421,53 @@ def test_any_section_is_accepted_or_refused_with_its_path(write, section, scrap)
         assert any(fault.path[:1] in ((section,), ()) for fault in error.faults)  # noqa: PT017
     else:
         assert parse_yaml(plan.origin.file.read_text()).data.get(section) == scrap
+
+
+SHARED = """
+import torchmbd as mbd
+TIP = "left"
+def build(tip: str = "left") -> mbd.System:
+    global TIP
+    TIP = tip
+    return mbd.examples.arm()
+def height() -> mbd.Measure:
+    return mbd.Max(mbd.Displacement("arm", "z", node=TIP))
+"""
+QUESTION = {
+    "model": "arm.py:build",
+    "options": {"tip": "right"},
+    "design": {"arm.laminate.angles": {"start": [30.0, -30.0], "lower": -90, "upper": 90, "unit": "deg"}},
+    "simulate": {"duration": 0.05, "steps": 30},
+    "minimize": {"function": "arm.py:height"},
+    "subject_to": None,
+    "starts": None,
+}
+
+
+@pytest.mark.parametrize("place", ["arm.py", "heights.py", "beside"])
+def test_functions_of_a_file_share_its_globals(write, folder, place):
+    """They are those of one execution, also where another file imports this one."""
+    (folder / "arm.py").write_text(SHARED)
+    (folder / "heights.py").write_text(
+        "import arm\nimport torchmbd as mbd\ndef height() -> mbd.Measure:\n    return arm.height()\n"
+    )
+    (folder / "beside").mkdir()
+    (folder / "beside" / "arm.py").write_text(SHARED)
+    response = {"beside": "beside/arm.py:height"}.get(place, f"{place}:height")
+    plan = load(write(**QUESTION | {"minimize": {"function": response}}))
+    assert plan.simulated.objective.history.node == ("left" if place == "beside" else "right")
+    (folder / "arm.py").write_text(SHARED.replace('"z"', '"y"'))  # executed again by another load
+    assert load(write(**QUESTION)).simulated.objective.history.axis == "y"
+
+
+def test_files_of_one_stem_are_modules_of_their_own(write, folder):
+    law = "class Law(float):\n    pass\n"
+    (folder / "arm.py").write_text(law + SHARED)
+    (folder / "beside").mkdir()
+    (folder / "beside" / "arm.py").write_text(law + SHARED)
+    load(write(**QUESTION | {"minimize": {"function": "beside/arm.py:height"}}))
+    one, other = (find_function(f"{place}arm.py:build", folder) for place in ("", "beside/"))
+    assert one.__module__ != other.__module__
+    for function in (one, other):
+        law = function.__globals__["Law"]
+        assert isinstance(pickle.loads(pickle.dumps(law(2.0))), law)

@@ -6,7 +6,8 @@
                  classes of a user: their methods as well
 
 torchmbd's own functions and classes are written by name (`source_digest` has their text), those of installed packages by name
-and file. Comments, line numbers and the order of a dictionary or a set have no influence, nor the numbers of `ignored` tensors.
+and file. The place of a user's module has no influence, nor have comments, line numbers, the order of a dictionary or a set,
+and the numbers of `ignored` tensors.
 Attributes that follow from others have none either, so an object has the same digest before and after its use: cached
 properties, those that a class names in `derived_state`, and `training` of torchmbd's modules, which none of them reads.
 Checked in tests/math/test_digest.py.
@@ -168,7 +169,7 @@ class _Walk:
 
     def _add_function(self, x: FunctionType) -> None:
         self.write("function", x.__qualname__)
-        self.add((x.__defaults__, x.__kwdefaults__, x.__module__))
+        self.add((x.__defaults__, x.__kwdefaults__, _module_name(x.__module__)))
         for cell in x.__closure__ or ():
             try:
                 self.add(cell.cell_contents)
@@ -206,7 +207,12 @@ class _Walk:
 
 
 def _name(kind: type) -> str:
-    return f"{kind.__module__}.{kind.__qualname__}"
+    return f"{_module_name(kind.__module__)}.{kind.__qualname__}"
+
+
+def _module_name(module: str) -> str:
+    """The name of a module of torchmbd, Python or an installed package, "" of a user's, which may lie anywhere."""
+    return module if _of_package(module) or _installed_file(module) is not None else ""
 
 
 def _of_package(module: str) -> bool:

@@ -17,7 +17,7 @@ from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization.multistart.workers import Workers, pickle_problem, unpickle_problem
 from torchmbd.study.assemble import study_of
 from torchmbd.study.cluster import load_cluster
-from torchmbd.study.model import build_model, find_model
+from torchmbd.study.model import build_model, find_model, forget_files
 from torchmbd.study.paths import problem_key
 from torchmbd.study.schema import StudyFile
 from torchmbd.study.settings import StudySettings
@@ -59,6 +59,7 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
 
 def _problem_of_file(study_json: str, folder: str, key: str) -> Any:
     """Return the problem of an experiment file, given as JSON, in the folder of that file; called on a worker."""
+    forget_files()
     data = StudyFile.model_validate(json.loads(study_json))
     system = build_model(find_model(data.model, Path(folder)), data.options)
     problem = study_of(data, system, Path(folder) / "worker").simulated

@@ -20,6 +20,7 @@ from torchmbd.study.estimate import print_estimate
 from torchmbd.study.figures import FIGURES
 from torchmbd.study.file_errors import Fault, StudyError, located, mentioned
 from torchmbd.study.kind import Kind, Source
+from torchmbd.study.model import forget_files
 from torchmbd.study.overrides import override
 from torchmbd.study.parameter_values import with_values_of_file
 from torchmbd.study.paths import study_key
@@ -42,6 +43,7 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Kind, Any]:
 
 def read_experiment(source: Source) -> tuple[Kind, Any]:
     """Return what the contents of a file ask for, with its kind."""
+    forget_files()
     document = source.document
     kind = kind_of(document.data)
     sections, faults = validate(document.data, kind.sections)

@@ -4,13 +4,14 @@ package.module:function      as Python finds it
 path/to/file.py:function     in the folder of the experiment file or below it
 
 Not every function may be called from a file: only one written in Python, with an annotation of what it returns,
-`-> mbd.System` for a model. The named file is executed, with all rights of the user. It can import the modules beside it,
-which replace no module of Python or of a package.
+`-> mbd.System` for a model. The named file is executed, with all rights of the user, and once for all functions of an
+experiment, which share its globals. It can import the modules beside it, which replace no module of Python or of a package.
 Checked in tests/study/test_load.py, test_malicious.py.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -29,7 +30,16 @@ from torchmbd.process import file_of
 from torchmbd.study.file_errors import Fault, shown
 
 Builder = Callable[..., System]
-_imported: set[str] = set()  # names of the modules that the last model imported from its own folder
+_executed: dict[Path, ModuleType] = {}  # files that the present experiment names
+_imported: set[str] = set()  # names of the modules that these imported from their folders
+
+
+def forget_files() -> None:
+    """Forget the files of an earlier experiment, and the modules that they imported: either may have changed."""
+    for name in _imported:
+        sys.modules.pop(name, None)
+    _imported.clear()
+    _executed.clear()
 
 
 def find_model(spec: str, folder: Path) -> Builder:
@@ -175,30 +185,46 @@ def _from_name(name: str) -> ModuleType:
 def _from_file(file: Path) -> ModuleType:
     if not file.is_file():
         raise InputError(f"file {file} does not exist; allowed: a Python file, relative to the experiment file")
-    name = f"torchmbd_model_{file.stem}"
+    module = _executed.get(file) or _imported_from(file)
+    if module is not None:
+        return module
+    place = hashlib.sha256(str(file).encode()).hexdigest()[:8]  # files of other folders may have the same stem
+    name = f"torchmbd_model_{file.stem}_{place}"
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses and pickle look their module up
+    sys.modules[name] = _executed[file] = module  # dataclasses and pickle look their module up
     try:
         with _modules_beside(file.parent):
             spec.loader.exec_module(module)
     except Exception as error:
+        del _executed[file]
         raise InputError(f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
     return module
 
 
+def _imported_from(file: Path) -> ModuleType | None:
+    """The module of a file that another file of the experiment has imported; None: none has."""
+    modules = (sys.modules[name] for name in _imported if name in sys.modules)
+    return next((module for module in modules if getattr(module, "__file__", None) == str(file)), None)
+
+
 @contextmanager
 def _modules_beside(folder: Path) -> Iterator[None]:
-    """Let a model import the modules of its folder, in their present version.
+    """Let a model import the modules of its folder, in their present version; files that were executed are such modules.
 
-    Modules that an earlier model has imported from its folder are forgotten. The folder is last on the path, so that its
-    files replace no module of Python. No bytecode is written: Python does not notice a change within a second of it.
+    Modules that a file of another folder has imported are forgotten, as theirs may have the same names. The folder is last on
+    the path, so that its files replace no module of Python. No bytecode is written: Python does not notice a change within a
+    second of it.
     """
-    for name in _imported:
-        sys.modules.pop(name, None)
-    _imported.clear()
+    for name in sorted(_imported):
+        if not Path(str(getattr(sys.modules.get(name), "__file__", ""))).is_relative_to(folder):
+            sys.modules.pop(name, None)
+            _imported.remove(name)
+    executed = {file.stem: module for file, module in _executed.items() if file.parent == folder}
+    executed = {name: module for name, module in executed.items() if name not in sys.modules}
+    sys.modules.update(executed)
     before, writes = set(sys.modules), sys.dont_write_bytecode
     sys.path.append(str(folder))
     sys.dont_write_bytecode = True
@@ -208,5 +234,7 @@ def _modules_beside(folder: Path) -> Iterator[None]:
     finally:
         sys.dont_write_bytecode = writes
         sys.path.remove(str(folder))
+        for name in executed:
+            sys.modules.pop(name, None)
         files = {name: getattr(sys.modules[name], "__file__", None) for name in set(sys.modules) - before}
         _imported.update(name for name, file in files.items() if file and Path(file).is_relative_to(folder))
