@@ -70,7 +70,7 @@ def test_long_labels_stay_inside_the_figure(problem, motion):
     failure = mbd.viz.failure_map(motion, "arm", labels)
     legends, titles = over_time.legends, [axes.title for axes in failure.axes]
     for figure in (over_time, failure):
-        figure.canvas.draw()
+        figure.draw_without_rendering()
     for figure, texts in ((over_time, legends), (failure, titles)):
         assert texts
         assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in texts)
@@ -178,6 +178,43 @@ def test_beams_of_a_failure_map_have_the_lengths_of_their_designs():
     curves = [line for line in axes.lines if len(line.get_xdata()) > 1]  # the other lines are marks
     assert_allclose([np.max(line.get_xdata()) for line in curves], [0.5, 0.4])
     assert axes.get_xlabel() == "length along rod [m]"
+
+
+@pytest.mark.thorough
+def test_parts_of_a_failure_map_lie_where_they_are_along_the_beam():
+    """A wide section, a narrow one, and the wide one again; the moment of a force at the tip falls to zero along all."""
+    wide, narrow = (
+        mbd.sections.tube(r, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3, cells=(12, 1))
+        for r in (0.03, 0.02)
+    )
+    line = mbd.BeamLine.straight(mbd.variable(0.5), 5)
+    rod = mbd.FlexibleBody.beam("rod", line, [wide, narrow, narrow, wide, wide], modes=2, reference="start")
+    system = mbd.System([rod], [mbd.Fixed(mbd.Ground().at(), rod.at("start"))], [mbd.Force(rod.at("end"), (0, 0, 9.0))])
+    designs = {"rod.line.length": torch.tensor([0.5, 0.4], dtype=torch.float64)}
+    motion = mbd.simulate(system, 0.005, steps=10, designs=designs, gradients="none")
+    figure = mbd.viz.failure_map(motion, "rod", ["start design (" + "thickness 0.275682 mm, " * 12, "best"])
+    for axes, elements in zip(figure.axes, ([0, 3, 4], [1, 2]), strict=True):
+        curves = [line for line in axes.lines if len(line.get_xdata()) > 1]
+        for curve, length in zip(curves, (0.5, 0.4), strict=True):
+            x = np.asarray(curve.get_xdata())
+            places = [[length * k / 5, length * (k + 1) / 5] for k in elements]
+            assert_allclose(x[np.isfinite(x)], np.ravel(places), atol=1e-15)
+            assert np.isnan(x).sum() == (elements[0] == 0)  # the part has a gap, where the other section is
+            assert_allclose(axes.get_xlim(), (-0.025, 0.525), atol=1e-12)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        box = axes.get_legend().get_window_extent()
+        assert box.x1 <= figure.bbox.x1
+        assert box.y1 <= figure.bbox.y1
+        assert axes.bbox.height > 100.0
+
+
+@pytest.mark.thorough
+def test_pictures_of_designs_number_them_without_labels(problem, motion):
+    titles = [axes.get_title(loc="left") for axes in mbd.viz.failure_map(motion, "arm").axes[:2]]
+    assert [title.partition(":")[0] for title in titles] == ["design 1", "design 2"]
+    legend = mbd.viz.criteria_over_time(problem, motion).legends[0]
+    assert [text.get_text() for text in legend.get_texts()][:2] == ["design 1", "design 2"]
 
 
 def test_bodies_without_plies_have_no_failure_map(motion):

@@ -104,11 +104,14 @@ def require_lane(motion: Any, lane: int) -> None:
         raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
 
 
-def require_labels(motion: Any, labels: Sequence[str]) -> None:
-    """InputError unless the arguments are a motion and a label for each of its lanes."""
+def lane_labels(motion: Any, labels: Sequence[str] | None) -> list[str]:
+    """A name for each lane of a motion, "design 1", ... for None; InputError for other arguments."""
     require_motion(motion)
-    if len(labels) != motion.lanes:
-        raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
+    if labels is None:
+        return [f"design {k + 1}" for k in range(motion.lanes)]
+    if isinstance(labels, str) or len(labels) != motion.lanes:
+        raise InputError(f"labels are {labels!r}; allowed: {motion.lanes}, one for each design of the motion, or None")
+    return list(labels)
 
 
 def spread_frames(motion: Any, max_frames: int) -> np.ndarray:

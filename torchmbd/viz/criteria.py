@@ -17,7 +17,7 @@ from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.viz.animation import require_labels, require_motion
+from torchmbd.viz.animation import lane_labels
 from torchmbd.viz.figures import BAD, CYCLE, LINE, best_on_top, figure_of, over_time, titled, wrapped
 from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of, require_problem
 
@@ -35,14 +35,16 @@ _FAR = 3.0  # ranges of the curves: a limit that is farther away is written, not
 
 
 @checked_signature
-def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
+def criteria_over_time(
+    problem: Problem, motion: Trajectory, labels: Sequence[str] | None = None, title: str = ""
+) -> Figure | None:
     """The histories of the objective and the constraints of a problem, with their limits; a curve for each design.
 
     A window of a response, such as the dwell after a move, is drawn once more by itself.
 
     problem  an mbd.Problem
     motion   its motion, a lane for each design, as problem.simulate(X)
-    labels   a name for each lane
+    labels   a name for each lane; None: "design 1", "design 2", ...
     title    of the figure
 
     None for a problem of masses and frequencies, which has no histories.
@@ -55,7 +57,7 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     'strain energy of arm [J]'
     """
     require_problem(problem)
-    require_labels(motion, labels)
+    labels = lane_labels(motion, labels)
     panels = panels_of(problem)
     if not panels:
         return None
@@ -136,7 +138,9 @@ def criteria_over_iterations(
 
 
 @checked_signature
-def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
+def weighted_parts(
+    problem: Problem, motion: Trajectory, labels: Sequence[str] | None = None, title: str = ""
+) -> Figure | None:
     """The parts of an objective that is a sum, times their weights: a bar for each design; None for other objectives.
 
     Arguments as of `criteria_over_time`.
@@ -149,7 +153,7 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
     ['0.7 x mass of arm', '0.3 x integral of...']
     """
     require_problem(problem)
-    require_motion(motion)
+    labels = lane_labels(motion, labels)
     if not isinstance(problem.stated_objective, Total) or len(problem.stated_objective.terms) < 2:
         return None
     measure = problem.reference.measures[0]

@@ -7,7 +7,7 @@ Checked in tests/viz/test_criteria.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated
-from torchmbd.viz.animation import require_labels
+from torchmbd.viz.animation import lane_labels
 from torchmbd.viz.figures import BAD, CYCLE, LINE, figure_of, titled, wrapped
 
 if TYPE_CHECKING:
@@ -26,18 +26,24 @@ if TYPE_CHECKING:
     from torchmbd.integrate import Trajectory
 
 _CHUNK = 500_000  # indices in memory at once
+_BESIDE = 75  # characters of the smallest letters beside the label of an axis and the handle of a legend
+_ROW, _TEXT = 2.1, 0.17  # heights of a row without its legend, and of a line of that [in]
 _FACES = ("bottom", "top")
 
 
 @checked_signature
 def failure_map(
-    motion: Trajectory, body: str, labels: Sequence[str], criterion: str = "tsai_wu", title: str = ""
+    motion: Trajectory,
+    body: str,
+    labels: Sequence[str] | None = None,
+    criterion: str = "tsai_wu",
+    title: str = "",
 ) -> Figure:
     """The largest failure index that every cell of a laminated body sees during a motion, and where and when it is largest.
 
     motion     a lane for each design
     body       name of the body; its plies have a Strength
-    labels     a name for each lane
+    labels     a name for each lane; None: "design 1", "design 2", ...
     criterion  as of `PlyFailure`
     title      of the figure
 
@@ -46,7 +52,7 @@ def failure_map(
     >>> figure.axes[0].get_title(loc="left").startswith("start:")
     True
     """
-    require_labels(motion, labels)
+    labels = lane_labels(motion, labels)
     owner: Any = motion.system.body(body)
     if getattr(owner, "plates", None):
         indices = _of_plates(motion, body, criterion)
@@ -105,7 +111,7 @@ def _on_mesh(owner: Any, indices: list[tuple[np.ndarray, str]], labels: Sequence
         axes.add_collection(parts)
         worst = np.mean(corners[int(values.argmax())], axis=0)
         axes.plot(*worst, "o", ms=9, mfc="none", mec=BAD, mew=1.6)
-        axes.set_title(wrapped(f"{label}:\nlargest index {place}", LINE), loc="left", fontsize=8)
+        axes.set_title(wrapped(f"{label}:\nlargest index {place}", _BESIDE), loc="left", fontsize=8)
         axes.set_aspect("equal")
         axes.autoscale_view()
         axes.set_ylabel(f"{names[1]} [m]", fontsize=8)
@@ -134,28 +140,61 @@ def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion
     owner: Any = motion.system.body(body)
     beams = SectionHistory(motion, body)
     parts = tuple(laminated(owner))
-    figure, rows = figure_of(0.9 + 2.4 * len(parts), rows=len(parts))
+    curves = {key: [_curve(motion, beams, key, lane, criterion) for lane in range(motion.lanes)] for key in parts}
+    legends = {
+        key: [wrapped(f"{label}: {curve.text}", _BESIDE) for label, curve in zip(labels, curves[key], strict=True)]
+        for key in parts
+    }
+    lines = {key: sum(1 + text.count("\n") for text in texts) + (len(parts) > 1) for key, texts in legends.items()}
+    heights = [_ROW + _TEXT * lines[key] for key in parts]
+    figure, rows = figure_of(0.9 + sum(heights), rows=len(parts), ratios=heights)
     for axes, key in zip(rows, parts, strict=True):
-        basis, strength = beams.basis(key)
-        if strength is None:
-            beams.failure(criterion)  # raises InputError
-        assert strength is not None
-        lengths = beams.lengths(key).detach()
-        for lane, (label, color) in enumerate(zip(labels, CYCLE * len(labels), strict=False)):
-            index = FailureForms(criterion, basis[lane].detach(), strength[lane].detach())
-            far = lengths[lane].cumsum(0)
-            x = torch.stack([far - lengths[lane], far], 1).flatten().numpy()  # both ends of each element
-            largest, when = _largest(index, beams.w[lane].detach(), basis.shape[1])
-            each = largest.unflatten(0, (len(x), -1))
-            most = each.amax(1).numpy()
-            point = int(largest.argmax())
-            time = float(motion.t[when[point]])
-            legend = wrapped(f"{label}: {most.max():.3g} at t = {time:.4g} s", LINE)
-            axes.plot(x, most, color=color, lw=1.3, label=legend)
-            axes.plot(x[most.argmax()], most.max(), "o", ms=7, mfc="none", mec=BAD, mew=1.4)
+        for curve, legend, color in zip(curves[key], legends[key], CYCLE * len(labels), strict=False):
+            axes.plot(curve.places, curve.indices, color=color, lw=1.3, label=legend)
+            axes.plot(*curve.largest, "o", ms=7, mfc="none", mec=BAD, mew=1.4)
         axes.set_ylabel(wrapped(f"failure index of {body} ({criterion.replace('_', ' ')})", 30), fontsize=8)
         axes.set_ylim(bottom=0.0)
         title: dict[str, Any] = {"title": key, "title_fontsize": 8} if len(parts) > 1 else {}
         axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), alignment="left", **title)
     rows[-1].set_xlabel(f"length along {body} [m]")
     return figure
+
+
+class _Curve(NamedTuple):
+    """The index at both ends of the elements of a part [2 m and gaps]; where it is largest, and a text about that."""
+
+    places: np.ndarray
+    indices: np.ndarray
+    largest: tuple[float, float]
+    text: str
+
+
+def _curve(motion: Trajectory, beams: SectionHistory, key: str, lane: int, criterion: str) -> _Curve:
+    basis, strength = beams.basis(key)
+    if strength is None:
+        beams.failure(criterion)  # raises InputError
+    assert strength is not None
+    index = FailureForms(criterion, basis[lane].detach(), strength[lane].detach())
+    places = _places(motion.system.body(beams.name), beams, key, lane)
+    largest, when = _largest(index, beams.w[lane].detach(), basis.shape[1])
+    indices = largest.unflatten(0, (places.size, -1)).amax(1).numpy()
+    point, worst = int(largest.argmax()), int(indices.argmax())
+    text = f"{indices[worst]:.3g} at t = {float(motion.t[when[point]]):.4g} s"
+    gaps = 2 * (1 + np.flatnonzero(np.abs(places[1:, 0] - places[:-1, 1]) > 1e-9 * places.max()))
+    x, y = (np.insert(values, gaps, np.nan) for values in (places.ravel(), indices))
+    return _Curve(x, y, (places.ravel()[worst], indices[worst]), text)
+
+
+def _places(owner: Any, beams: SectionHistory, key: str, lane: int) -> np.ndarray:
+    """Return where the elements of a part start and end [m, 2]: along the beam, or along the part if elements branch [m]."""
+    elements = owner.mesh.elements
+    members = {part: owner.beams[part].matrices.members for part in beams.parts}
+    covered = sorted(k for indices in members.values() for k in indices.tolist()) == list(range(len(elements)))
+    if not covered or not torch.equal(elements[1:, 0], elements[:-1, 1]):
+        ends = beams.lengths(key)[lane].detach().cumsum(0)
+        return torch.stack([ends - beams.lengths(key)[lane].detach(), ends], 1).numpy()
+    lengths = torch.zeros(len(elements), dtype=torch.float64)
+    for part, indices in members.items():
+        lengths[indices] = beams.lengths(part)[lane].detach()
+    ends = lengths.cumsum(0)
+    return torch.stack([ends - lengths, ends], 1)[members[key]].numpy()
