@@ -92,6 +92,9 @@ class Aggregate(Measure):
         # Logarithms avoid overflow of powers.
         return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)
 
+    def change(self, motion: Trajectory) -> Tensor:
+        return torch.cat([m.size(motion).reshape(motion.lanes, -1) for m in self.operands], 1).amax(1)
+
     def largest(self, motion: Trajectory) -> Tensor:
         """The largest row [lanes]."""
         return motion.sound(self._rows(motion).amax(1))

@@ -54,6 +54,10 @@ class Angle(History):
     def smooth(self) -> bool:
         return not self.wrapped
 
+    @property
+    def natural_zero(self) -> bool:
+        return False
+
     def check(self, system: System) -> None:
         unit_vector(self.axis)
         system.body(self.body)

@@ -21,6 +21,7 @@ from torch import Tensor
 from torchmbd.design.response import History, Measure
 from torchmbd.errors import InputError, checked_signature, warn
 from torchmbd.integrate import Trajectory
+from torchmbd.results.response_error import change_by_motion
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,10 @@ class FunctionHistory(History):
 
     def __repr__(self) -> str:
         return f"history({_name(self.function)})"
+
+    @property
+    def natural_zero(self) -> bool:
+        return False  # not known of a function
 
     def values(self, motion: Trajectory) -> Tensor:
         return _checked_call(self.function, motion, (motion.lanes, len(motion.t)))
@@ -47,8 +52,15 @@ class FunctionMeasure(Measure):
     def __repr__(self) -> str:
         return f"measure({_name(self.function)})"
 
+    @property
+    def natural_zero(self) -> bool:
+        return False  # not known of a function
+
     def value(self, motion: Trajectory) -> Tensor:
         return _checked_call(self.function, motion, (motion.lanes,))
+
+    def change(self, motion: Trajectory) -> Tensor:
+        return change_by_motion(self.value, motion)
 
 
 # What torch says where NumPy asks for a tensor with a gradient, or for one inside a transform.

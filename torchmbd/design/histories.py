@@ -99,6 +99,10 @@ class Position(History):
     order: ClassVar[int] = 0
 
     @property
+    def natural_zero(self) -> bool:
+        return self.order > 0  # a position has an origin
+
+    @property
     def observer(self) -> str:
         """The observer: a body or "ground"."""
         return GROUND if self.seen_from is None else self.seen_from
@@ -174,6 +178,10 @@ class Displacement(Position):
     def observer(self) -> str:
         """The observer: a body or "ground"."""
         return self.seen_from or (self.body if self.node is not None else GROUND)
+
+    @property
+    def natural_zero(self) -> bool:
+        return True
 
     def vector(self, motion: Trajectory) -> Tensor:
         if self.observer == self.body and self.node is not None:

@@ -69,6 +69,18 @@ class OfHistory(Measure):
         """The numbers [lanes] or [lanes, rows] of the history as a curve."""
         raise NotImplementedError(type(self).__name__)
 
+    @property
+    def natural_zero(self) -> bool:
+        return self.history.natural_zero
+
+    def change(self, motion: Trajectory) -> Tensor:
+        change = self.range_of(_curve(self.history, self.window, motion)).detach()
+        return change if self.rows == 1 else change[:, None].expand(-1, self.rows)
+
+    def range_of(self, curve: Spline) -> Tensor:
+        """The range [lanes] of the curve, in the unit of the measure."""
+        return curve.y.amax(-1) - curve.y.amin(-1)
+
 
 def _require_history(measure: Measure, history: object) -> None:
     name = type(measure).__name__
@@ -110,6 +122,9 @@ class Integral(OfHistory):
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.integral()
+
+    def range_of(self, curve: Spline) -> Tensor:
+        return super().range_of(curve) * curve.duration
 
 
 @checked_signature
@@ -219,6 +234,14 @@ class AtTime(Measure):
     @property
     def until(self) -> float:
         return float(self.time)
+
+    @property
+    def natural_zero(self) -> bool:
+        return self.history.natural_zero
+
+    def change(self, motion: Trajectory) -> Tensor:
+        y = _curve(self.history, None, motion).y.detach()
+        return y.amax(-1) - y.amin(-1)
 
     def value(self, motion: Trajectory) -> Tensor:
         curve = _curve(self.history, None, motion)

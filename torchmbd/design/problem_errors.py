@@ -29,7 +29,7 @@ def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True, mesh: boo
 
 
 def design_errors(
-    problem: Any, X: np.ndarray, others: Sequence[Measure] = (), modes: bool = True, mesh: bool = False
+    problem: Any, X: np.ndarray, others: Sequence[Measure] = (), modes: bool = True, mesh: bool = True
 ) -> list[ResponseError]:
     """The errors of several designs [lanes, n] as one batch, a lane for each; then those of `others`, in the first scenario."""
     objective, *measures = problem.reference.measures
@@ -75,6 +75,8 @@ def _over_scenarios(
     return ResponseError(
         "",
         torch.tensor(value),
+        torch.tensor(rows([error.size for error in errors])),
+        torch.tensor(rows([error.change for error in errors])),
         by_steps,
         torch.tensor([not reason for reason in reasons]),
         reasons,

@@ -1,12 +1,13 @@
 """How many steps the motions of a problem have: as given, or as the errors of its responses ask for.
 
-    n <- 1.1 n sqrt(e / tolerance)      e: the largest error of a response by steps, over its value or its limit
+    n <- 1.1 n sqrt(e / tolerance)      e: the largest error of a response by steps, over its size or its margin
 
 e of n steps is estimated by a motion of half of them, whose error is four times as large; where that is resolved, its error
 by up to FAR times its own steps is known as well, and needs no motion. The first n is that of the motion
 (integrate/step_count.py), by the error of its largest vibrations; a response may ask for more: a residual vibration, a
-difference of large numbers. A constraint is measured by the larger of value and limit; the objective of a design that a search
-has found by the larger of its value and a tenth of that of the start. Where no number of steps up to MOST times the first, or
+difference of large numbers. Errors are measured by the size of a response (`Measure.size`), which no constant part changes: a
+constraint by the larger of its size and its distance from the limit; the objective of a design that a search has found by the
+larger of its size and a tenth of that of the start. Where no number of steps up to MOST times the first, or
 up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the steps with the least error are taken, and a
 warning says error and steps.
 Checked in tests/design/test_problem_steps.py.
@@ -17,6 +18,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -49,7 +51,7 @@ class StepChoice:
     """Steps for a design.
 
     steps      a number of steps; None: its motions cannot be simulated, or their method has no estimate
-    error      largest error by these steps, over value or limit of its response; nan: unknown
+    error      largest error by these steps, over size or margin of its response; nan: unknown
     response   the response with this error
     reason     why it is not resolved, "" where it is
     """
@@ -228,27 +230,31 @@ def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least
     steps = motions[0].integration.steps
     if any(not isinstance(motion.simulation.integrator, OneStep) for motion in motions):
         return _Errors(StepChoice(steps), None)
-    measures = [(problem.objective, least_size), *((c.measure, c.limit) for c in problem.constraints)]
+    measures = [(problem.objective, None), *((c.measure, c.limit) for c in problem.constraints)]
     worst = StepChoice(steps, 0.0, "all responses")
     for motion in motions:
         for measure, limit in measures:
-            least = 0.0 if limit == "initial" else abs(float(limit))
+            least = partial(torch.full_like, fill_value=least_size) if limit is None else partial(_margin, limit)
             share, reason = _share(motion, measure.at_start(motions[0]), least, enough)
             if (bool(reason), share) > (bool(worst.reason), worst.error):
                 worst = StepChoice(steps, share, repr(measure), reason)
     each = [rounding(m.simulation.integrator, m.integration.dynamics, problem.duration)(1) for m in motions]
     objective = problem.objective.at_start(motions[0])
-    size = max(float(objective.value(motion).abs().max()) for motion in motions)
+    size = max(float(objective.size(motion).max()) for motion in motions)
     return _Errors(worst, math.lcm(*each), size if math.isfinite(size) else 0.0)
 
 
-def _share(motion: Trajectory, measure: Measure, least: float, enough: float) -> tuple[float, str]:
-    """The largest error by steps over value or `least`, inf where it is not known; and why it is not resolved."""
+def _margin(limit: float | str, value: torch.Tensor) -> torch.Tensor:
+    """The distance of values from a limit; zeros for a limit "initial", which the start meets."""
+    return torch.zeros_like(value) if limit == "initial" else (value - float(limit)).abs()
+
+
+def _share(motion: Trajectory, measure: Measure, least: Any, enough: float) -> tuple[float, str]:
+    """The largest error by steps over size or `least`, inf where it is not known; and why it is not resolved."""
     try:
         error = response_error(motion, measure, modes=False, mesh=False, enough=enough, least=least)
     except InputError as refusal:
         return math.inf, str(refusal)
-    size = rows_of(error.value.abs()).clamp_min(least)
     by_steps = rows_of(error.by_steps.abs())
-    shares = torch.where(by_steps == 0.0, 0.0, by_steps / size).nan_to_num(nan=math.inf)
+    shares = torch.where(by_steps == 0.0, 0.0, by_steps / rows_of(error.size)).nan_to_num(nan=math.inf)
     return float(shares.max()), next((reason for reason in error.reasons if reason), "")

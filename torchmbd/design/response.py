@@ -69,6 +69,11 @@ class History(_Constant):
         """Whether the history is smooth between the switches of a motion, so that it may be looked at between its samples."""
         return True
 
+    @property
+    def natural_zero(self) -> bool:
+        """Whether zero has a meaning, as of an energy, and not of a position, whose origin is a choice."""
+        return True
+
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes, times]; lanes that failed have nan, and no derivative."""
         return motion.sound(self.values(motion))
@@ -126,6 +131,10 @@ class Combined(History):
     @property
     def smooth(self) -> bool:
         return all(part.smooth for part in self.parts if isinstance(part, History))
+
+    @property
+    def natural_zero(self) -> bool:
+        return _keeps_zero(self.operation, self.parts)
 
     def values(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.values(motion) if isinstance(part, History) else part for part in self.parts))
@@ -203,6 +212,22 @@ class Measure(_Constant):
     def refers_to_start(self) -> bool:
         """Whether the measure needs the motion of the initial design."""
         return any(measure.refers_to_start for measure in self.operands)
+
+    @property
+    def natural_zero(self) -> bool:
+        """Whether zero has a meaning, as of a mass, and not of a position, whose origin is a choice."""
+        return all(measure.natural_zero for measure in self.operands)
+
+    def size(self, motion: Trajectory) -> Tensor:
+        """What errors are compared with, [lanes] or [lanes, rows] as the value: its size, or its change without a natural zero.
+
+        Neither another origin nor a constant that is added to the measure changes it; it has the unit of the value.
+        """
+        return (self.value(motion).detach() if self.natural_zero else self.change(motion)).abs()
+
+    def change(self, motion: Trajectory) -> Tensor:
+        """By how much the value follows from the motion, of the shape of the value; of a measure of the design the value."""
+        return self.value(motion).detach()
 
     def __add__(self, other: Any) -> Measure:
         return CombinedMeasure(torch.add, (self, other)) if _number(other) else Total([(1.0, self), (1.0, other)])
@@ -294,6 +319,9 @@ class Total(Measure):
     def value(self, motion: Trajectory) -> Tensor:
         return torch.stack([factor * measure.value(motion) for factor, measure in self.terms]).sum(0)
 
+    def change(self, motion: Trajectory) -> Tensor:
+        return torch.stack([abs(factor) * measure.size(motion) for factor, measure in self.terms]).sum(0)
+
     @property
     def operands(self) -> Sequence[Measure]:
         return [measure for _, measure in self.terms]
@@ -323,11 +351,32 @@ class CombinedMeasure(Measure):
         return self.operation(*(part.value(motion) if isinstance(part, Measure) else part for part in self.parts))
 
     @property
+    def natural_zero(self) -> bool:
+        return _keeps_zero(self.operation, self.parts)
+
+    def change(self, motion: Trajectory) -> Tensor:
+        """The sum of the changes that each operand makes by its size."""
+        values = [x.value(motion).detach() if isinstance(x, Measure) else x for x in self.parts]
+        here, change = self.operation(*values), torch.zeros(motion.lanes, dtype=torch.float64)
+        for k, part in enumerate(self.parts):
+            if isinstance(part, Measure):
+                there = [x + part.size(motion) if j == k else x for j, x in enumerate(values)]
+                change = change + (self.operation(*there) - here).abs()
+        return change
+
+    @property
     def operands(self) -> Sequence[Measure]:
         return [part for part in self.parts if isinstance(part, Measure)]
 
     def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
         return CombinedMeasure(self.operation, tuple(change(x) if isinstance(x, Measure) else x for x in self.parts))
+
+
+def _keeps_zero(operation: Callable[..., Tensor], parts: Sequence[Any]) -> bool:
+    """Whether an operation on responses and numbers has a natural zero: all responses have one, and none is shifted."""
+    responses = [part for part in parts if isinstance(part, (History, Measure))]
+    shifted = operation in (torch.add, torch.sub) and any(isinstance(part, (int, float)) and part for part in parts)
+    return not shifted and all(response.natural_zero for response in responses)
 
 
 _SIGNS = {torch.add: "+", torch.sub: "-", torch.mul: "*", torch.div: "/", torch.pow: "**"}

@@ -1,6 +1,13 @@
-"""Verification of an optimum: best design and start are simulated with finer steps and more modes, and judged by their errors.
+"""Verification of an optimum: best design and start are simulated with finer steps, more modes and finer meshes.
 
 The gain, the constraints and the rank among the other ends of the search must hold in the finer model, see results/answer.py.
+Errors are compared with what the search changed and with the sizes of the responses (`Measure.size`), so that neither the
+origin, nor a unit, nor a constant in a response changes the verdict:
+
+    the start is feasible      error of the gain         <= GAIN   |f(start) - f(best)|
+    else, or best is start     error of the best value   <= GAIN   max(size, |f(start) - f(best)|)
+    constraint                 excess                    <= LIMIT  max(size, |g(start) - g(best)|), or its own scale
+
 Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
 Over tolerances (RobustProblem) values and errors are those of the nominal design. Ends of other starts are judged where their
 values lie within twice the error of the best one.
@@ -11,7 +18,7 @@ Checked in tests/design/test_verification.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -31,14 +38,14 @@ from torchmbd.results.answer import GAIN, LIMIT, Answer, Number, Verification
 from torchmbd.results.response_error import ResponseError, rows_of
 
 _ENDS = 3  # of other starts that are simulated, at most
-_ACTIVE = 1e-3  # margin of a constraint that holds the design, a share of its limit
+_ACTIVE = 1e-3  # margin of a constraint that holds the design, a share of its size
 _FREQUENCIES = 2  # first ones of every body that are told
 _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is known: four times the steps
 
 
 @checked_signature
 def verify(result: OptimizationResult | MultistartResult) -> Verification:
-    """Simulate best design and start with finer steps and more modes: do gain and constraints hold?
+    """Simulate best design and start with finer steps, more modes and finer meshes: do gain and constraints hold?
 
     result  of `optimize` or `multistart`, of a Problem, Scenarios or RobustProblem
 
@@ -61,7 +68,11 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     problem = best.problem  # type: ignore[union-attr]
     if not isinstance(nominal(problem), Problem):
         raise InputError(f"problem of the result is {problem!r}; allowed: a Problem, Scenarios or RobustProblem")
-    return verification(problem, best.x, best.value, others, feasibility=feasibility)  # type: ignore[union-attr]
+    return replace(
+        verification(problem, best.x, best.value, others, feasibility=feasibility),  # type: ignore[union-attr]
+        search=result.search_text,
+        failing=result.failing_text,
+    )
 
 
 def nominal(problem: Any) -> Any:
@@ -100,12 +111,10 @@ def verification(
     needs_first = any(c.limit == "initial" for c in simulated.constraints) and not np.array_equal(designs[0], first)
     try:
         responses = _responses(simulated, [*designs, first] if needs_first else designs, _beside(simulated))
-        faults = _faults_of_constraints(responses, 1)
-        if not np.array_equal(*designs):
-            # A start beyond a limit may be better, and over tolerances the gain is that of other numbers.
-            claimed = not robust and _excess(responses, 0) <= feasibility
-            faults = _faults_of_gain(responses[0], claimed) + faults
-            faults += [] if robust else _faults_of_order(simulated, responses, value, others)
+        # A start beyond a limit may be better, and over tolerances the gain is that of other numbers.
+        claimed = not robust and not np.array_equal(*designs) and _excess(responses, 0) <= feasibility
+        faults = _faults_of_gain(responses[0], claimed) + _faults_of_constraints(responses, 1)
+        faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
     notes = [f"{words(response.measure)}: {response.error.note}" for response in responses if response.error.note]
@@ -115,8 +124,8 @@ def verification(
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (objective.value, objective.finer)]
     todo = ""
     if faults:
-        by_modes = any(fault.response.by_modes and not fault.unresolved for fault in faults)
-        todo = f"{advice(simulated, max(fault.need for fault in faults), by_modes)}, and the search again"
+        causes = {fault.response.cause for fault in faults if not fault.unresolved}
+        todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, and the search again"
     answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
 
@@ -130,6 +139,7 @@ class _Response:
     excess, finer_excess  the largest (g - limit) / scale of its rows, positive beyond the limit [lanes]
     change                the largest change of a row between the models, over its scale [lanes]
     finer_limits          of all rows in the finer model
+    size                  of a constraint, over its scale: what an excess is compared with
     """
 
     goal: str
@@ -143,6 +153,7 @@ class _Response:
     finer_excess: np.ndarray | None = None
     change: np.ndarray | None = None
     finer_limits: np.ndarray | None = None
+    size: float = 1.0
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -150,10 +161,9 @@ class _Response:
         return self.error.reasons
 
     @property
-    def by_modes(self) -> bool:
-        """Whether the modes leave a larger error than the steps."""
-        sizes = {name: float(x.abs().nan_to_num().max()) for name, x in self.error.parts.items()}
-        return sizes.get("modes", 0.0) > sizes["steps"]
+    def cause(self) -> str:
+        """What leaves the largest error: "steps", "modes" or "mesh"."""
+        return max(self.error.parts, key=lambda name: float(self.error.parts[name].abs().nan_to_num().max()))
 
     @property
     def answer(self) -> Answer:
@@ -168,7 +178,7 @@ class _Response:
         if self.limit is None or self.excess is None or self.finer_excess is None:
             return answer
         limit, margin, finer = factor * float(self.limit[1]), -float(self.excess[1]), -float(self.finer_excess[1])
-        return replace(answer, limit=limit, margin=margin, finer=finer, active=abs(margin) <= _ACTIVE)
+        return replace(answer, limit=limit, margin=margin, finer=finer, active=abs(margin) <= _ACTIVE * self.size)
 
 
 class _Fault(NamedTuple):
@@ -213,6 +223,12 @@ def _constrained(
     """A constraint of several designs, of its limits [rows] in both models."""
     value, finer = _both(error)
     c, finer_c = (value - limits) / scale, (finer - finer_limits) / scale
+    sizes = rows_of(error.size) if constraint.kind != "equal" else rows_of(error.size.maximum(error.change))
+    size = (
+        np.abs(value[0] - value[1]).max(initial=float(sizes[:2].max()))
+        if constraint.scale is None
+        else constraint.scale
+    )
     at = np.arange(len(value)), governing_row(constraint, c)
     excess, finer_excess = ((np.abs(x) if constraint.kind == "equal" else x).max(1) for x in (c, finer_c))
     return _Response(
@@ -226,6 +242,7 @@ def _constrained(
         finer_excess=finer_excess,
         change=np.abs(finer_c - c).max(1),
         finer_limits=finer_limits,
+        size=float(size / np.abs(scale).max()),
     )
 
 
@@ -251,10 +268,14 @@ def _beside(problem: Problem) -> list[Measure]:
     return measures
 
 
-def _excess(responses: Sequence[_Response], lane: int, finer: bool = False) -> float:
+def _excess(responses: Sequence[_Response], lane: int) -> float:
     """The largest violation of a constraint of a design, 0 where all are satisfied."""
-    every = [response.finer_excess if finer else response.excess for response in responses]
-    return max((float(x[lane]) for x in every if x is not None), default=0.0)
+    return max((float(x.excess[lane]) for x in responses if x.excess is not None), default=0.0)
+
+
+def _holds(responses: Sequence[_Response], lane: int) -> bool:
+    """Whether a design satisfies all constraints in the finer model."""
+    return all(float(x.finer_excess[lane]) <= LIMIT * x.size for x in responses if x.finer_excess is not None)
 
 
 def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> list[_Fault]:
@@ -264,11 +285,12 @@ def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> list[_F
         if response.excess is None or response.finer_excess is None or response.change is None:
             continue
         beyond, name = float(response.finer_excess[lane]), words(response.measure)
+        most = LIMIT * response.size
         if response.reasons[lane] and not response.change[lane] < -response.excess[lane]:
             faults.append(_Fault(f"{name} is not resolved: {response.reasons[lane]}", response, _UNRESOLVED, True))
-        elif not beyond <= LIMIT:
+        elif not beyond <= most:
             text = f"{name} is beyond its limit by {100.0 * beyond:.3g} % in the finer model"
-            faults.append(_Fault(text, response, beyond / LIMIT))
+            faults.append(_Fault(text, response, beyond / most if most else _UNRESOLVED))
     return faults
 
 
@@ -287,13 +309,20 @@ def _faults_of_gain(objective: _Response, claimed: bool) -> list[_Fault]:
         return unresolved
     (first, best), (finer_first, finer_best) = objective.value[:2], objective.finer[:2]
     gain, finer = objective.sign * (first - best), objective.sign * (finer_first - finer_best)
-    size, error = (abs(gain), abs(finer - gain)) if claimed else (abs(best), abs(finer_best - best))
+    if claimed and gain < 0.0:
+        text = f"the best design is worse than the start, {best:.6g} against {first:.6g}"
+        return [_Fault(text, objective)]
+    size, error = abs(gain), abs(finer - gain)
+    if not claimed:
+        size, error = max(float(rows_of(objective.error.size)[1].max()), size), abs(finer_best - best)
     if error <= GAIN * size:
         return []
     need = error / (GAIN * size) if size else _UNRESOLVED
     if not claimed:
-        share = 100.0 * error / size if size else math.inf
-        return [_Fault(f"the objective of the best design has an error of {share:.3g} %", objective, need)]
+        text = (
+            f"the objective of the best design has an error of {error:.3g}, more than {GAIN:g} of its size {size:.3g}"
+        )
+        return [_Fault(text, objective, need)]
     shares = [100.0 * g / abs(f) if f else math.inf for g, f in ((gain, first), (finer, finer_first))]
     return [_Fault("the gain of {:.4g} % is {:.4g} % in the finer model".format(*shares), objective, need)]
 
@@ -312,17 +341,24 @@ def _faults_of_order(
     ends = np.array([end.value for end in near]) + objective.sign * (again[0].finer - again[0].value)
     least = LIMIT * abs(float(objective.value[0] - objective.value[1]))
     for lane, end in enumerate(near):
-        if value + error - ends[lane] > least and _excess(again, lane, finer=True) <= LIMIT:
+        if value + error - ends[lane] > least and _holds(again, lane):
             numbers = (objective.sign * ends[lane], objective.sign * (value + error))
             text = "start {} is better in the finer model, {:.6g} against {:.6g}".format(end.start, *numbers)
             faults.append(_Fault(text, objective))
     return faults
 
 
-def advice(problem: Problem, need: float, by_modes: bool = False) -> str:
-    """What to do where errors must fall by the factor `need`, inf: nobody knows; by_modes: those of the modes are larger."""
-    if by_modes:
-        return f"more modes of the flexible bodies, {advice(problem, need)}"
+_MORE = {"modes": "more modes of the flexible bodies", "mesh": "finer meshes of the flexible bodies"}
+
+
+def advice(problem: Problem, need: float, causes: Collection[str] = ()) -> str:
+    """What to do where errors must fall by the factor `need`, inf: nobody knows.
+
+    causes   of the largest errors: "steps", "modes", "mesh"
+    """
+    more = [text for cause, text in _MORE.items() if cause in causes]
+    if more:
+        return ", ".join([*more, advice(problem, need)])
     steps = problem.steps
     if steps is None or problem.simulation["method"] in ADAPTIVE:
         return "tighter tolerances of the method (rtol, atol)"

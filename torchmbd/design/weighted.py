@@ -68,12 +68,19 @@ class WeightedSum(Total):
         return WeightedSum([(w, m) for (w, _), m in zip(self.terms, measures, strict=True)], scales)
 
     def value(self, motion: Trajectory) -> Tensor:
+        return Total(self._scaled).value(motion)
+
+    def change(self, motion: Trajectory) -> Tensor:
+        return Total(self._scaled).change(motion)
+
+    @property
+    def _scaled(self) -> Sequence[tuple[float, Measure]]:
+        """The terms with their weights over what normalizes them."""
         if self.normalize is None:
-            return super().value(motion)
+            return self.terms
         if self.normalize == "initial":
             raise InputError(
                 "weighted sum is normalized by the initial design, which a motion alone does not tell; "
                 "allowed: in a Problem, or after at_start(motion of the initial design)"
             )
-        scaled = [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]
-        return Total(scaled).value(motion)
+        return [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
+from torchmbd.optimization.failures import counted
 from torchmbd.optimization.finer_motions import search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
@@ -223,6 +224,8 @@ def build_result(
         analyses=search.analyses,
         gradient_evaluations=search.gradient_evaluations,
         failures=search.failures,
+        reasons=counted(search.reasons.items()),
+        feasibility=search.feasibility,
         history=search.history,
         multipliers=quality.multipliers * search.objective_scale,
         bound_multipliers=quality.bound_multipliers * search.objective_scale / search.scale,

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from torchmbd.optimization.failures import counted
 from torchmbd.optimization.optimizer import Iterate, OptimizationResult
 
 Search = Callable[[Any, np.ndarray, int, Callable[[Iterate], None]], OptimizationResult]
@@ -45,11 +46,11 @@ def search_with_finer_motions(
         parts.append(part)
         finer = problem.refined(part.x) if refines and part.status not in ENDED else None
         if finer is None:
-            return _joined(parts)
+            return with_many_failures(_joined(parts))
         problem, x = finer, part.x
         if done + part.iterations >= max_iterations:
             text = f"{part.message}; the limits left no iteration by the finer motions that this design needs"
-            return _joined([*parts[:-1], replace(part, message=text)])
+            return with_many_failures(_joined([*parts[:-1], replace(part, message=text)]))
 
 
 def _counted_from(done: int, report: Callable[[Iterate], None]) -> Callable[[Iterate], None]:
@@ -73,4 +74,13 @@ def _joined(parts: list[OptimizationResult]) -> OptimizationResult:
     counts = {
         name: sum(getattr(part, name) for part in parts) for name in ("analyses", "gradient_evaluations", "failures")
     }
-    return replace(parts[-1], history=history, iterations=done, **counts)
+    reasons = counted(pair for part in parts for pair in part.reasons.items())
+    return replace(parts[-1], history=history, iterations=done, reasons=reasons, **counts)
+
+
+def with_many_failures(result: OptimizationResult) -> OptimizationResult:
+    """The result with the status "many_failures" where more than a tenth of its evaluations failed."""
+    if not result.failing_text or result.status in ENDED:
+        return result
+    message = f"{result.failing_text}; else {result.status.replace('_', ' ')}: {result.message}"
+    return replace(result, status="many_failures", message=message)

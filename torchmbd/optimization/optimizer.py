@@ -20,6 +20,7 @@ Checked in tests/contracts/test_optimizers.py, over the registry.
 from __future__ import annotations
 
 import inspect
+import math
 import numbers
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.optimization.failures import are_many, failures_text
 from torchmbd.summary import Summary, few
 
 if TYPE_CHECKING:
@@ -39,6 +41,7 @@ STATUSES = {
     "converged": "the constraints and the Kuhn-Tucker conditions are satisfied, to the residual `kkt` of the method",
     "max_iterations": "stopped by the limit of iterations or of analyses",
     "max_boxes": "stopped by the limit of boxes of a discrete search, with boxes left that may hold a better design",
+    "many_failures": "more than a tenth of the evaluations failed, so an optimum may have been missed; the message says why",
     "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",
     "infeasible": "the constraints could not be satisfied; x is the least infeasible design seen",
     "failed": "the start could not be evaluated, or a gradient where the values could",
@@ -159,6 +162,22 @@ def convergence_figure(results: Sequence[OptimizationResult], best: Optimization
     return convergence(values, violations, None if best is None else f"start {best.start}", title)
 
 
+def gain_text(result: OptimizationResult, first: Iterate | None) -> str:
+    """Return whether a result is better than the start `first`, whose objective and violation are told."""
+    if first is None or not math.isfinite(first.objective) or not math.isfinite(result.value):
+        return "the start could not be evaluated"
+    word = (
+        "better than"
+        if result.value < first.objective
+        else "worse than"
+        if result.value > first.objective
+        else "equal to"
+    )
+    violated = first.violation > result.feasibility
+    beyond = f", which violates a constraint by {first.violation:.3g}" if violated else ""
+    return f"{word} the start, {result.sign * first.objective:.6g}{beyond}"
+
+
 @dataclass(frozen=True, repr=False)
 class OptimizationResult(Summary):
     """The result of an optimization from one start, in physical units.
@@ -173,6 +192,7 @@ class OptimizationResult(Summary):
     analyses              simulations, with or without gradients
     gradient_evaluations  how many of them carried gradients
     failures              how many of them failed
+    reasons               of the failures, with how often each occurred, the commonest first
     history               accepted designs, the start first
     multipliers           of the constraints [m]
     bound_multipliers     [n], positive at an upper, negative at a lower bound
@@ -181,6 +201,7 @@ class OptimizationResult(Summary):
     names                 of the design variables [n]
     start                 which start of a multistart it was
     problem               what was minimized
+    feasibility           violation of a constraint that counts as none
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
@@ -209,17 +230,53 @@ class OptimizationResult(Summary):
     names: list[str] = field(default_factory=list)
     start: int = 0
     problem: Any = field(default=None, repr=False, compare=False)
+    reasons: dict[str, int] = field(default_factory=dict)
+    feasibility: float = 1e-6
 
     def _summary(self) -> list[tuple[str, Any]]:
         names = self.names or [f"x[{k}]" for k in range(len(self.x))]
         return [
             ("status", f"{self.status}: {self.message}"),
-            ("value", f"{self.value:.8g}"),
+            ("value", f"{self.sign * self.value:.8g}, {self.gain_text}"),
             ("violation", f"{self.violation:.3g}"),
+            ("active", few(self.active) if self.active else "no constraint and no bound"),
             ("KKT residual", f"{self.kkt_residual:.2g}"),
             ("x", few([f"{name} = {x:.6g}" for name, x in zip(names, self.x, strict=True)])),
-            ("method", f"{self.method}, {self.iterations} iterations, {self.analyses} simulations"),
+            ("method", f"{self.method}, {self.iterations} iterations"),
+            ("evaluations", failures_text(self.analyses, self.reasons)),
         ]
+
+    @property
+    def sign(self) -> float:
+        """The factor from the value to the objective of the problem: -1 where it is maximized."""
+        return float(getattr(self.problem, "sign", 1.0))
+
+    @property
+    def gain_text(self) -> str:
+        """Whether the design is better than the start of the search."""
+        return gain_text(self, self.history[0] if self.history else None)
+
+    @property
+    def active(self) -> list[str]:
+        """Names of the constraints and of the bounds that hold the design: those with a multiplier."""
+        rows = getattr(self.problem, "row_names", [])
+        known = len(rows) == len(self.multipliers)
+        labels = rows if known else [f"constraint {k + 1}" for k in range(len(self.multipliers))]
+        names = self.names or [f"x[{k}]" for k in range(len(self.bound_multipliers))]
+        active = [name for name, number in zip(labels, self.multipliers, strict=True) if abs(number) > 0.0]
+        bounds = zip(names, self.bound_multipliers, strict=True)
+        return active + [f"{'upper' if x > 0.0 else 'lower'} bound of {name}" for name, x in bounds if abs(x) > 0.0]
+
+    @property
+    def search_text(self) -> str:
+        """How the search ended, whether its design is better than the start, and how many evaluations failed."""
+        ending = "converged" if self.converged else f"not converged ({self.status}: {self.message})"
+        return f"{ending}; {self.gain_text}; {failures_text(self.analyses, self.reasons)}"
+
+    @property
+    def failing_text(self) -> str:
+        """How many evaluations failed and why, where more than a tenth did; else ""."""
+        return failures_text(self.analyses, self.reasons) if are_many(self.analyses, self.reasons) else ""
 
     def plot(self, title: str = "objective") -> Figure:
         """Figure of the objective and the largest violation over the iterations."""

@@ -10,6 +10,7 @@ hands them to the thread that evaluates the designs of all starts together (mult
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import itemgetter
@@ -68,7 +69,8 @@ class Search:
         self.index, self.has_extra_variable = index, has_extra_variable
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
-        self.analyses = self.gradient_evaluations = self.failures = 0
+        self.analyses = self.gradient_evaluations = 0
+        self.reasons: Counter[str] = Counter()  # of failed evaluations
         self._evaluate_batch, self._report, self._tighten = evaluate_batch, report, tighten
         self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
         self._cache = MemoryStore[Evaluation]()  # physical units
@@ -88,6 +90,11 @@ class Search:
     @property
     def size(self) -> int:
         return self.start.size
+
+    @property
+    def failures(self) -> int:
+        """Number of evaluations that failed."""
+        return self.reasons.total()
 
     def refuse_equalities(self, method: str) -> None:
         """Raise InputError if the problem has equalities, for methods that stay inside the feasible region."""
@@ -249,11 +256,11 @@ class Search:
             evaluation = checked(answer, self.size, with_gradients)
             self.analyses += 1
             self.gradient_evaluations += with_gradients
-            self.failures += not evaluation.ok
             if evaluation.ok and self.equality.size != evaluation.constraints.size:
                 self.equality = np.zeros(evaluation.constraints.size, dtype=bool)
                 self.equality[self.equalities] = True
             if not evaluation.ok:
+                self.reasons[evaluation.status] += 1
                 self._ranks.pop(x.tobytes(), None)  # its values were evaluated before, its gradient fails
             self._cache.entries[x.tobytes()] = x, evaluation
         if len(allowed) < len(designs):

@@ -3,8 +3,10 @@
     f(finer) = f + e            e: estimated true value minus value, see response_error.py
     gain     = f(start) - f(best), its error e(start) - e(best): errors that both designs share cancel
 
-    verified   |e(start) - e(best)| <= GAIN gain; no constraint beyond its limit by more than LIMIT of it in the finer model;
-               what that depends on is resolved; no other end of the search is better in the finer model
+    verified   |e(start) - e(best)| <= GAIN gain; no constraint beyond its limit by more than LIMIT of its size in the finer
+               model; what that depends on is resolved; no other end of the search is better in the finer model
+
+A search of which more than a tenth of the evaluations failed is not called verified: an optimum may have been missed.
 
 Plain data, which commands read from the store without torch.
 Made by design/verification.py; checked in tests/design/test_verification.py.
@@ -20,9 +22,9 @@ from typing import Any
 from torchmbd.summary import Summary
 
 GAIN = 0.1  # of the gain: its largest error
-LIMIT = 0.01  # of the limit of a constraint: the largest violation in the finer model
+LIMIT = 0.01  # of the size of a constraint: the largest violation in the finer model
 _ROUNDING = 1e-12  # of a value: an error below it is not told
-VERIFIED, NOT_VERIFIED = "verified", "not verified"  # beginnings of a status
+VERIFIED, NOT_VERIFIED, MANY_FAILURES = "verified", "not verified", "many evaluations failed"  # beginnings of a status
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,8 @@ class Verification(Summary):
     faults    why the best design is not verified; none: it is
     advice    what to do then
     notes     what the estimates are worth
+    search    how the search ended, whether the best design is better than the start, how many evaluations failed; "": no search
+    failing   how many evaluations failed and why, where more than a tenth did; else ""
     """
 
     answers: tuple[Answer, ...]
@@ -98,18 +102,25 @@ class Verification(Summary):
     faults: tuple[str, ...]
     advice: str = ""
     notes: tuple[str, ...] = ()
+    search: str = ""
+    failing: str = ""
 
     @property
     def verified(self) -> bool:
-        """Whether gain and constraints hold in the finer model."""
-        return not self.faults
+        """Whether gain and constraints hold in the finer model, and at most a tenth of the evaluations failed."""
+        return not self.faults and not self.failing
 
     @property
     def status(self) -> str:
-        """`verified: ...` or `not verified: ...` with what to do."""
+        """`verified: ...`, `not verified: ...` with what to do, or `many evaluations failed: ...`; then what the search did."""
+        search = f". Search: {self.search}" if self.search else ""
         if self.faults:
-            return f"{NOT_VERIFIED}: {'; '.join(self.faults)}" + (f". Allowed: {self.advice}" if self.advice else "")
-        return f"{VERIFIED}: the objective changed by {self.change:z.2f} %, in a finer model by {self.finer:z.2f} %"
+            advice = f". Allowed: {self.advice}" if self.advice else ""
+            return f"{NOT_VERIFIED}: {'; '.join(self.faults)}{advice}{search}"
+        change = f"the objective changed by {self.change:z.2f} %, in a finer model by {self.finer:z.2f} %"
+        if self.failing:
+            return f"{MANY_FAILURES}: {self.failing}; {change}{search}"
+        return f"{VERIFIED}: {change}{search}"
 
     def _summary(self) -> list[tuple[str, Any]]:
         rows = [(f"{row.goal} {row.heading}".strip(), f"{row.start} -> {row.best}") for row in self.answers]

@@ -277,6 +277,13 @@ class MotionData(Summary):
         there = {name: getattr(moment, name)[lane : lane + 1, None] for name in ("q", "v", "a", "lam")}
         return self.one_lane(lane, t[None], TensorSignals(there))
 
+    def at_rest(self, index: int) -> Self:
+        """The machine at rest at all times where it is at one of them: without rates, forces and sensitivities."""
+        there = self.q.detach()[:, index, None].expand(-1, len(self.t), -1)
+        still = {name: torch.zeros_like(getattr(self, name)) for name in ("v", "a", "lam")}
+        plain = {"switches": [], "known": None, "integration": None, "variables": {}, "parameters": ()}
+        return replace(self, signals=TensorSignals({"q": there, **still}), **plain)
+
     def one_lane(self, lane: int, t: Tensor, signals: Signals) -> Self:
         """One lane with other times and rows, without sensitivities."""
         row = slice(lane, lane + 1)

@@ -6,13 +6,14 @@
     by_modes = v_richer - v         flexible bodies with half as many vibration modes again (bodies/refinement.py)
     by_mesh = (v_finer - v) 4/3     flexible bodies with twice as many cells in each direction (bodies/refinement.py)
 
-Half of a step is a little less: r n steps share no factor with n, r = 2 + 1/n. A load whose period divides a step of one motion
-takes one value in all of its steps, and others in those of the other motion.
+Half of a step is a little less: r n steps share no factor with n, r = 2.3 or a little more. A load whose period divides a step
+of one motion takes one value in all of its steps, and others in those of the other motion. Factors of four are those of r = 2.
 
 Two coarse motions may agree by chance. Where they differ by more than a thousandth, a motion with twice the step must agree
 with them to a tenth, or show that the error falls as it should: by four, accepted from two to eight; of tolerances, at least
 by two. Where it does not, where the two differ by more than a tenth, or the status of the lane is not "ok", a motion with a
-quarter of the step decides in the same way.
+quarter of the step decides in the same way. Differences are shares of the response's size (`Measure.size`), which neither
+another origin nor a constant part changes.
 Source: Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357.
 Checked in tests/design/test_response_errors.py, tests/design/test_errors_of_motions.py.
 """
@@ -30,14 +31,14 @@ from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.multibody.bodies.refinement import has_reduction, obstacle
 from torchmbd.results.motion_data import OK, has_failed
 
-_LARGE = 0.1  # of the value: differences that need a motion with a quarter of the step
-_SMALL = 1e-3  # of the value: one of a thousand pairs of motions by unresolved steps agrees so well by chance
+_LARGE = 0.1  # of the size: differences that need a motion with a quarter of the step
+_SMALL = 1e-3  # of the size: one of a thousand pairs of motions by unresolved steps agrees so well by chance
 _ROUNDING = 1e-10  # of the value: differences that are rounding and the residuals of Newton's iterations
 _OF_MESH = 4.0 / 3.0  # elements of second order
-_BLIND = (
-    0.5  # of the reduction of the error by half the step: below it, the two motions with longer steps miss something
-)
+_BLIND = 0.5  # of the reduction of the error by half the step: below it, both motions with longer steps miss something
 _LEAST, _MOST = 2.0, 8.0  # of the reduction of the error by half the step; four for second order
+_FALL = 4.0  # of the error by half the step, of methods of second order
+_INSTANTS = 8  # of a motion, at which a function of it is compared with its value
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class ResponseError:
 
     name      of the response
     value     of the motion [lanes] or [lanes, rows]
+    size      what its errors are compared with, without constant parts (`Measure.size`), of the same shape
+    change    by how much it follows from the motion (`Measure.change`), of the same shape
     by_steps  error by the steps, of the same shape
     resolved  whether the estimate by steps holds [lanes]: the error falls with the steps as the method promises
     reasons   why a lane is not resolved, "" where it is
@@ -62,6 +65,8 @@ class ResponseError:
 
     name: str
     value: Tensor
+    size: Tensor
+    change: Tensor
     by_steps: Tensor
     resolved: Tensor
     reasons: tuple[str, ...]
@@ -100,11 +105,12 @@ def response_error(
     modes: bool = True,
     mesh: bool = True,
     enough: float = 0.0,
-    least: float = 0.0,
+    least: Callable[[Tensor], Tensor] = torch.zeros_like,
 ) -> ResponseError:
     """The errors of a response of a motion; InputError for what has no estimate by steps.
 
-    enough   error by steps, as a share of the value or of `least`, that is resolved without a look at a third motion
+    enough   error by steps, as a share of the size or of `least`, that is resolved without a look at a third motion
+    least    least size of a number; a function of the value returns it, of the shape of the value
     """
     if not callable(response):
         raise InputError(f"response is {response!r}; allowed: a measure, such as mbd.Max(...)")
@@ -112,7 +118,12 @@ def response_error(
         raise InputError("this motion is a part of another; allowed: error_of of the motion that simulate returns")
     with torch.no_grad():
         value = _numbers(response, motion)
-        by_steps, reasons = _by_steps(motion, response, value, enough * value.abs().clamp_min(least))
+        if hasattr(response, "size") and hasattr(response, "change"):
+            size, change = response.size(motion), response.change(motion).abs()  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            size = change = change_by_motion(response, motion)
+        size = size.maximum(least(value))
+        by_steps, reasons = _by_steps(motion, response, value, size, enough * size)
         by_modes, lacks, by_mesh, misses = None, "", None, ""
         if modes:
             fixed = _without_reduction(motion)
@@ -124,11 +135,25 @@ def response_error(
         unknown = tuple(f"{name}: {why}" for name, why in (("by_modes", lacks), ("by_mesh", misses)) if why)
     resolved = torch.tensor([not reason for reason in reasons])
     note = "; ".join(dict.fromkeys(_notes(response)))
-    return ResponseError(repr(response), value, by_steps, resolved, tuple(reasons), note, by_modes, by_mesh, unknown)
+    return ResponseError(
+        repr(response), value, size, change, by_steps, resolved, tuple(reasons), note, by_modes, by_mesh, unknown
+    )
 
 
-def _by_steps(motion: Any, response: Any, value: Tensor, enough: Tensor) -> tuple[Tensor, list[str]]:
-    """Error by the steps, and why lanes are not resolved; errors up to `enough`, of the shape of the value, are."""
+def change_by_motion(response: Callable[[Any], Tensor], motion: Any) -> Tensor:
+    """The largest difference of a function of a motion from its numbers where the machine rests at some of the times."""
+    value, last = _numbers(response, motion), len(motion.t) - 1
+    change = torch.zeros_like(value)
+    for index in sorted({round(k * last / _INSTANTS) for k in range(_INSTANTS + 1)}):
+        change = torch.fmax(change, (value - _numbers(response, motion.at_rest(index))).abs())
+    return change
+
+
+def _by_steps(motion: Any, response: Any, value: Tensor, size: Tensor, enough: Tensor) -> tuple[Tensor, list[str]]:
+    """Error by the steps, and why lanes are not resolved; errors up to `enough`, of the shape of the value, are.
+
+    size   what differences are compared with, of the same shape
+    """
     half = motion.finer(2)
     order, finer = motion.simulation.order, _numbers(response, half)
     if finer.shape != value.shape:
@@ -136,25 +161,29 @@ def _by_steps(motion: Any, response: Any, value: Tensor, enough: Tensor) -> tupl
             f"response {response!r} has numbers {list(value.shape)}, with finer steps {list(finer.shape)}; "
             "allowed: numbers that do not change with the steps, such as mbd.Max(...) of a history"
         )
-    remainder = _remainder(motion, half, order)
-    first, size = finer - value, value.abs().maximum(finer.abs())
-    error = first * (1.0 + remainder)
+    by_half = _remainder(motion, half, order)
+    first, rounding = finer - value, _ROUNDING * value.abs().maximum(finer.abs())
+    error = first / (1.0 - by_half)
     sound = torch.tensor([status == OK for status in motion.status])
-    certain = sound & _all(first.abs() <= _LARGE * size)
-    believed = certain & _all(first.abs() <= _SMALL * size) | sound & _all(error.abs() <= enough)
+    certain = sound & _all(first.abs() <= (_LARGE * size).maximum(rounding))
+    believed = certain & _all(first.abs() <= (_SMALL * size).maximum(rounding)) | sound & _all(error.abs() <= enough)
     if order and not believed[certain].all():
-        believed |= certain & _confirmed(motion, response, value, first, size)
+        believed |= certain & _confirmed(motion, response, value, error, size)
     doubtful = ~believed if order else ~certain
     reasons = [""] * motion.lanes
     if doubtful.any():
         quarter = motion.finer(4)
         finest = _numbers(response, quarter)
-        second = finest - finer
-        better = finest - value + second * _remainder(half, quarter, order)
-        error = torch.where(_wide(doubtful, value), better, error)
+        second, by_quarter = finest - finer, _remainder(motion, quarter, order)
         ratio = first / second
+        if order:
+            better = first + second * by_half / (by_half - by_quarter)
+            ratio = _FALL * ratio * (by_half - by_quarter) / (1.0 - by_half)
+        else:
+            better = first + second
+        error = torch.where(_wide(doubtful, value), better, error)
         falls = (ratio >= _LEAST) & (ratio <= _MOST) if order else ratio.abs() >= _LEAST
-        falls |= first.abs() <= _ROUNDING * size
+        falls |= first.abs() <= rounding
         agree = (first.abs() <= _LARGE * size) & (second.abs() <= _LARGE * size) & _wide(sound, value)
         falls = rows_of(falls | agree)
         for lane in doubtful.nonzero().flatten().tolist():
@@ -166,17 +195,17 @@ def _by_steps(motion: Any, response: Any, value: Tensor, enough: Tensor) -> tupl
 
 
 def _remainder(motion: Any, finer: Any, order: int | None) -> float:
-    """Error of the finer one of two motions, over their difference; 0: adaptive methods."""
-    return 1.0 / ((finer.simulation.steps / motion.simulation.steps) ** order - 1.0) if order else 0.0
+    """Share of the error of a motion that finer steps leave; 0 of adaptive methods."""
+    return (motion.simulation.steps / finer.simulation.steps) ** order if order else 0.0
 
 
-def _confirmed(motion: Any, response: Any, value: Tensor, first: Tensor, size: Tensor) -> Tensor:
+def _confirmed(motion: Any, response: Any, value: Tensor, error: Tensor, size: Tensor) -> Tensor:
     """Whether a motion with twice the step says that values with this step and half of it do not agree by chance [lanes]."""
     coarse = motion.coarser()
     if coarse is None:
         return torch.zeros(motion.lanes, dtype=torch.bool)
     before = value - _numbers(response, coarse)
-    ratio = before / first
+    ratio = _FALL / (_FALL - 1.0) * before / error
     # Motions of n and n / 2 steps may show one value of a load, which that of r n steps does not: then they agree too well.
     agree = (before.abs() <= _LARGE * size) & (ratio.abs() >= _BLIND)
     return _all(agree | (ratio >= _LEAST) & (ratio <= _MOST))

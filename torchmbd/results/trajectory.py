@@ -75,7 +75,7 @@ class Trajectory(MotionData):
         return self._energies[mode]
 
     def finer(self, factor: int) -> Trajectory:
-        """The same motion with 2 or 4 times the steps, values only; it is kept for other responses."""
+        """The same motion with 2 or 4 times the steps (Simulation.finer), values only; it is kept for other responses."""
         return self._kept(factor, lambda: self.simulation.finer(factor))
 
     def coarser(self) -> Trajectory | None:

@@ -36,7 +36,8 @@ class Value(NamedTuple):
     goal   "minimize", or the limit
     unit   None: unknown
     note   on the value
-    error  estimated, over the value of an objective, or over the limit; 0.0: none, or not estimated; nan: not resolved
+    error  estimated, over the size of an objective, or the larger of size and margin of a constraint; 0.0: none, or not
+           estimated; nan: not resolved
     """
 
     goal: str
@@ -82,16 +83,20 @@ def start_values(problem: Problem, criteria: int = 1, errors: Sequence[ResponseE
 
 
 def _error_shares(problem: Problem, errors: Sequence[ResponseError]) -> list[float]:
-    """Return the errors of objective and constraints as shares: of the value, of the limits; zeros if none are estimated."""
+    """Return the errors of objective and constraints as shares: of their sizes or margins; zeros if none are estimated."""
     if not errors:
         return [0.0] * (1 + len(problem.constraints))
-    scales = [rows_of(errors[0].value).abs().max().numpy()]
-    scales += [abs(problem.reference.scale[rows]) for rows in problem.constraint_rows]
+    sizes = [rows_of(error.size).numpy()[0] for error in errors]
+    margins = [
+        abs(problem.limits[rows] - rows_of(e.value).numpy()[0])
+        for rows, e in zip(problem.constraint_rows, errors[1:], strict=True)
+    ]
+    sizes = [np.full_like(sizes[0], sizes[0].max()), *map(np.maximum, sizes[1:], margins)]
     shares = []
-    for error, scale in zip(errors, scales, strict=True):
+    for error, size in zip(errors, sizes, strict=True):
         rows = rows_of(error.by_steps).numpy()[0]
         worst = int(np.argmax(abs(rows)))
-        size = np.broadcast_to(scale, rows.shape)[worst]
+        size = size[worst]
         shares.append(math.nan if not error.resolved.all() else float(rows[worst] / size) if rows[worst] else 0.0)
     return shares
 

@@ -123,3 +123,24 @@ def test_a_load_along_a_stiffened_plate_is_a_weight(load):
     pushed = frequencies(0.0, mbd.Pressure(body, abs(load), direction=(load, 0.0, 0.0)))
     assert_close(pushed, frequencies(load / 2.7), rtol=1e-8, atol=0.0)
     assert abs(float(pushed[0] / frequencies(0.0)[0]) - 1.0) > 0.2
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("direction", [None, (0.0, 0.0, -1.0)])
+def test_a_finer_mesh_has_a_finer_load(direction):
+    """The error by the mesh against four times the cells: a load that stays at the coarse nodes makes it three times as large."""
+    response = mbd.Integral(mbd.Displacement("strip", "z", node="right"))
+
+    def motion(times: int) -> mbd.Trajectory:
+        mesh = mbd.mesh.rectangle(0.4, 0.05, cells=(4 * times, 2 * times))
+        made_of = mbd.Laminate(mbd.examples.carbon(), mbd.deg([30.0, -30.0]), thickness=1e-3)
+        body = mbd.FlexibleBody.plate("strip", mesh, made_of, modes=3, reference="left_edge", damping=1e-3)
+        wall = mbd.Fixed(GROUND.at(), body.at("left"))
+        load = mbd.Pressure(body, mbd.variable(10.0), direction=direction)
+        system = mbd.System([body], [wall], [load], truncation=None)
+        return mbd.simulate(system, 0.02, steps=100, gradients="none", backend="eager")
+
+    coarse = motion(1)
+    error = coarse.error_of(response, modes=False)
+    assert error.by_mesh is not None
+    assert 0.7 < (error.by_mesh / (response(motion(4)) - error.value)).item() < 1.3

@@ -77,6 +77,10 @@ class EquivalentLoad(OfHistory):
         if self.cycles is not None:
             _positive("cycles", self.cycles)
 
+    @property
+    def natural_zero(self) -> bool:
+        return True  # of ranges alone
+
     def reduce(self, curve: Spline) -> Tensor:
         counted = rainflow(curve.extremes())
         number = curve.duration if self.cycles is None else self.cycles
@@ -111,6 +115,10 @@ class Damage(OfHistory):
         if not isinstance(self.curve, SNCurve):
             raise InputError(f"curve is {self.curve!r}; allowed: SNCurve([(cycles, amplitude), ...])")
         _positive("repeats", self.repeats)
+
+    @property
+    def natural_zero(self) -> bool:
+        return True  # of ranges alone
 
     def reduce(self, curve: Spline) -> Tensor:
         assert self.curve is not None

@@ -6,6 +6,7 @@
 Along the normals the load follows the body. The forces on nodes along axis i of the body, of one sign, act as one force p N_i,
 N_i the sum of their areas, on the mean motion of the nodes (multibody/bodies/interpolation.py). So the resultant, the moment
 about the undeformed nodes and the modal forces are exact; normals turn with that mean, not one by one.
+The areas are those of the mesh that the body has when the system is joined, so that a finer mesh has a finer load.
 Checked in tests/multibody/forces/test_pressure.py.
 """
 
@@ -27,6 +28,9 @@ from torchmbd.multibody.forces.laws import Scaled, check_law
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 _ZERO = 1e-12  # share of the largest component of area that counts as none
+
+
+Part = tuple[Frame, str, float]  # of the load: frame on its nodes, axis, and area along the axis [m2]
 
 
 @checked_signature
@@ -58,23 +62,27 @@ class Pressure(ForceElement):
         mesh = getattr(body, "mesh", None)
         if not isinstance(mesh, Mesh) or mesh.cell_count == 0:
             raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles or quadrilaterals")
+        self.body, self.pressure, self.direction = body, pressure, direction
+        super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
+        for _, _, area in self.parts:
+            self._law(area)
+
+    @property
+    def parts(self) -> list[Part]:
+        """The parts of the load on the present mesh of the body."""
+        mesh = self.body.mesh
         nodes, share, _ = mesh.covering_triangles
         area = share[:, None] * directed_area(mesh.nodes[nodes])
-        self.follows = direction is None
-        self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
-        super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
-        self.laws = [
-            check_law(self.name, self.law_variables.law_of_time(pressure, "pressure", area))
-            for _, _, area in self.parts
-        ]
+        return list(_following(self.body, area) if self.direction is None else _fixed(self.body, area, self.direction))
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
-        for (frame, axis, _), law in zip(self.parts, self.laws, strict=True):
-            along = attachments.axis(frame if self.follows else Ground().at(), axis)
-            yield Applied(Push, (attachments.point(frame), along), law)
+        for frame, axis, area in self.parts:
+            along = attachments.axis(Ground().at() if self.direction is not None else frame, axis)
+            yield Applied(Push, (attachments.point(frame), along), self._law(area))
 
-
-Part = tuple[Frame, str, float]  # of the load: frame on its nodes, axis, and area along the axis [m2]
+    def _law(self, area: float) -> Any:
+        """The force [N] on an area [m2] as a law."""
+        return check_law(self.name, self.law_variables.law_of_time(self.pressure, "pressure", area))
 
 
 def _following(body: Any, area: Tensor) -> Iterator[Part]:

@@ -20,6 +20,8 @@ import numpy as np
 from torchmbd.errors import argument_names, checked_signature, true_or_false
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.batch import parallel_batches
+from torchmbd.optimization.failures import are_many, counted, failures_text
+from torchmbd.optimization.finer_motions import with_many_failures
 from torchmbd.optimization.multistart.batched import BatchedSearches
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.optimizer import (
@@ -28,6 +30,7 @@ from torchmbd.optimization.optimizer import (
     OptimizationResult,
     convergence_figure,
     find_method,
+    gain_text,
     require_count,
     require_range,
 )
@@ -117,14 +120,42 @@ class MultistartResult(Summary):
 
     def _summary(self) -> list[tuple[str, Any]]:
         best = self.best
-        text = "none is feasible" if best is None else f"{best.value:.8g}, start {best.start} ({best.status})"
+        text = "none is feasible"
+        if best is not None:
+            text = f"{best.sign * best.value:.8g}, start {best.start} ({best.status}), {gain_text(best, self._first)}"
         values = few([f"{minimum.value:.6g}" for minimum in self.minima])
         return [
             ("starts", f"{len(self.results)} of {len(self.starts)}, {self.converged} converged"),
             ("best", text),
+            ("active", "-" if best is None else few(best.active) if best.active else "no constraint and no bound"),
             ("minima", f"{len(self.minima)}: {values}" if self.minima else "none"),
-            ("simulations", f"{self.analyses}, {self.gradient_evaluations} of them with gradients"),
+            ("evaluations", failures_text(self.analyses, self.reasons)),
         ]
+
+    @property
+    def _first(self) -> Iterate | None:
+        """The start of the first search, with which the best design is compared."""
+        return next((r.history[0] for r in self.results if r.start == 0 and r.history), None)
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """Reasons of failed evaluations of all starts, with how often each occurred, the commonest first."""
+        return counted(pair for r in self.results for pair in r.reasons.items())
+
+    @property
+    def search_text(self) -> str:
+        """How many searches converged, whether the best design is better than the first start, how many evaluations failed."""
+        best, many = self.best, len(self.results)
+        ending = f"{self.converged} of {many} starts converged"
+        if best is not None and not best.converged:
+            ending += f", the best did not ({best.status}: {best.message})"
+        gain = "no start is feasible" if best is None else gain_text(best, self._first)
+        return f"{ending}; {gain}; {failures_text(self.analyses, self.reasons)}"
+
+    @property
+    def failing_text(self) -> str:
+        """How many evaluations failed and why, where more than a tenth did; else ""."""
+        return failures_text(self.analyses, self.reasons) if are_many(self.analyses, self.reasons) else ""
 
     def to_dataframe(self) -> DataFrame:
         """A row for each start: status, value, violation, Kuhn-Tucker residual, iterations, analyses, design by its names."""
@@ -229,7 +260,7 @@ def multistart(
 
     def runner(index: int, evaluate_batch: EvaluateBatch, report: Report) -> OptimizationResult:
         search = Search.of(problem, evaluate_batch, points[index], lower, upper, **settings, index=index, report=report)
-        return run_start(search, function, method, max_iterations, options, problem)
+        return with_many_failures(run_start(search, function, method, max_iterations, options, problem))
 
     span = np.where(np.isfinite(upper - lower), upper - lower, variable_scale(initial, lower, upper))
     period = getattr(problem, "period", None)
