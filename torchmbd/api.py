@@ -43,10 +43,11 @@ from torchmbd.design import (
     history,
     measure,
 )
-from torchmbd.design.aggregate import Aggregate, sharpen
+from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.differences import Differences
 from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.design.sharpening import sharpen
 from torchmbd.design.verification import verify
 from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, checked_signature
 from torchmbd.fem import mesh, sections

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from torchmbd.design.aggregate import sharpened
+from torchmbd.design.sharpening import sharpened
 
 LAG = mbd.Displacement("arm", "z", node="right")
 ROWS = mbd.AtTimes(LAG, count=9)

@@ -57,7 +57,9 @@ def test_limits_that_end_before():
     problem = Parabola()
     result = mbd.optimize(problem, "mmfd", max_iterations=1)
     assert "left no iteration by the finer motions" in result.message
-    assert {n for n, _ in problem.seen} == {10}
+    assert result.history[0].accuracy == ""  # of a problem that does not name it
+    assert {n for n, _ in problem.seen} == {10, 100}
+    assert result.value == pytest.approx((result.x[0] - 1.0 - 1e-4) ** 2, abs=1e-12)
     assert mbd.optimize(Parabola(), "mmfd", max_iterations=30, max_analyses=3).analyses <= 5
 
 

@@ -26,6 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmbd.design import problem_steps
 from torchmbd.design.differentiate import ROWS, differentiate
 from torchmbd.design.problem_errors import problem_errors
 from torchmbd.design.problem_parts import (
@@ -37,15 +38,9 @@ from torchmbd.design.problem_parts import (
     require_duration,
     stated_objective,
 )
-from torchmbd.design.problem_steps import (
-    TOLERANCE,
-    checked_tolerance,
-    coarse_problem,
-    problem_steps,
-    refined_problem,
-)
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
+from torchmbd.design.words import names_of_rows
 from torchmbd.errors import InputError, SimulationFailure, argument_names, checked_signature
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
@@ -122,7 +117,7 @@ class Problem(Summary):
         backend: str = "auto",
         motion_start: Any = "assembled",
         maximize: Measure | None = None,
-        tolerance: float | None = TOLERANCE,
+        tolerance: float | None = problem_steps.TOLERANCE,
         **options: Any,
     ):
         if not isinstance(system, System):
@@ -144,7 +139,7 @@ class Problem(Summary):
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
-        self.tolerance, self.chooses_steps = checked_tolerance(tolerance), steps is None
+        self.tolerance, self.chooses_steps = problem_steps.checked_tolerance(tolerance), steps is None
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, "backend": backend, **options}
         self.simulation |= {} if motion_start == "assembled" else {"start": motion_start}
@@ -313,8 +308,11 @@ class Problem(Summary):
         return any(c.limit == "initial" for c in self.constraints) or any(m.refers_to_start for m in measures)
 
     errors = problem_errors
-    coarse = cached_property(coarse_problem)
-    refined = refined_problem
+    coarse = cached_property(problem_steps.coarse_problem)
+    refined = problem_steps.refined_problem
+    at_steps = problem_steps.with_steps
+    accuracy = property(problem_steps.accuracy)
+    row_names = property(names_of_rows)
 
     @property
     def limits(self) -> np.ndarray:
@@ -326,7 +324,7 @@ class Problem(Summary):
             self.system, self.steps or FEWEST, self._tangents if gradients else 0, self.gradients == "reverse"
         )
 
-    steps = cached_property(problem_steps)
+    steps = cached_property(problem_steps.problem_steps)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""

@@ -136,12 +136,17 @@ def steps_for(
         return min(tried, key=lambda choice: (not choice.meets(tolerance), choice.error))
 
 
+def accuracy(problem: Any) -> str:
+    """By how many steps designs are evaluated, where the problem chooses them; "" where they were given."""
+    return f"{problem.steps} steps" if problem.chooses_steps and problem.steps else ""
+
+
 def coarse_problem(problem: Any) -> Any:
     """The problem with steps of COARSE times its tolerance at the start, for the way to an optimum; None: it has no fewer."""
     if not problem.chooses_steps or problem.steps is None or problem.tolerance is None:
         return None
     choice = steps_for(problem, problem.start, tolerance=COARSE * problem.tolerance)
-    return None if choice.steps is None or choice.steps >= problem.steps else _with_steps(problem, choice.steps)
+    return None if choice.steps is None or choice.steps >= problem.steps else with_steps(problem, choice.steps)
 
 
 def refined_problem(problem: Any, x: np.ndarray) -> Any:
@@ -155,10 +160,10 @@ def refined_problem(problem: Any, x: np.ndarray) -> Any:
     if not choice.meets(problem.tolerance):
         _warn(problem, choice)
         return None
-    return _with_steps(problem, choice.steps)
+    return with_steps(problem, choice.steps)
 
 
-def _with_steps(problem: Any, steps: int) -> Any:
+def with_steps(problem: Any, steps: int) -> Any:
     """The same problem by other steps: limits and scales "initial" are those of the start by these steps."""
     other = copy.copy(problem)
     for name in ("reference", "steps", "coarse"):

@@ -22,31 +22,22 @@ Checked in tests/contracts/test_responses.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ClassVar, NoReturn, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar, NoReturn
 
 import torch
 from torch import Tensor
 
+from torchmbd.design.constant_arguments import ConstantArguments
 from torchmbd.design.differentiate import ValueAndGradient, differentiate
+from torchmbd.design.operations import formula, is_number, keeps_zero, operand, settle
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
-from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.multibody.system import System
 
 
-class _Constant:
-    """A class whose arguments are constants: InputError names an argument that contains a tensor with a gradient."""
-
-    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        names = (f.name for f in fields(cls)) if is_dataclass(cls) else ()
-        for name, x in (*zip(names, args, strict=False), *kwargs.items()):
-            refuse_lost_gradients(f"{name} of {cls.__name__}", x, "constants")
-        return super().__new__(cls)
-
-
-class History(_Constant):
+class History(ConstantArguments):
     """A number at every time of a motion; called with a motion it gives values [lanes, times], in the unit of the response.
 
     args, kwargs  arguments of the class, such as the body of StrainEnergy. `mbd.history` makes a history of a function
@@ -122,19 +113,17 @@ class Combined(History):
     parts: tuple
 
     def __repr__(self) -> str:
-        return _formula(self.operation, self.parts)
+        return formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
         allowed = "another history or a number"
-        _settle(self, "parts", tuple(_operand(part, History, "history", allowed) for part in self.parts))
+        settle(self, "parts", tuple(operand(part, History, "history", allowed) for part in self.parts))
 
     @property
     def smooth(self) -> bool:
         return all(part.smooth for part in self.parts if isinstance(part, History))
 
-    @property
-    def natural_zero(self) -> bool:
-        return _keeps_zero(self.operation, self.parts)
+    natural_zero = property(lambda self: keeps_zero(self.operation, self.parts))
 
     def values(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.values(motion) if isinstance(part, History) else part for part in self.parts))
@@ -161,7 +150,7 @@ class Combined(History):
                 part.check(system)
 
 
-class Measure(_Constant):
+class Measure(ConstantArguments):
     """Numbers of a motion: one, or `rows` of one kind to which one limit applies, in the unit of the response.
 
     Called with a motion it gives its value [lanes], or [lanes, rows].
@@ -219,10 +208,7 @@ class Measure(_Constant):
         return all(measure.natural_zero for measure in self.operands)
 
     def size(self, motion: Trajectory) -> Tensor:
-        """What errors are compared with, [lanes] or [lanes, rows] as the value: its size, or its change without a natural zero.
-
-        Neither another origin nor a constant that is added to the measure changes it; it has the unit of the value.
-        """
+        """The size of the value, or its change without a natural zero: neither origin nor an added constant changes it."""
         return (self.value(motion).detach() if self.natural_zero else self.change(motion)).abs()
 
     def change(self, motion: Trajectory) -> Tensor:
@@ -230,7 +216,7 @@ class Measure(_Constant):
         return self.value(motion).detach()
 
     def __add__(self, other: Any) -> Measure:
-        return CombinedMeasure(torch.add, (self, other)) if _number(other) else Total([(1.0, self), (1.0, other)])
+        return CombinedMeasure(torch.add, (self, other)) if is_number(other) else Total([(1.0, self), (1.0, other)])
 
     __radd__ = __add__
 
@@ -248,7 +234,7 @@ class Measure(_Constant):
     def __truediv__(self, divisor: Any) -> Measure:
         if isinstance(divisor, Measure):
             return CombinedMeasure(torch.div, (self, divisor))
-        if not _finite(divisor) or not divisor:
+        if not is_number(divisor) or not divisor:
             raise InputError(f"a measure is divided by {divisor!r}; allowed: a finite number but 0")
         return Total([(1.0 / divisor, self)])
 
@@ -256,7 +242,7 @@ class Measure(_Constant):
         return Total([(-1.0, self)])
 
     def __sub__(self, other: Any) -> Measure:
-        return CombinedMeasure(torch.sub, (self, other)) if _number(other) else Total([(1.0, self), (-1.0, other)])
+        return CombinedMeasure(torch.sub, (self, other)) if is_number(other) else Total([(1.0, self), (-1.0, other)])
 
     def __rsub__(self, other: Any) -> Measure:
         return -self + other
@@ -314,7 +300,7 @@ class Total(Measure):
 
     def __post_init__(self) -> None:
         require_scalar_measures([measure for _, measure in self.terms], "sum")
-        _settle(self, "terms", [(scalar("factor of a measure", factor), measure) for factor, measure in self.terms])
+        settle(self, "terms", [(scalar("factor of a measure", factor), measure) for factor, measure in self.terms])
 
     def value(self, motion: Trajectory) -> Tensor:
         return torch.stack([factor * measure.value(motion) for factor, measure in self.terms]).sum(0)
@@ -338,11 +324,11 @@ class CombinedMeasure(Measure):
     parts: tuple
 
     def __repr__(self) -> str:
-        return _formula(self.operation, self.parts)
+        return formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
         allowed = "measures of one number, finite numbers"
-        _settle(self, "parts", tuple(_operand(part, Measure, "measure", allowed) for part in self.parts))
+        settle(self, "parts", tuple(operand(part, Measure, "measure", allowed) for part in self.parts))
         for part in self.parts:
             if isinstance(part, Measure) and part.rows != 1:
                 raise InputError(f"a measure is combined with {part!r}; allowed: {allowed}")
@@ -350,19 +336,14 @@ class CombinedMeasure(Measure):
     def value(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.value(motion) if isinstance(part, Measure) else part for part in self.parts))
 
-    @property
-    def natural_zero(self) -> bool:
-        return _keeps_zero(self.operation, self.parts)
+    natural_zero = property(lambda self: keeps_zero(self.operation, self.parts))
 
     def change(self, motion: Trajectory) -> Tensor:
         """The sum of the changes that each operand makes by its size."""
         values = [x.value(motion).detach() if isinstance(x, Measure) else x for x in self.parts]
-        here, change = self.operation(*values), torch.zeros(motion.lanes, dtype=torch.float64)
-        for k, part in enumerate(self.parts):
-            if isinstance(part, Measure):
-                there = [x + part.size(motion) if j == k else x for j, x in enumerate(values)]
-                change = change + (self.operation(*there) - here).abs()
-        return change
+        sizes = [x.size(motion) if isinstance(x, Measure) else 0.0 for x in self.parts]
+        moved = [self.operation(*values[:k], values[k] + size, *values[k + 1 :]) for k, size in enumerate(sizes)]
+        return torch.stack([(x - self.operation(*values)).abs() for x in moved]).sum(0)
 
     @property
     def operands(self) -> Sequence[Measure]:
@@ -372,29 +353,11 @@ class CombinedMeasure(Measure):
         return CombinedMeasure(self.operation, tuple(change(x) if isinstance(x, Measure) else x for x in self.parts))
 
 
-def _keeps_zero(operation: Callable[..., Tensor], parts: Sequence[Any]) -> bool:
-    """Whether an operation on responses and numbers has a natural zero: all responses have one, and none is shifted."""
-    responses = [part for part in parts if isinstance(part, (History, Measure))]
-    shifted = operation in (torch.add, torch.sub) and any(isinstance(part, (int, float)) and part for part in parts)
-    return not shifted and all(response.natural_zero for response in responses)
-
-
-_SIGNS = {torch.add: "+", torch.sub: "-", torch.mul: "*", torch.div: "/", torch.pow: "**"}
-
-
-def _formula(operation: Callable[..., Tensor], parts: Sequence[Any]) -> str:
-    """An operation on responses and numbers as Python writes it."""
-    if operation in _SIGNS:
-        first, second = map(repr, parts)
-        return f"({first} {_SIGNS[operation]} {second})"
-    return f"{getattr(operation, '__name__', 'operation')}({', '.join(map(repr, parts))})"
-
-
 KINDS = ("at_most", "at_least", "equal")
 
 
 @dataclass(frozen=True)
-class Constraint(_Constant):
+class Constraint(ConstantArguments):
     """A limit on a measure, eq. (37); written Max(...) <= 0.5, Min(...) >= "initial" or Final(...).equals(0.0).
 
     measure  g, one number or several rows
@@ -421,38 +384,13 @@ class Constraint(_Constant):
         if not isinstance(self.measure, Measure):
             raise InputError(f"constraint on {self.measure!r}; allowed: a measure, such as Max(StrainEnergy('rod'))")
         if not isinstance(self.limit, str) or self.limit != "initial":
-            _settle(self, "limit", scalar("limit of a constraint", self.limit, "a finite number or 'initial'"))
+            settle(self, "limit", scalar("limit of a constraint", self.limit, "a finite number or 'initial'"))
         if self.kind not in KINDS:
             raise InputError(f"kind of a constraint is {self.kind!r}; allowed: {', '.join(KINDS)}")
-        if self.scale is not None and not (_finite(self.scale) and float(self.scale) > 0.0):
+        if self.scale is not None and not (is_number(self.scale) and float(self.scale) > 0.0):
             raise InputError(f"scale of a constraint is {self.scale!r}; allowed: a positive number")
 
     def __bool__(self) -> bool:
         raise InputError(
             "a constraint is neither true nor false, as a chain like 1 <= Max(...) <= 2 takes it; allowed: two constraints"
         )
-
-
-def _settle(response: Any, field: str, value: Any) -> None:
-    """Set a field of a frozen response while it is made."""
-    object.__setattr__(response, field, value)
-
-
-def _operand(part: Any, kind: type, noun: str, allowed: str) -> Any:
-    """Return a response of this kind or a number of Python as it is, another number, such as mbd.deg(90), as a float."""
-    if isinstance(part, kind):
-        return part
-    number = scalar(f"operand of a {noun}", part, allowed)
-    return part if isinstance(part, (int, float)) else number
-
-
-def _number(x: Any) -> bool:
-    return not isinstance(x, Measure) and _finite(x)
-
-
-def _finite(x: Any) -> bool:
-    try:
-        number = x.detach() if isinstance(x, Tensor) else x  # a variable is refused by name later
-        return not isinstance(x, (str, bool)) and abs(float(number)) < float("inf")
-    except (TypeError, ValueError):
-        return False

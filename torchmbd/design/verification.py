@@ -66,6 +66,8 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     if best is None or not best.violation <= feasibility:  # type: ignore[union-attr]
         raise InputError(f"result has no design with a violation <= {feasibility:g}; allowed: one that has")
     problem = best.problem  # type: ignore[union-attr]
+    if isinstance(problem, Processes):
+        problem = problem.problem
     if not isinstance(nominal(problem), Problem):
         raise InputError(f"problem of the result is {problem!r}; allowed: a Problem, Scenarios or RobustProblem")
     return replace(

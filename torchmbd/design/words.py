@@ -114,6 +114,20 @@ def heading(response: Response) -> str:
     return f"{words(response)} [{name}]" if name else words(response)
 
 
+def names_of_rows(problem: Any) -> list[str]:
+    """Names of all rows that an optimizer sees as constraints of a problem, those of a min-max objective first."""
+    text, suffixes = words(problem.objective), [f" in {name}" for name in getattr(problem, "scenarios", ())]
+    names = [f"peak {k + 1}" for k in range(problem.peaks)]
+    if suffixes and problem.peaks == len(suffixes):
+        names = [f"{text}{suffix}" for suffix in suffixes]
+    for constraint, part in zip(problem.constraints, problem.constraint_rows, strict=True):
+        text, each = words(constraint.measure), constraint.measure.rows
+        repeated = suffixes if suffixes and part.stop - part.start == each * len(suffixes) else [""]
+        numbers = [f" {k + 1}" for k in range(each)] if each > 1 else [""]
+        names += [text + suffix + number for suffix in repeated for number in numbers]
+    return names
+
+
 def _words_of_operation(operation: Any, parts: Sequence[Any], bodies: bool) -> str:
     texts = [words(part, bodies) if isinstance(part, (History, Measure)) else f"{part:g}" for part in parts]
     if operation is torch.abs:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
 from torchmbd.optimization.failures import counted
-from torchmbd.optimization.finer_motions import search_with_finer_motions
+from torchmbd.optimization.finer_motions import Begin, counted_from, search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (
@@ -32,7 +32,7 @@ from torchmbd.optimization.optimizer import (
     require_problem,
     require_range,
 )
-from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Report, Search
+from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search
 from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import both, shown
 
@@ -86,31 +86,23 @@ def optimize(
     scaling = true_or_false("scaling", scaling)
     eager_gradients = true_or_false("eager_gradients", eager_gradients)
 
-    analyses = 0
     with shown(progress, method, max_iterations) as show:
-
-        def search_from(
-            problem: NonlinearProgram, x: np.ndarray, iterations: int, report: Report
-        ) -> OptimizationResult:
-            nonlocal analyses
-            search = Search.of(
-                problem,
-                problem.evaluate,
-                x,
-                lower,
-                upper,
-                scale=variable_scale(x, lower, upper) if scaling else None,
-                feasibility=feasibility,
-                eager_gradients=eager_gradients,
-                max_analyses=None if max_analyses is None else max(1, max_analyses - analyses),
-                report=report,
-            )
-            result = run_start(search, function, method, iterations, options, problem)
-            analyses += result.analyses
-            return result
-
         report = both(lambda iterate: show(iterate.iteration, iterate.objective), callback)
-        return search_with_finer_motions(search_from, problem, x, max_iterations, report)
+
+        def search(problem: NonlinearProgram, begins: Mapping[int, Begin]) -> dict[int, OptimizationResult]:
+            [(start, iterations, parts)] = begins.values()
+            settings: dict[str, Any] = {"feasibility": feasibility, "eager_gradients": eager_gradients}
+            settings |= {"scale": variable_scale(start, lower, upper) if scaling else None}
+            settings |= {"max_analyses": analyses_left(max_analyses, parts), "report": counted_from(parts, report)}
+            search = Search.of(problem, problem.evaluate, start, lower, upper, **settings)
+            return {0: run_start(search, function, method, iterations, options, problem)}
+
+        return search_with_finer_motions(search, problem, {0: x}, max_iterations)[0]
+
+
+def analyses_left(most: int | None, parts: Sequence[OptimizationResult]) -> int | None:
+    """Return how many analyses a start may still have after some parts, at least 1; None: any number."""
+    return None if most is None else max(1, most - sum(part.analyses for part in parts))
 
 
 def require_limits(max_iterations: int, max_analyses: int | None) -> None:

@@ -6,6 +6,7 @@ Checked in tests/optimization/test_cache.py, tests/study/test_evaluations.py.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
@@ -59,8 +60,9 @@ class CachedProblem(Generic[T]):
     evaluator  evaluates designs that are not in the store; None: the problem itself
     listener   called with the designs and evaluations of every batch, stored or new
     begun      called with the number of a batch and how many designs it evaluates, before it does
+    others     store and evaluator of a problem of other accuracy (finer_motions.py); None: the problem is not refined
 
-    Counts the designs that were found (`hits`) and evaluated (`computed`), and the batches of the latter.
+    Counts the designs that were found (`hits`) and evaluated (`computed`), and the batches of the latter, of all accuracies.
     """
 
     def __init__(
@@ -70,11 +72,45 @@ class CachedProblem(Generic[T]):
         evaluator: Any = None,
         listener: Callable[[np.ndarray, list[T]], None] = lambda X, evaluations: None,
         begun: Callable[[int, int], None] = lambda number, designs: None,
+        others: Callable[[Any], tuple[Store[T], Any]] | None = None,
     ) -> None:
         self.problem, self.store, self.evaluator = problem, store, problem if evaluator is None else evaluator
         self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
-        self.hits = self.computed = self.batches = 0
-        self._listener, self._begun = listener, begun
+        self.counts = Counter[str]()
+        self._listener, self._begun, self._others = listener, begun, others
+
+    @property
+    def hits(self) -> int:
+        """Number of designs that were in the store."""
+        return self.counts["hits"]
+
+    @property
+    def computed(self) -> int:
+        """Number of designs that were evaluated."""
+        return self.counts["computed"]
+
+    @property
+    def batches(self) -> int:
+        """Number of batches that were evaluated."""
+        return self.counts["batches"]
+
+    @property
+    def coarse(self) -> CachedProblem[T] | None:
+        """The problem of less accuracy for the way to an optimum, with its own store; None: there is none."""
+        return None if self._others is None else self._with(getattr(self.problem, "coarse", None))
+
+    def refined(self, x: np.ndarray) -> CachedProblem[T] | None:
+        """The problem of the accuracy that a design [n] needs, with its own store; None: it has it."""
+        if self._others is None or not hasattr(type(self.problem), "refined"):
+            return None
+        return self._with(self.problem.refined(x))
+
+    def _with(self, problem: Any) -> CachedProblem[T] | None:
+        if problem is None or self._others is None:
+            return None
+        other = CachedProblem(problem, *self._others(problem), self._listener, self._begun, self._others)
+        other.counts = self.counts
+        return other
 
     def __getattr__(self, name: str) -> Any:
         """Return what else the problem has: `equalities`, `period`, `motion`."""
@@ -95,11 +131,9 @@ class CachedProblem(Generic[T]):
         entries = self.store.find(X, gradients)
         missing = {x.tobytes(): k for k, (x, known) in enumerate(zip(X, entries, strict=True)) if known is None}
         rows = list(missing.values())
-        self.computed += len(rows)
-        self.hits += len(X) - len(rows)
-        self.batches += bool(rows)
+        self.counts.update(computed=len(rows), hits=len(X) - len(rows), batches=bool(rows))
         if rows:
-            self._begun(self.batches, len(rows))
+            self._begun(self.counts["batches"], len(rows))
 
         def complete(computed: list[T]) -> list[T]:
             if len(computed) != len(rows):

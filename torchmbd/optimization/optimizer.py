@@ -139,6 +139,7 @@ class Iterate:
     constraints: np.ndarray
     analyses: int  # simulations of this start so far
     status: str = "ok"
+    accuracy: str = ""  # by which the design was evaluated, such as "400 steps"; "": all designs by the same
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,8 @@ class OptimizationResult(Summary):
     gradient_evaluations  how many of them carried gradients
     failures              how many of them failed
     reasons               of the failures, with how often each occurred, the commonest first
-    history               accepted designs, the start first
+    history               accepted designs, the start first; the start and the result are evaluated by the last `accuracy`,
+                          designs between them by that of their entry
     multipliers           of the constraints [m]
     bound_multipliers     [n], positive at an upper, negative at a lower bound
     kkt_residual          of the scaled problem (kkt.py), at most the method's option `kkt` where it converged; nan where no

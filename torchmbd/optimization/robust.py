@@ -20,6 +20,7 @@ Probabilistic Engineering Mechanics 19 (2004) 393-408. Checked in tests/optimiza
 
 from __future__ import annotations
 
+import copy
 from itertools import product
 from typing import Any
 
@@ -101,6 +102,29 @@ class RobustProblem:
     def design(self, x: np.ndarray) -> np.ndarray:
         """The design [n] of a point of this problem, without beta."""
         return x[: self.shifts.shape[1]]
+
+    @property
+    def coarse(self) -> RobustProblem | None:
+        """The problem of less accuracy for the way to an optimum; None: there is none."""
+        return self.over(getattr(self.problem, "coarse", None))
+
+    def refined(self, x: np.ndarray) -> RobustProblem | None:
+        """The problem of the accuracy that the nominal design of a point [n] needs; None: it has it."""
+        refine = hasattr(type(self.problem), "refined")
+        return self.over(self.problem.refined(self.design(x))) if refine else None  # type: ignore[attr-defined]
+
+    @property
+    def accuracy(self) -> str:
+        """By what designs are evaluated."""
+        return getattr(self.problem, "accuracy", "")
+
+    def over(self, problem: Any) -> RobustProblem | None:
+        """The same tolerances over another evaluation of the same designs; None of none."""
+        if problem is None:
+            return None
+        other = copy.copy(self)
+        other.problem = problem
+        return other
 
     def motion(self, x: np.ndarray) -> Any:
         """Motion of the nominal design."""

@@ -56,6 +56,7 @@ class Search:
         report: Report | None = None,
         tighten: Tighten | None = None,
         has_extra_variable: bool = False,
+        accuracy: str = "",
     ) -> None:
         self.scale = np.ones(start.size) if scale is None else scale
         self.scaled = scale is not None
@@ -66,7 +67,7 @@ class Search:
         self.feasibility = feasibility
         self.eager_gradients = eager_gradients
         self.max_analyses = max_analyses
-        self.index, self.has_extra_variable = index, has_extra_variable
+        self.index, self.has_extra_variable, self.accuracy = index, has_extra_variable, accuracy
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
         self.analyses = self.gradient_evaluations = 0
@@ -84,8 +85,9 @@ class Search:
         settings  keyword arguments of the class
         """
         equalities, tighten = getattr(problem, "equalities", None), getattr(problem, "with_least_bound", None)
-        extra = bool(getattr(problem, "has_extra_variable", False))
-        return cls(evaluate_batch, *box, equalities=equalities, tighten=tighten, has_extra_variable=extra, **settings)
+        settings |= {"has_extra_variable": bool(getattr(problem, "has_extra_variable", False))}
+        settings |= {"accuracy": getattr(problem, "accuracy", "")}
+        return cls(evaluate_batch, *box, equalities=equalities, tighten=tighten, **settings)
 
     @property
     def size(self) -> int:
@@ -178,6 +180,7 @@ class Search:
             constraints=evaluation.constraints,
             analyses=self.analyses,
             status=evaluation.status,
+            accuracy=self.accuracy,
         )
         self.history.append(iterate)
         if self._report is not None:

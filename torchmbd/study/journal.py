@@ -55,7 +55,7 @@ class Journal(Runs):
         self.first: dict[int, float] = {}  # objective of the first iterate of each start
         self.evaluations = self.iterates = 0
         self.failures: list[str] = []  # reason and design of each failed evaluation
-        self._best = math.inf
+        self._best, self._accuracy = math.inf, ""
 
     def begin_study(self, kind: str) -> None:
         """Open the parent run, with the table of its children."""
@@ -112,6 +112,9 @@ class Journal(Runs):
         self.tracker.metrics(run, _finite(numbers), iterate.iteration)
         if iterate.iteration == 0:
             self.first[iterate.start] = iterate.objective
+        if iterate.accuracy != self._accuracy:  # values by other steps are no improvement
+            self._best, self._accuracy = math.inf, iterate.accuracy
+            self.tracker.tags(PARENT, {"accuracy": iterate.accuracy})
         if iterate.status != "ok":
             self.tracker.tags(run, {"last_failure": iterate.status})
         elif iterate.violation <= self.study.feasibility and iterate.objective < self._best:
@@ -132,6 +135,8 @@ class Journal(Runs):
     def result(self, result: OptimizationResult) -> None:
         """Close the child of a start with its final numbers."""
         run = child(result.start)
+        if result.history:  # the start by the steps of the result
+            self.first[result.start] = result.history[0].objective
         last = {
             "objective": self.study.sign * result.value,
             "violation": result.violation,

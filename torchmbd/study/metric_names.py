@@ -59,22 +59,7 @@ def number_text(metric: str, value: float) -> str:
 
 def constraint_names(problem: Any, count: int) -> list[str]:
     """Return the names of the metrics of the constraint rows; numbers where the problem has no names for them."""
-    from torchmbd.design import Problem  # imports torch, which commands that only read names do not need
-    from torchmbd.design.scenarios import Scenarios
-    from torchmbd.design.words import words
-
-    names: list[str] = []
-    if isinstance(problem, Problem):
-        cases = [f" in {name}" for name in problem.scenarios] if isinstance(problem, Scenarios) else []
-        text = legal_key(words(problem.objective))
-        names = [f"peak {k + 1}" for k in range(problem.peaks)]
-        if cases and problem.peaks == len(cases):
-            names = [f"{text}{case}" for case in cases]
-        for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
-            text, each = legal_key(words(constraint.measure)), constraint.measure.rows
-            suffixes = cases if cases and rows.stop - rows.start == each * len(cases) else [""]
-            numbers = [f" {k + 1}" for k in range(each)] if each > 1 else [""]
-            names += [text + legal_key(suffix) + number for suffix in suffixes for number in numbers]
+    names = [legal_key(name) for name in getattr(problem, "row_names", ())]
     if len(names) != count:  # over tolerances: the rows of many designs
         names = [str(k + 1) for k in range(count)]
     return [CONSTRAINT + name for name in unique(names)]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -100,7 +101,17 @@ def run_study(
         journal = Journal(study, record.tracker, folder)
         beginning = Beginning(console)
         stack.enter_context(stages_told(beginning.stage))
-        cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch)
+        stores = [store]
+
+        def others(other: Any) -> tuple[Evaluations, Any]:
+            """Store and evaluator of the problem by other steps."""
+            stores.append(Evaluations(evaluations_file(), problem_key(other)))
+            stack.callback(stores[-1].close)
+            if fresh:
+                stores[-1].forget()
+            return stores[-1], evaluator if offline else other if pool is None else pool.for_problem(other)
+
+        cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch, others)
         status: Status = "FAILED"
         result: Any = None
         verified: Verification | None = None
@@ -110,18 +121,23 @@ def run_study(
             elif study.front:
                 result, status = run_front(study, cached, lanes, journal, console)
             else:
-                result, status, verified = _search(study, cached, store, lanes, journal, console)
+                result, status, verified = _search(study, cached, stores, lanes, journal, console)
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
             journal.end_all(status)
-            record.close(store.trouble)
+            record.close(_trouble(stores))
             study.outcome = Outcome(status, result, record.run_id, verified)
         if journal.trouble:
             console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known" if cached.hits else ""
         code = record.tell_outcome(status, known, workers=workers, scheduler=scheduler)
         return code or (0 if verified is None or verified.verified else UNVERIFIED)
+
+
+def _trouble(stores: Sequence[Evaluations]) -> str | None:
+    """Return why evaluations are kept in memory, None where all are on disk."""
+    return next((store.trouble for store in stores if store.trouble), None)
 
 
 def _enter(pool: Workers, stack: ExitStack, study: StudyState | None) -> None:
@@ -145,7 +161,12 @@ def _print_stored_count(name: str, count: int, study: StudyState | None, console
 
 
 def _search(
-    study: StudySettings, cached: CachedProblem, store: Evaluations, lanes: int, journal: Journal, console: Console
+    study: StudySettings,
+    cached: CachedProblem,
+    stores: Sequence[Evaluations],
+    lanes: int,
+    journal: Journal,
+    console: Console,
 ) -> tuple[MultistartResult | DiscreteResult, Status, Verification | None]:
     """Optimize from every start, with `lanes` simulations in a batch; track and report the results."""
     points = study.points
@@ -164,8 +185,8 @@ def _search(
         def callback(iterate: Iterate) -> None:
             journal.iterate(iterate)
             progress.iterate(iterate)
-            if store.trouble:
-                progress.note(f"{store.trouble}; the study goes on, and keeps it in memory")
+            if trouble := _trouble(stores):
+                progress.note(f"{trouble}; the study goes on, and keeps it in memory")
             if trouble := journal.tracker.trouble:
                 progress.note(f"{trouble}; the study goes on, and sends it later")
 
@@ -190,15 +211,13 @@ def _search(
         console.print(f"No design to report: {reason}", soft_wrap=True, highlight=False, markup=False)
     result, interrupted = outcome, outcome.interrupted
     if best is not None and any(study.increments) and not interrupted:
-        result = search_on_steps(study, target, points, options, outcome, journal, console)
+        result = search_on_steps(study, best.problem, points, options, outcome, journal, console)
         interrupted = result.status == "interrupted"
     verified = None
     if best is not None and not interrupted:
         last = result.best
-        verified = verify_best(
-            study, best if last is None else last, outcome if result is outcome else None, journal, console
-        )
-    visited = store.visited(len(study.simulated.start))
+        verified = verify_best(study, best if last is None else last, outcome, result is outcome, journal, console)
+    visited = stores[-1].visited(len(study.simulated.start))
     save_pictures(study, outcome, visited, journal, console)
     if interrupted:
         return result, "KILLED", None

@@ -128,7 +128,7 @@ def test_a_load_along_a_stiffened_plate_is_a_weight(load):
 @pytest.mark.thorough
 @pytest.mark.parametrize("direction", [None, (0.0, 0.0, -1.0)])
 def test_a_finer_mesh_has_a_finer_load(direction):
-    """The error by the mesh against four times the cells: a load that stays at the coarse nodes makes it three times as large."""
+    """The error by the mesh against four times the cells: a load that stays at the coarse nodes makes it twice as large."""
     response = mbd.Integral(mbd.Displacement("strip", "z", node="right"))
 
     def motion(times: int) -> mbd.Trajectory:

@@ -10,7 +10,7 @@ Source: Boender and Rinnooy Kan, Bayesian stopping rules for multistart global o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,10 +18,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchmbd.errors import argument_names, checked_signature, true_or_false
-from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
+from torchmbd.optimization.api import (
+    FEASIBILITY,
+    MAX_ITERATIONS,
+    analyses_left,
+    checked_box,
+    require_limits,
+    run_start,
+)
 from torchmbd.optimization.batch import parallel_batches
 from torchmbd.optimization.failures import are_many, counted, failures_text
-from torchmbd.optimization.finer_motions import with_many_failures
+from torchmbd.optimization.finer_motions import (
+    Begin,
+    counted_from,
+    refines,
+    search_with_finer_motions,
+    with_many_failures,
+)
 from torchmbd.optimization.multistart.batched import BatchedSearches
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.optimizer import (
@@ -36,7 +49,7 @@ from torchmbd.optimization.optimizer import (
 )
 from torchmbd.optimization.search import EvaluateBatch, Report, Search
 from torchmbd.optimization.units import variable_scale
-from torchmbd.progress import both, shown
+from torchmbd.progress import shown
 from torchmbd.summary import Summary, few
 
 
@@ -255,12 +268,15 @@ def multistart(
         "scale": variable_scale(initial, lower, upper) if scaling else None,
         "feasibility": feasibility,
         "eager_gradients": eager_gradients,
-        "max_analyses": max_analyses,
     }
 
-    def runner(index: int, evaluate_batch: EvaluateBatch, report: Report) -> OptimizationResult:
-        search = Search.of(problem, evaluate_batch, points[index], lower, upper, **settings, index=index, report=report)
-        return with_many_failures(run_start(search, function, method, max_iterations, options, problem))
+    def run_one(
+        problem: NonlinearProgram, index: int, begin: Begin, evaluate_batch: EvaluateBatch, report: Report
+    ) -> OptimizationResult:
+        x, iterations, parts = begin
+        limits = {"max_analyses": analyses_left(max_analyses, parts), "report": counted_from(parts, report)}
+        search = Search.of(problem, evaluate_batch, x, lower, upper, **settings, **limits, index=index)
+        return run_start(search, function, method, iterations, options, problem)
 
     span = np.where(np.isfinite(upper - lower), upper - lower, variable_scale(initial, lower, upper))
     period = getattr(problem, "period", None)
@@ -272,16 +288,32 @@ def multistart(
         minima = find(results)
         return expected_minima(sum(r.converged for r in results), len(minima)) - len(minima) > minima_left
 
-    runners = [partial(runner, k) for k in range(len(points))]
-    groups = parallel_batches(problem) if minima_left is None else 1  # with several, `may_begin` would depend on timing
-    done: list[OptimizationResult] = []
+    interrupted = stopped_early = False
+    several = refines(problem)  # parts: what ends a part is no result yet
 
-    with shown(progress, f"{method}, starts", len(points)) as show:
+    def search(problem: NonlinearProgram, begins: Mapping[int, Begin]) -> dict[int, OptimizationResult]:
+        nonlocal interrupted, stopped_early
+        done: list[OptimizationResult] = []
+        is_first = not any(parts for _, _, parts in begins.values())
 
         def count(result: OptimizationResult) -> None:
             done.append(result)
             show(len(done), min((r.value for r in done if r.violation <= feasibility), default=np.nan))
+            if ended is not None and not several:
+                ended(with_many_failures(result))
 
-        batched = BatchedSearches(problem, runners, max_lanes, callback, may_begin, both(count, ended), groups)
+        runners = {k: partial(run_one, problem, k, begin) for k, begin in begins.items()}
+        groups = parallel_batches(problem) if minima_left is None else 1  # with several, `may_begin` depends on timing
+        begin_further = may_begin if is_first else lambda results: True
+        batched = BatchedSearches(problem, list(runners.values()), max_lanes, callback, begin_further, count, groups)
         results = batched.run()
-    return MultistartResult(results, find(results), batched.interrupted, batched.stopped_early, points, feasibility)
+        interrupted, stopped_early = interrupted or batched.interrupted, stopped_early or batched.stopped_early
+        return {result.start: result for result in results}
+
+    with shown(progress, f"{method}, starts", len(points)) as show:
+        ends = search_with_finer_motions(search, problem, dict(enumerate(points)), max_iterations)
+    results = [ends[k] for k in sorted(ends)]
+    if ended is not None and several:
+        for result in results:
+            ended(result)
+    return MultistartResult(results, find(results), interrupted, stopped_early, points, feasibility)

@@ -20,6 +20,7 @@ Checked in tests/optimization/multistart/test_workers.py, tests/study/test_dask_
 from __future__ import annotations
 
 import contextlib
+import copy
 import logging
 import math
 import os
@@ -109,6 +110,12 @@ class Workers:
                 self._client.close(timeout=5)
             if self._cluster is not None:
                 self._cluster.close(timeout=5)
+
+    def for_problem(self, problem: Any) -> Self:
+        """The same workers for the problem by another number of steps, which each of them makes of its own."""
+        other = copy.copy(self)
+        other.factory = at_steps, (*self.factory, problem.steps)
+        return other
 
     @property
     def size(self) -> int:
@@ -213,6 +220,22 @@ class Processes(Workers):
             raise AttributeError(name)
         return getattr(self.problem, name)
 
+    @property
+    def coarse(self) -> Processes | None:
+        """The problem of less accuracy for the way to an optimum, on the same processes; None: there is none."""
+        return self._with(getattr(self.problem, "coarse", None))
+
+    def refined(self, x: np.ndarray) -> Processes | None:
+        """The problem of the accuracy that a design [n] needs, on the same processes; None: it has it."""
+        return self._with(self.problem.refined(x)) if hasattr(type(self.problem), "refined") else None
+
+    def _with(self, problem: Any) -> Processes | None:
+        if problem is None:
+            return None
+        other = self.for_problem(problem)
+        other.problem = problem
+        return other
+
     def wait(self) -> None:
         """Wait until every process has the problem and has computed what all its motions share."""
         self._client.run(_warm_up, *self.factory)
@@ -230,6 +253,11 @@ def _problem_of_worker(make: Callable[..., NonlinearProgram], arguments: tuple[A
     use_one_thread()
     brief_warnings()
     return make(*arguments)
+
+
+def at_steps(make: Callable[..., Any], arguments: tuple[Any, ...], steps: int) -> NonlinearProgram:
+    """Return the problem that `make` makes of its arguments, by another number of steps."""
+    return make(*arguments).at_steps(steps)
 
 
 def pickle_problem(problem: NonlinearProgram) -> tuple[bytes, torch.dtype]:
