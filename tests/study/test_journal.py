@@ -50,13 +50,15 @@ def heard(tmp_path):
 
 def iterate(number: int, objective: float, violation: float, status: str = "ok") -> Iterate:
     known = {"x": X[0], "objective": objective, "violation": violation, "iteration": number, "status": status}
-    known |= {"constraints": np.array([violation]), "analyses": 1, "start": 0}
+    known |= {"constraints": np.array([violation]), "analyses": 1, "start": 0, "accuracy": ""}
     return Iterate(**{field.name: known.get(field.name) for field in dataclasses.fields(Iterate)})
 
 
 def ended(value: float, violation: float, status: str = "converged", start: int = 0, failures: int = 0):
     known = {"x": X[0], "value": value, "violation": violation, "status": status, "start": start, "failures": failures}
     known |= {"message": "", "method": "", "iterations": 2, "analyses": 3, "history": [], "constraints": np.zeros(1)}
+    known |= {"multipliers": np.zeros(1), "bound_multipliers": np.zeros(2), "names": ["a", "b"], "feasibility": 1e-6}
+    known["reasons"] = {"failed: no": failures} if failures else {}
     return OptimizationResult(**{field.name: known.get(field.name) for field in dataclasses.fields(OptimizationResult)})
 
 

@@ -32,8 +32,9 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError, MbdError, checked_signature
 from torchmbd.integrate.ode import ADAPTIVE
-from torchmbd.optimization import MultistartResult, OptimizationResult, RobustProblem
+from torchmbd.optimization import MultistartResult, OptimizationResult, Processes, RobustProblem
 from torchmbd.optimization.api import FEASIBILITY
+from torchmbd.optimization.optimizer import largest_violation
 from torchmbd.results.answer import GAIN, LIMIT, Answer, Number, Verification
 from torchmbd.results.response_error import ResponseError, rows_of
 
@@ -113,23 +114,51 @@ def verification(
     needs_first = any(c.limit == "initial" for c in simulated.constraints) and not np.array_equal(designs[0], first)
     try:
         responses = _responses(simulated, [*designs, first] if needs_first else designs, _beside(simulated))
-        # A start beyond a limit may be better, and over tolerances the gain is that of other numbers.
-        claimed = not robust and not np.array_equal(*designs) and _excess(responses, 0) <= feasibility
-        faults = _faults_of_gain(responses[0], claimed) + _faults_of_constraints(responses, 1)
+        gained, violation = responses[0], _excess(responses, 0)
+        if robust:
+            gained, violation = _over_tolerances(problem, designs[0], value, gained)
+        # A start beyond a limit may be better.
+        claimed = not np.array_equal(*designs) and violation <= feasibility
+        faults = _faults_of_gain(gained, claimed) + _faults_of_constraints(responses, 1)
         faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
     notes = [f"{words(response.measure)}: {response.error.note}" for response in responses if response.error.note]
     notes += dict.fromkeys(text for response in responses for text in response.error.unknown)
-    notes += ["values and errors are those of the nominal design, without tolerances"] * robust
-    objective = responses[0]
-    changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (objective.value, objective.finer)]
+    if robust:
+        text = "the change of the objective is that of its {} over the tolerances, with the errors of the nominal design; {}"
+        notes.append(text.format(_RULES[problem.kind], "the other values and errors are those of the nominal design"))
+    changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (gained.value, gained.finer)]
     todo = ""
     if faults:
         causes = {fault.response.cause for fault in faults if not fault.unresolved}
         todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, and the search again"
     answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
+
+
+_RULES = {"worst": "worst case", "expected": "mean"}
+
+
+def _over_tolerances(
+    problem: RobustProblem, start: np.ndarray, value: float, nominal: _Response
+) -> tuple[_Response, float]:
+    """The objective over tolerances of a start [n] and of the best design, and the violation of the start.
+
+    value     of the best design, as minimized
+    nominal   the objective without tolerances, whose errors are taken
+    Raises MbdError for a start that cannot be evaluated within its tolerances.
+    """
+    x = problem.start.copy()
+    x[: len(start)] = start
+    [evaluation] = problem.evaluate(x[None], False)
+    if not evaluation.ok:
+        raise MbdError(f"the start: {evaluation.status}")
+    _, evaluation = problem.with_least_bound(x, evaluation)
+    values = nominal.sign * np.array([evaluation.objective, value])
+    errors = (nominal.finer - nominal.value)[:2]
+    equality = np.isin(np.arange(len(evaluation.constraints)), getattr(problem, "equalities", []))
+    return replace(nominal, value=values, finer=values + errors), largest_violation(evaluation.constraints, equality)
 
 
 @dataclass(frozen=True)
@@ -326,7 +355,13 @@ def _faults_of_gain(objective: _Response, claimed: bool) -> list[_Fault]:
         )
         return [_Fault(text, objective, need)]
     shares = [100.0 * g / abs(f) if f else math.inf for g, f in ((gain, first), (finer, finer_first))]
-    return [_Fault("the gain of {:.4g} % is {:.4g} % in the finer model".format(*shares), objective, need)]
+    return [
+        _Fault(
+            f"the gain of {gain:.4g} ({shares[0]:.4g} %) is {finer:.4g} ({shares[1]:.4g} %) in the finer model",
+            objective,
+            need,
+        )
+    ]
 
 
 def _faults_of_order(

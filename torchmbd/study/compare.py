@@ -26,7 +26,7 @@ from torchmbd.study.metric_names import (
     without_group,
 )
 from torchmbd.study.progress import drop_order, gain_heading, print_table, violation_cell, wrapped_heading
-from torchmbd.tracking.catalog import GOAL, MAXIMIZE, VERIFICATION, Entry, children, find, studies
+from torchmbd.tracking.catalog import ACTIVE, GOAL, MAXIMIZE, SEARCH_TEXT, VERIFICATION, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import hidden
 
@@ -43,6 +43,8 @@ _IGNORED = (
     "problem_key",
     "files",
     VERIFICATION,
+    SEARCH_TEXT,
+    ACTIVE,
 )
 
 
@@ -78,8 +80,12 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
             )
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
-        if verified := stored_verification(store, entry, Path(scratch)):
-            print_answers(verified, console)
+        verified = stored_verification(store, entry, Path(scratch))
+    if verified is not None:
+        print_answers(verified, console)
+    for tag in (SEARCH_TEXT, ACTIVE):
+        if tag in entry.tags and not (tag == SEARCH_TEXT and verified):
+            console.print(f"{tag}: {entry.tags[tag]}", highlight=False, markup=False, soft_wrap=True)
     model = entry.params.get("model", "").rpartition(":")[0]
     expression = (
         f'torchmbd.load("{entry.run_id[:8]}", model="{model}")'
@@ -119,7 +125,8 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
         verified = [stored_verification(store, entry, Path(scratch)) for entry in (first, second)]
     for row in comparison(*verified):
         table.add_row(*map(escape, row))
-    table.add_row("verification", *(escape(entry.tags.get(VERIFICATION, "-")) for entry in (first, second)))
+    for tag in (VERIFICATION, SEARCH_TEXT, ACTIVE):
+        table.add_row(tag, *(escape(entry.tags.get(tag, "-")) for entry in (first, second)))
     table.add_section()
     shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
     for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):

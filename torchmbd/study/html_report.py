@@ -32,7 +32,7 @@ from torchmbd.study.metric_names import (
     number_text,
 )
 from torchmbd.summary import few
-from torchmbd.tracking.catalog import TABLES, Entry, children, fetch, files, find
+from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT, TABLES, Entry, children, fetch, files, find
 from torchmbd.tracking.mlflow_tracker import FILES
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI, hidden
@@ -91,6 +91,8 @@ def _page(store: StoreURI, entry: Entry, scratch: Path) -> str:
         parts.append(f"<p>{escape(note)}</p>")
     if verified := stored_verification(store, entry, scratch):
         parts += ["<h2>Answer</h2>", answers_page(verified)]
+    tags = [tag for tag in (SEARCH_TEXT, ACTIVE) if tag in entry.tags and not (tag == SEARCH_TEXT and verified)]
+    parts += [f"<p>{escape(tag)}: {escape(entry.tags[tag])}</p>" for tag in tags]
     parts.append(
         _rows({label: number_text(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
     )

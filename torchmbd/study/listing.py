@@ -12,7 +12,7 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
-from torchmbd.results.answer import NOT_VERIFIED
+from torchmbd.results.answer import MANY_FAILURES, NOT_VERIFIED
 from torchmbd.study.config_index import configs
 from torchmbd.study.metric_names import INCREASE, REDUCTION
 from torchmbd.study.progress import print_table, wrapped_heading
@@ -111,13 +111,14 @@ def _cells(entry: Entry) -> list[str]:
     def number(key: str, form: str) -> str:
         return form.format(entry.metrics[key]) if key in entry.metrics else "-"
 
+    verification = entry.tags.get(VERIFICATION, "")
     return [
         entry.experiment,
         entry.name,
         entry.kind,
         f"{entry.began:%d %b %H:%M}",
         "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
-        NOT_VERIFIED if entry.tags.get(VERIFICATION, "").startswith(NOT_VERIFIED) else entry.status.lower(),
+        next((word for word in (NOT_VERIFIED, MANY_FAILURES) if verification.startswith(word)), entry.status.lower()),
         number("best_objective", "{:.6g}"),
         number(INCREASE if INCREASE in entry.metrics else REDUCTION, "{:.2f} %"),
         entry.run_id[:8],

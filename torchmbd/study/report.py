@@ -16,11 +16,12 @@ from torchmbd.design.response import Measure
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
-from torchmbd.optimization import MultistartResult
+from torchmbd.optimization import MultistartResult, OptimizationResult
 from torchmbd.registry import Registry
 from torchmbd.study.journal import Journal
 from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
+from torchmbd.summary import few
 from torchmbd.viz import (
     animate,
     convergence,
@@ -39,7 +40,7 @@ DRAWINGS: Registry[Callable[..., list[Any]]] = Registry("drawings", {})
 
 
 def print_results(study: StudySettings, outcome: MultistartResult, failures: Sequence[str], console: Console) -> None:
-    """Print a table of the starts, the best first, and the failed evaluations."""
+    """Print a table of the starts, the best first, what the searches did, and the failed evaluations."""
     if not outcome.results:
         console.print("No start came to a result.")
         return
@@ -68,11 +69,19 @@ def print_results(study: StudySettings, outcome: MultistartResult, failures: Seq
         console.print(f"best design: {study.columns.named(best.x)}", soft_wrap=True, highlight=False)
     if len(ranked) > ROWS:
         console.print(f"the best {ROWS} of {len(ranked)} starts; torchmbd best --count {len(ranked)} prints all")
+    told = {"soft_wrap": True, "highlight": False, "markup": False}
+    verified = isinstance(study.simulated, Problem) and best is not None and not outcome.interrupted
+    if not verified:  # a verification tells it
+        console.print(outcome.search_text, style="red" if outcome.failing_text else None, **told)
+    if best is not None:
+        console.print(f"active: {active_text(best)}", **told)
     if failures:
-        last = f"the last: {escape(failures[-1])}"
-        console.print(
-            f"{len(failures)} failed evaluations, which the optimizers stepped back from; {last}", soft_wrap=True
-        )
+        console.print(f"{len(failures)} failed evaluations; the last: {failures[-1]}", **told)
+
+
+def active_text(result: OptimizationResult) -> str:
+    """Return the names of the constraints and bounds that hold a design."""
+    return few(result.active) if result.active else "no constraint and no bound"
 
 
 _SHOWN = 6  # design variables in a legend, at most

@@ -34,13 +34,14 @@ from torchmbd.study.journal import Journal, percent
 from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, gain_metric, without_group
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Beginning, Progress
-from torchmbd.study.report import print_results, save_pictures
+from torchmbd.study.report import active_text, print_results, save_pictures
 from torchmbd.study.run_record import UNVERIFIED, RunRecord
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
 from torchmbd.study.unfinished import StudyState
 from torchmbd.study.verify import verify_best
 from torchmbd.tracking import MlflowTracker, Status
+from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT
 from torchmbd.tracking.uri import StoreURI
 
 
@@ -251,4 +252,6 @@ def _summarize(result: MultistartResult, sign: float, journal: Journal) -> None:
         numbers |= {gain_metric(sign): percent(initial, best.value)} if initial else {}
         numbers |= journal.design_metrics(best.x)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
+        tags |= {ACTIVE: active_text(best)}
+    tags |= {SEARCH_TEXT: result.search_text}
     journal.summary(numbers, tags)

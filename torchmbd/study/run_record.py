@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.errors import InputError
-from torchmbd.results.answer import NOT_VERIFIED
+from torchmbd.results.answer import MANY_FAILURES, NOT_VERIFIED
 from torchmbd.study.listing import print_links_of, study_links
 from torchmbd.study.runs import PARENT
 from torchmbd.study.unfinished import StudyState, claim_study, unsent
@@ -117,7 +117,7 @@ class RunRecord:
             say(verified)
         again = self.state.command(**options, fresh=True)
         say(f"its designs: {designs.format(run=entry.run_id[:8])}; to run it anew: {again}")
-        return UNVERIFIED if verified.startswith(NOT_VERIFIED) else EXIT["FINISHED"]
+        return UNVERIFIED if verified.startswith((NOT_VERIFIED, MANY_FAILURES)) else EXIT["FINISHED"]
 
     def close(self, trouble: str | None = None) -> None:
         """Wait until everything is in the store, and note it; a message if the tracker gives up.

@@ -16,7 +16,9 @@ from torchmbd.tracking.uri import StoreURI
 PARTS = ("start", "point")  # kinds of runs within a study
 TABLES = "tables"  # tag of a study: headings of its report -> CSV files of the run, as JSON
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is maximized
-VERIFICATION = "verification"  # tag of a study: "verified: ..." or "not verified: ..." with what to do
+VERIFICATION = "verification"  # tag of a study: "verified: ...", "not verified: ..." or "many evaluations failed: ..."
+SEARCH_TEXT = "search"  # tag of a study: how its searches ended, whether the best design is better, what failed
+ACTIVE = "active"  # tag of a study: constraints and bounds that hold the best design
 FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
 
 
