@@ -2,8 +2,8 @@
 
     minimize f(b)   subject to   g_i(b) <= c_i,  g_j(b) = c_j,   lower <= b <= upper          eq. (14)
 
-Constraints are passed on as (g - c)/scale, feasible where not positive. An objective of several rows y_k (AtPeaks,
-AtTimes) is the min-max problem (18), solved by an extra variable, the last of the design vector:
+Constraints are passed on as (g - c)/scale, feasible where not positive. An objective of several rows y_k (AtPeaks, AtTimes)
+is the min-max problem (18), solved by an extra variable, the last of the design vector:
 
     minimize beta y_0   subject to   y_k(b)/y_0 - beta <= 0,   beta <= 1                    eqs. (19), (20)
 
@@ -244,10 +244,7 @@ class Problem(Summary):
         """How many rows of a constraint each row of its measure makes."""
         return 1
 
-    @property
-    def simulations(self) -> int:
-        """Motions of one design."""
-        return 1
+    simulations = 1  # motions of one design
 
     def _checked(self, X: Any, *sizes: int) -> np.ndarray:
         X = as_numbers("designs", X)

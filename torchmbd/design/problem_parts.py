@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from torchmbd.design.measures import Frequency, Mass
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import list_of
@@ -123,3 +124,19 @@ def evaluation_of(status: str, values: np.ndarray, gradients: np.ndarray | None,
     if gradients is None:
         return Evaluation(float(values[0]), values[1:])
     return Evaluation(float(values[0]), values[1:], gradients[0], gradients[1:])
+
+
+def masses_and_frequencies(problem: Any, count: int) -> list[Measure]:
+    """Mass and first `count` frequencies of the bodies that are designed, where the problem does not ask for them already."""
+    bodies = dict.fromkeys(name.partition(".")[0] for name in problem.space.variables)
+    wanted = [Mass(body) for body in bodies]
+    wanted += [Frequency(body, k + 1) for body in bodies for k in range(count)]
+    known = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
+    measures = []
+    for measure in wanted:
+        try:
+            measure.check(problem.system)
+        except InputError:  # a rigid body has no frequency, a controller no mass
+            continue
+        measures += [measure] * (measure not in known)
+    return measures

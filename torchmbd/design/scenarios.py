@@ -172,7 +172,7 @@ class Scenarios(Problem):
         return [*super().settings(), *[list(group) for group in self.groups], *rules]
 
     @property
-    def simulations(self) -> int:
+    def simulations(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return len(self.scenarios)
 
     @property

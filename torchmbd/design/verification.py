@@ -24,10 +24,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from torchmbd.design.measures import Frequency, Mass
 from torchmbd.design.problem import Problem
 from torchmbd.design.problem_errors import design_errors
-from torchmbd.design.problem_parts import governing_row, limits_of
+from torchmbd.design.problem_parts import governing_row, limits_of, masses_and_frequencies
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError, MbdError, checked_signature
@@ -113,7 +112,8 @@ def verification(
     designs = [first if start is None else start[:n], x[:n]]
     needs_first = any(c.limit == "initial" for c in simulated.constraints) and not np.array_equal(designs[0], first)
     try:
-        responses = _responses(simulated, [*designs, first] if needs_first else designs, _beside(simulated))
+        beside = masses_and_frequencies(simulated, _FREQUENCIES)
+        responses = _responses(simulated, [*designs, first] if needs_first else designs, beside)
         gained, violation = responses[0], _excess(responses, 0)
         if robust:
             gained, violation = _over_tolerances(problem, designs[0], value, gained)
@@ -281,22 +281,6 @@ def _both(error: ResponseError) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a response in both models [lanes, rows]: the value, and with all its estimated errors."""
     value = rows_of(error.value).numpy()
     return value, value + sum(rows_of(x).numpy() for x in error.parts.values())
-
-
-def _beside(problem: Problem) -> list[Measure]:
-    """Mass and first frequencies of the bodies that are designed, where the problem does not ask for them already."""
-    bodies = dict.fromkeys(name.partition(".")[0] for name in problem.space.variables)
-    wanted = [Mass(body) for body in bodies]
-    wanted += [Frequency(body, k + 1) for body in bodies for k in range(_FREQUENCIES)]
-    known = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
-    measures = []
-    for measure in wanted:
-        try:
-            measure.check(problem.system)
-        except InputError:  # a rigid body has no frequency, a controller no mass
-            continue
-        measures += [measure] * (measure not in known)
-    return measures
 
 
 def _excess(responses: Sequence[_Response], lane: int) -> float:

@@ -69,7 +69,7 @@ def print_results(study: StudySettings, outcome: MultistartResult, failures: Seq
         console.print(f"best design: {study.columns.named(best.x)}", soft_wrap=True, highlight=False)
     if len(ranked) > ROWS:
         console.print(f"the best {ROWS} of {len(ranked)} starts; torchmbd best --count {len(ranked)} prints all")
-    told = {"soft_wrap": True, "highlight": False, "markup": False}
+    told: Any = {"soft_wrap": True, "highlight": False, "markup": False}
     verified = isinstance(study.simulated, Problem) and best is not None and not outcome.interrupted
     if not verified:  # a verification tells it
         console.print(outcome.search_text, style="red" if outcome.failing_text else None, **told)
