@@ -76,7 +76,7 @@ def test_one_rule_for_all_doors(door: str) -> None:
         assert result.x[0] == pytest.approx(1.0 + 1e-6, abs=1e-9)
         assert result.history[0].objective == pytest.approx(of_start(1000, x), rel=1e-12)
         assert result.history[0].accuracy == result.history[-1].accuracy == result.problem.accuracy == "1000 steps"
-        assert {entry.accuracy for entry in result.history} >= {"10 steps", "1000 steps"}
+        assert {entry.accuracy for entry in result.history} <= {"10 steps", "1000 steps"}
         assert [entry.iteration for entry in result.history] == list(range(result.iterations + 1))
         own = [entry.iteration for entry in reports if entry.start == result.start]
         assert own == list(range(result.iterations + 1))

@@ -87,6 +87,9 @@ def _joined(parts: list[OptimizationResult]) -> OptimizationResult:
         return parts[0]
     history, done, analyses = list(parts[0].history), parts[0].iterations, parts[0].analyses
     for part in parts[1:]:
+        if history and part.history and np.array_equal(history[-1].x, part.history[0].x):  # the same design, once more
+            first = part.history[0]
+            history[-1] = replace(first, iteration=history[-1].iteration, analyses=analyses + first.analyses)
         history += [
             replace(iterate, iteration=done + iterate.iteration, analyses=analyses + iterate.analyses)
             for iterate in part.history

@@ -266,6 +266,23 @@ def test_ply_angles_repeat_after_half_a_turn(degrees, count):
     assert len(distinct_minima(apart, span, period=period)) == 2
 
 
+@pytest.mark.parametrize(("factor", "constant"), [(1.0, 1e4), (1.0, -1e4), (1e-6, 0.0), (1e3, -7.0)])
+def test_neither_a_constant_nor_a_unit_of_the_objective_joins_minima(factor, constant):
+    """Two valleys, of which one is deeper by a tenth of what the searches gain."""
+    problem = Analytic("valleys", [0.6], lambda x: 16 * (x[0] ** 2 - 0.25) ** 2 + 0.5 * x[0], lower=-100, upper=100)
+    ends = multistart(problem, "mmfd", [[0.6], [-0.6], [0.55]]).results
+    changed = [
+        replace(
+            end,
+            value=factor * end.value + constant,
+            history=[replace(entry, objective=factor * entry.objective + constant) for entry in end.history],
+        )
+        for end in ends
+    ]
+    for results in (ends, changed):
+        assert [minimum.starts for minimum in distinct_minima(results, np.array([200.0]))] == [[1], [0, 2]]
+
+
 @pytest.mark.thorough
 def test_no_further_start_once_all_minima_are_known():
     problem = waves(lower=[-0.9, -3.0], upper=[0.9, 3.0])

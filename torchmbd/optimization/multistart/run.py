@@ -52,6 +52,8 @@ from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import shown
 from torchmbd.summary import Summary, few
 
+_ROUNDING = 1e-9  # of a value: differences that are none
+
 
 @dataclass(frozen=True)
 class Minimum:
@@ -70,9 +72,9 @@ def distinct_minima(
 ) -> list[Minimum]:
     """Return the distinct minima of the converged searches, best first.
 
-    Two ends are one minimum if their values agree to `value_tolerance` (relative; of a thousandth of the start's
-    value where the minimum is zero) and each variable to `x_tolerance` of `span` [n]; variables with a `period` [n]
-    (0 where none; ply angles: half a turn) are compared on the circle.
+    Two ends are one minimum if their values agree to `value_tolerance` of what the searches gained, so that a constant in the
+    objective does not matter, and each variable to `x_tolerance` of `span` [n]; variables with a `period` [n] (0 where none;
+    ply angles: half a turn) are compared on the circle.
     """
     ends = sorted((r for r in results if r.converged), key=lambda r: r.value)
     groups: list[list[OptimizationResult]] = []
@@ -111,8 +113,8 @@ def _same(
         turn = np.where(period > 0.0, period, np.inf)
         distance = np.minimum(distance % turn, turn - distance % turn)
     near = bool((distance <= x_tolerance * span).all())
-    size = max(abs(a.value), abs(b.value), 1e-3 * abs(a.history[0].objective), 1e-3 * abs(b.history[0].objective))
-    return near and abs(a.value - b.value) <= value_tolerance * size
+    gains = [abs(end.history[0].objective - end.value) for end in (a, b)]
+    return near and abs(a.value - b.value) <= max(value_tolerance * max(gains), _ROUNDING * abs(a.value))
 
 
 if TYPE_CHECKING:

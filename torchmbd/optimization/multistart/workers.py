@@ -227,7 +227,8 @@ class Processes(Workers):
 
     def refined(self, x: np.ndarray) -> Processes | None:
         """The problem of the accuracy that a design [n] needs, on the same processes; None: it has it."""
-        return self._with(self.problem.refined(x)) if hasattr(type(self.problem), "refined") else None
+        refine = getattr(self.problem, "refined", None) if hasattr(type(self.problem), "refined") else None
+        return None if refine is None else self._with(refine(x))
 
     def _with(self, problem: Any) -> Processes | None:
         if problem is None:
