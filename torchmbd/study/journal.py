@@ -114,7 +114,6 @@ class Journal(Runs):
             self.first[iterate.start] = iterate.objective
         if iterate.accuracy != self._accuracy:  # values by other steps are no improvement
             self._best, self._accuracy = math.inf, iterate.accuracy
-            self.tracker.tags(PARENT, {"accuracy": iterate.accuracy})
         if iterate.status != "ok":
             self.tracker.tags(run, {"last_failure": iterate.status})
         elif iterate.violation <= self.study.feasibility and iterate.objective < self._best:

@@ -252,6 +252,6 @@ def _summarize(result: MultistartResult, sign: float, journal: Journal) -> None:
         numbers |= {gain_metric(sign): percent(initial, best.value)} if initial else {}
         numbers |= journal.design_metrics(best.x)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
-        tags |= {ACTIVE: active_text(best)}
+        tags |= {ACTIVE: active_text(best), "accuracy": getattr(best.problem, "accuracy", "")}
     tags |= {SEARCH_TEXT: result.search_text}
     journal.summary(numbers, tags)
