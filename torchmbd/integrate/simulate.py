@@ -212,6 +212,7 @@ def simulate(
             system=model,
             integrator=integrator,
             steps=count,
+            multiple=rounding(integrator, motion.integration.dynamics, seconds)(1),
             arguments=arguments,
             options=options,
             parameters={name: x.detach().clone() for name, x in model.named_parameters()},
