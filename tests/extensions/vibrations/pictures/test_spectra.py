@@ -49,6 +49,23 @@ def test_campbell_has_frequencies_orders_crossings_and_growth():
     assert figure.get_suptitle() == "a rotor"
 
 
+def test_rounding_is_no_growth_and_no_label_lies_on_another():
+    """An undamped rotor whose damping ratios are rounding; two whirls that nearly coincide, and two that do."""
+    frequencies = torch.stack(
+        [10.0 - 0.002 * SPEEDS, 10.0 + 0.002 * SPEEDS, 24.5 + 0.0 * SPEEDS, 24.5 + 0.0 * SPEEDS], 1
+    )
+    figure = mbd.viz.campbell(SPEEDS, frequencies, -1e-11 + 0.0 * frequencies, orders=(1, 2))
+    top, bottom = figure.axes[:2]
+    assert not [line for axes in (top, bottom) for line in axes.lines if line.get_marker() == "x"]
+    assert bottom.get_ylim() == (-1.0, 1.0)
+    figure.canvas.draw()
+    texts = [text for text in top.texts if text.get_text()]
+    assert [text.get_text() for text in texts].count("153.9") == 1
+    boxes = [text.get_window_extent() for text in texts]
+    assert len(boxes) == 8  # two orders, three crossings of each
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
 def test_root_locus_draws_upper_poles_and_leaves_room_for_those_that_swing(tmp_path):
     c = torch.linspace(0.0, 6.0, 7, dtype=torch.float64)
     swinging = torch.complex(0.3 - 0.3 * c, 4.0 + 0.0 * c)

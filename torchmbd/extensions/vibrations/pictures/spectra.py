@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 _REVOLUTION = 2.0 * math.pi
 _PAPER = {"facecolor": "white", "alpha": 0.7, "lw": 0.0, "pad": 0.5}  # behind numbers on lines
 _WRITTEN = 14  # crossings with a number beside them, at most
+#: Damping ratio that is rounding: slow poles of stiff rotors have 3e-6.
+UNDAMPED = 1e-5
+_LETTER = 0.62  # width of a letter by its size
 
 
 @checked_signature
@@ -33,7 +36,7 @@ def campbell(
 
     speeds       ascending [k] [rad/s]
     frequencies  [k, n] [Hz], a column for each vibration; nan where there is none
-    damping      damping ratios [k, n] [-], in a second panel; where one is negative vibrations grow, and both panels say so
+    damping      damping ratios [k, n] [-], in a second panel; both panels mark those below -0.001 %, which grow
     orders       vibrations per revolution
 
     >>> speeds = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
@@ -123,23 +126,48 @@ def crossings(speeds: np.ndarray, frequencies: np.ndarray, order: float) -> np.n
 
 def _orders(axes: Axes, x: np.ndarray, f: np.ndarray, orders: Sequence[float], height: float) -> None:
     """Draw a line for each order, with its name where it leaves the picture, and its crossings."""
-    points = []
+    points, labels = [], _Labels(axes)
     for order in orders:
         end = min(float(x[-1]), _REVOLUTION * height / order)
         axes.plot(
             [x[0], x[-1]], [order * x[0] / _REVOLUTION, order * x[-1] / _REVOLUTION], color=OTHER, lw=0.9, ls="--"
         )
-        inside = end < x[-1]  # the line ends at the top
-        place: dict[str, Any] = {"ha": "right", "va": "top"} if inside else {"ha": "left", "va": "center"}
-        where = (end, order * end / _REVOLUTION), (-5, -3) if inside else (4, 0)
-        axes.annotate(f"{order:g}/rev.", *where, textcoords="offset points", fontsize=8, color="#666666", **place)
+        side = (-1, -1) if end < x[-1] else (1, 0)  # the line ends at the top, or on the right
+        labels.write(f"{order:g}/rev.", (end, order * end / _REVOLUTION), 8, [side], color="#666666", bbox=_PAPER)
         points.append(crossings(x, f, order))
     marked = np.concatenate([*points, np.zeros((0, 2))])
     marked = marked[marked[:, 0] > 0.0]
     axes.plot(marked[:, 0], marked[:, 1], "o", color=BAD, ms=4.5, zorder=4)
-    if len(marked) <= _WRITTEN:
-        for at, y in marked:
-            axes.annotate(f"{at:.4g}", (at, y), (5, -9), textcoords="offset points", fontsize=7, color=BAD, bbox=_PAPER)
+    texts = {f"{at:.4g}": (at, y) for at, y in marked.tolist()}  # whirls that coincide have one label
+    if len(texts) <= _WRITTEN:
+        for text, place in texts.items():
+            sides = [(1, -1), (-1, 1), (1, 1), (-1, -1)]
+            labels.write(text, place, 7, sides, color=BAD, bbox=_PAPER)
+
+
+class _Labels:
+    """Labels beside points, none over another: a label that finds no place is left out."""
+
+    def __init__(self, axes: Axes):
+        self.axes, self.boxes = axes, []
+
+    def write(
+        self, text: str, at: tuple[float, float], size: float, sides: Sequence[tuple[int, int]], **options: Any
+    ) -> None:
+        """Write at a point, on the first of the sides (right or left, above or below) with a free place; size [points]."""
+        unit = self.axes.figure.dpi / 72.0
+        x, y = self.axes.transData.transform(at) / unit
+        wide, high = _LETTER * size * len(text), 1.2 * size
+        for right, above in sides:
+            low = x + (4 if right > 0 else -4 - wide), y + (3 if above > 0 else -3 - high if above < 0 else -0.5 * high)
+            box = (*low, low[0] + wide, low[1] + high)
+            if all(box[0] > b[2] or box[2] < b[0] or box[1] > b[3] or box[3] < b[1] for b in self.boxes):
+                self.boxes.append(box)
+                place: dict[str, Any] = {"ha": "left" if right > 0 else "right"}
+                place["va"] = {1: "bottom", 0: "center", -1: "top"}[above]
+                offset = 4 * right, 3 * above
+                self.axes.annotate(text, at, offset, textcoords="offset points", fontsize=size, **place, **options)
+                return
 
 
 def _damping(top: Axes, bottom: Axes, x: np.ndarray, f: np.ndarray, zeta: np.ndarray) -> None:
@@ -147,11 +175,13 @@ def _damping(top: Axes, bottom: Axes, x: np.ndarray, f: np.ndarray, zeta: np.nda
     for k, column in enumerate(zeta.T):
         bottom.plot(x, 100.0 * column, color=CYCLE[k % len(CYCLE)], lw=1.2)
     bottom.axhline(0.0, color=CYCLE[0], lw=0.8)
-    rows, columns = np.nonzero(zeta < 0.0)
+    rows, columns = np.nonzero(zeta < -UNDAMPED)
     if len(rows):
         top.plot(x[rows], f[rows, columns], "x", color=BAD, ms=5, label="grows")
         bottom.plot(x[rows], 100.0 * zeta[rows, columns], "x", color=BAD, ms=5)
         top.legend(frameon=False, fontsize=8, loc="upper left")
+    if not bool((np.abs(zeta) > UNDAMPED).any()):
+        bottom.set_ylim(-1.0, 1.0)  # rounding is not enlarged
     bottom.set_ylabel("damping [%]")
 
 

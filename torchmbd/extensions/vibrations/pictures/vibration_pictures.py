@@ -38,7 +38,6 @@ _POINTS = 25  # speeds of a diagram
 _BEYOND = 1.1  # its largest speed over the largest that is asked for
 _MORE = 1  # vibrations beyond those asked for in a diagram
 _SHAPES = 3  # at most
-_UNDAMPED = 1e-9  # damping ratio that is rounding
 
 Draw = Callable[..., None]
 
@@ -95,7 +94,7 @@ def _orders(measures: Sequence[OfVibrations]) -> list[float]:
 
 def _diagrams(diagram: Campbell, measures: Sequence[OfVibrations], words: Sequence[Any], draw: Draw) -> None:
     labels, title, end = words
-    damped = bool((diagram.damping_ratios.abs() > _UNDAMPED).any())
+    damped = bool((diagram.damping_ratios.abs() > spectra.UNDAMPED).any())
     for lane, name in enumerate(("start", "best")):
         arguments: dict[str, Any] = {"speeds": diagram.speeds, "frequencies": diagram.frequencies[lane]}
         arguments |= {"damping": diagram.damping_ratios[lane] if damped else None, "orders": _orders(measures)}
