@@ -1,8 +1,8 @@
 """Steps of a flow of the index-1 equations (ode.py): from output to output, and to times that depend on the design.
 
-Lanes go one by one. Adaptive methods begin anew at every output: phases with many outputs cost more evaluations than a motion
-without phases. Within a phase the augmented state has derivatives at fixed times; where a time
-t*(b) moves with the design they become total,
+Lanes go one by one, each through all outputs of a run in one flow; where that fails, from output to output. So adaptive methods
+choose their own steps in a phase as in a motion without phases. Within a phase the augmented state has derivatives at fixed
+times; where a time t*(b) moves with the design they become total,
 
     dz*/db = dz/db + z' dt*/db        and after the switch again derivatives at fixed times        dz/db = dz*/db - z' dt*/db
 
@@ -40,11 +40,12 @@ class FlowStepper(Stepper):
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """See Stepper. The schedule counts steps only: the right-hand side evaluates laws itself."""
-        moving, self.steps = lane_numbers(self.counts), len(schedule)
+        self.steps = len(schedule)
+        lanes = {lane: self._lane(first, lane, x) for lane in lane_numbers(self.counts)}
         for k in range(len(schedule)):
             full = [_full(y).clone() for y in x]
-            for lane in moving:
-                for part, y in zip(full, self._lane(first + k, lane, x), strict=True):
+            for lane, states in lanes.items():
+                for part, y in zip(full, states[k], strict=True):
                     part[..., lane] = y[..., 0]
             x = State(*(Pair(y) if isinstance(x.q, Pair) else y for y in full))
             record.put(start + k, x)
@@ -54,20 +55,36 @@ class FlowStepper(Stepper):
         """See Stepper. It is the true acceleration here."""
         return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
 
-    def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
+    def _lane(self, first: int, lane: int, x: State) -> list[list[Tensor]]:
+        """The states of one lane at the ends of the steps, the first of which begins at the point `first` of the grid."""
         state = [_full(pick_lanes(y, [lane])) for y in x]
         if lane in self.failed:
-            return state
+            return [state] * self.steps
         if lane not in self._rates:
             self._rates[lane] = backend_of(self.dynamics).right_hand_side(lanes_of(self.dynamics, [lane]))
-        f, times = self._rates[lane], self.h * torch.arange(i, i + 2, dtype=torch.float64)
+        f, y = self._rates[lane], torch.cat(state[:2])
+        times = self.h * torch.arange(first, first + self.steps + 1, dtype=torch.float64)
         try:
-            y = flow(f, torch.cat(state[:2]), times, self.arguments)[-1]
-        except FloatingPointError as error:
-            self.failed[lane] = str(error)
-            return [y * torch.nan for y in state]
-        a, lam = f.accelerations(times[-1], y)
-        return [*y.split([len(state[0]), len(state[1])]), a, a, lam]
+            states = [*flow(f, y, times, self.arguments)[1:]]
+        except FloatingPointError:
+            states = self._from_output_to_output(f, lane, y, times)
+        sizes, result = [len(state[0]), len(state[1])], []
+        for t, y in zip(times[1:], states, strict=False):
+            a, lam = f.accelerations(t, y)
+            result.append([*y.split(sizes), a, a, lam])
+        return result + [[y * torch.nan for y in state]] * (self.steps - len(result))
+
+    def _from_output_to_output(self, f: RightHandSide, lane: int, y: Tensor, times: Tensor) -> list[Tensor]:
+        """Augmented states of one lane at the times after the first, up to where it cannot be integrated."""
+        states: list[Tensor] = []
+        for k in range(self.steps):
+            try:
+                y = flow(f, y, times[k : k + 2], self.arguments)[-1]
+            except FloatingPointError as error:
+                self.failed[lane] = str(error)
+                break
+            states.append(y)
+        return states
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:
