@@ -1,4 +1,4 @@
-"""Steps of a flow of the index-1 equations (ode.py): from output to output, and to times that depend on the design.
+"""Steps of a flow of the index-1 equations (ode.py): to outputs, and to times that depend on the design.
 
 Lanes go one by one, each through all outputs of a run in one flow; where that fails, from output to output. So adaptive methods
 choose their own steps in a phase as in a motion without phases. Within a phase the augmented state has derivatives at fixed
@@ -6,7 +6,7 @@ times; where a time t*(b) moves with the design they become total,
 
     dz*/db = dz/db + z' dt*/db        and after the switch again derivatives at fixed times        dz/db = dz*/db - z' dt*/db
 
-Checked in tests/contracts/test_integrators.py, tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
+Checked in tests/integrate/test_flow_stepper.py, tests/contracts/test_integrators.py, tests/integrate/phases/test_phase.py.
 """
 
 from __future__ import annotations
