@@ -32,7 +32,7 @@ from torchmbd.optimization.optimizer import (
     require_problem,
     require_range,
 )
-from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search
+from torchmbd.optimization.search import Interrupted, OutOfAnalyses, OutOfTime, Search, deadline_of
 from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import both, shown
 
@@ -53,6 +53,7 @@ def optimize(
     feasibility: float = FEASIBILITY,
     eager_gradients: bool = True,
     max_analyses: int | None = None,
+    max_time: float | None = None,
     progress: bool | None = None,
     **options: Any,
 ) -> OptimizationResult:
@@ -67,6 +68,8 @@ def optimize(
     feasibility      violation of a constraint that still counts as none [-]
     eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
     max_analyses     simulations at most; None: any number
+    max_time         limit of time [s]: no simulation begins after it, and the best design by then is the result, with the
+                     status "max_time"; None: no limit
     progress         a bar of the iterations on standard error; None: in a terminal or a notebook
     options          the method's own
 
@@ -86,12 +89,14 @@ def optimize(
     scaling = true_or_false("scaling", scaling)
     eager_gradients = true_or_false("eager_gradients", eager_gradients)
 
+    deadline = deadline_of(max_time)
     with shown(progress, method, max_iterations) as show:
         report = both(lambda iterate: show(iterate.iteration, iterate.objective), callback)
 
         def search(problem: NonlinearProgram, begins: Mapping[int, Begin]) -> dict[int, OptimizationResult]:
             [(start, iterations, parts)] = begins.values()
             settings: dict[str, Any] = {"feasibility": feasibility, "eager_gradients": eager_gradients}
+            settings |= {"deadline": deadline}
             settings |= {"scale": variable_scale(start, lower, upper) if scaling else None}
             settings |= {"max_analyses": analyses_left(max_analyses, parts), "report": counted_from(parts, report)}
             search = Search.of(problem, problem.evaluate, start, lower, upper, **settings)
@@ -143,6 +148,8 @@ def run_start(
         status, message = "interrupted", "stopped by the user"
     except OutOfAnalyses:
         status, message = "max_iterations", f"the limit of {search.max_analyses} analyses was reached"
+    except OutOfTime:
+        status, message = "max_time", "the limit of time was reached"
     if not search.history and search.evaluate_known(search.start).ok:
         search.begin()  # the start was evaluated, in one batch with neighbors that were not
     best = search.start if search.best is None else search.best
@@ -181,7 +188,7 @@ def build_result(
     evaluation = known = search.evaluate_known(y)
     value = search.physical_objective(y)
     if evaluate:
-        with contextlib.suppress(OutOfAnalyses):  # values are known, multipliers are not
+        with contextlib.suppress(OutOfAnalyses, OutOfTime):  # values are known, multipliers are not
             evaluation = search.evaluate(y, gradients=True)
     if known.ok and not evaluation.ok:
         evaluation, message = known, f"{message}; its gradient could not be evaluated: {evaluation.status}"

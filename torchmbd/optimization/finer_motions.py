@@ -26,7 +26,8 @@ from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationRes
 Begin = tuple[np.ndarray, int, list[OptimizationResult]]  # design [n], iterations at most, parts of this start before
 Search = Callable[[Any, Mapping[int, Begin]], dict[int, OptimizationResult]]
 _FEWEST = 4  # iterations that are worth a coarse part
-ENDED = ("failed", "interrupted", "infeasible")  # statuses after which no part follows
+STOPPED = ("interrupted", "max_time")  # statuses after which nothing is simulated
+ENDED = ("failed", "infeasible", *STOPPED)  # statuses after which no part follows
 _NONE_LEFT = "the limits left no iteration by the finer motions that the best design needs"
 
 
@@ -54,7 +55,7 @@ def search_with_finer_motions(
         for start, end in ends.items():
             parts.setdefault(start, []).append(end)
         is_coarse = present is coarse
-        if any(end.status == "interrupted" for end in ends.values()):
+        if any(end.status in STOPPED for end in ends.values()):
             break
         open_ends = {start: end for start, end in ends.items() if end.status not in ENDED}
         if is_coarse:
@@ -110,9 +111,7 @@ def _with_starts(
     points: Mapping[int, np.ndarray],
 ) -> dict[int, OptimizationResult]:
     """The results with the starts by the problem of the results as the first entries of their histories."""
-    moved = [
-        k for k, every in parts.items() if len(every) > 1 and every[-1].status != "interrupted" and ends[k].history
-    ]
+    moved = [k for k, every in parts.items() if len(every) > 1 and every[-1].status not in STOPPED and ends[k].history]
     if not moved:
         return ends
     problem = ends[moved[0]].problem

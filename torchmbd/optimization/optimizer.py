@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 STATUSES = {
     "converged": "the constraints and the Kuhn-Tucker conditions are satisfied, to the residual `kkt` of the method",
     "max_iterations": "stopped by the limit of iterations or of analyses",
+    "max_time": "stopped by the limit of time; x is the best design seen",
     "max_boxes": "stopped by the limit of boxes of a discrete search, with boxes left that may hold a better design",
     "many_failures": "more than a tenth of the evaluations failed, so an optimum may have been missed; the message says why",
     "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",

@@ -10,6 +10,8 @@ hands them to the thread that evaluates the designs of all starts together (mult
 from __future__ import annotations
 
 import contextlib
+import math
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,9 +23,10 @@ import numpy as np
 from torchmbd.errors import InputError
 from torchmbd.optimization.cache import MemoryStore
 from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
-from torchmbd.optimization.optimizer import Evaluation, Iterate, largest_violation, rank
+from torchmbd.optimization.optimizer import Evaluation, Iterate, largest_violation, rank, require_range
 from torchmbd.optimization.units import first_order_change, needs_neighbor, neighbor, unit_of
 
+TIMES = 1e-3, 1e9  # limits of time [s]
 EvaluateBatch = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
 Report = Callable[[Iterate], None]
 Tighten = Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]]  # Problem.with_least_bound
@@ -35,6 +38,20 @@ class Interrupted(BaseException):
 
 class OutOfAnalyses(BaseException):
     """Raised inside a method to end it when its start has had its limit of analyses. Not an Exception, as above."""
+
+
+class OutOfTime(BaseException):
+    """Raised inside a method to end it when the limit of time is reached. Not an Exception, as above."""
+
+
+def deadline_of(max_time: float | None) -> float:
+    """When a search that begins now must end, by time.monotonic() [s]; InputError for a limit that is no time."""
+    return math.inf if max_time is None else time.monotonic() + require_range("max_time", max_time, *TIMES)
+
+
+def is_over(deadline: float) -> bool:
+    """Whether a deadline has passed."""
+    return time.monotonic() > deadline
 
 
 class Search:
@@ -52,6 +69,7 @@ class Search:
         feasibility: float = 1e-6,
         eager_gradients: bool = True,
         max_analyses: int | None = None,
+        deadline: float = math.inf,
         index: int = 0,
         report: Report | None = None,
         tighten: Tighten | None = None,
@@ -66,7 +84,7 @@ class Search:
         self.start = start / self.scale
         self.feasibility = feasibility
         self.eager_gradients = eager_gradients
-        self.max_analyses = max_analyses
+        self.max_analyses, self.deadline = max_analyses, deadline
         self.index, self.has_extra_variable, self.accuracy = index, has_extra_variable, accuracy
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
@@ -249,6 +267,8 @@ class Search:
             if not np.isfinite(x).all():  # a method runs away
                 self._cache.entries[x.tobytes()] = x, Evaluation.failure("the design is not finite")
         designs = [x for x in designs if np.isfinite(x).all()]
+        if designs and is_over(self.deadline):
+            raise OutOfTime
         remaining = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
         allowed = designs[:remaining]
         answers = self._evaluate_batch(np.stack(allowed), gradients) if allowed else []

@@ -25,6 +25,7 @@ from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.sampling import recipe, starts_at
 from torchmbd.optimization.optimizer import find_method, require_count, require_inside, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
+from torchmbd.optimization.search import TIMES
 from torchmbd.results.answer import Verification
 from torchmbd.study.columns import Columns
 from torchmbd.study.schema import NAME, UNITS, StudyFile
@@ -109,6 +110,11 @@ class StudySettings(Summary):
             starts = starts_at([checked_box(problem, point)[0] for point in full])
         self.starts = recipe(starts, self._start)
         self.increments = self._checked_increments(increments)
+        if any(self.increments) and options.get("max_time") is not None:
+            raise InputError(
+                f"max_time = {options['max_time']!r}: must be left out where variables take steps (increments). "
+                "Try: max_boxes, max_iterations"
+            )
         self.sweep = self._sweep_values(sweep)
         self.outcome: Outcome | None = None
 
@@ -264,5 +270,7 @@ def check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
     for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
         if options.get(name) is not None:
             require_count(name, options[name], least, most)
+    if options.get("max_time") is not None:
+        require_range("max_time", options["max_time"], *TIMES)
     if "feasibility" in options:
         require_range("feasibility", options["feasibility"], 0.0, 1.0)

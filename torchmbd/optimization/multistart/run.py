@@ -47,7 +47,7 @@ from torchmbd.optimization.optimizer import (
     require_count,
     require_range,
 )
-from torchmbd.optimization.search import EvaluateBatch, Report, Search
+from torchmbd.optimization.search import EvaluateBatch, Report, Search, deadline_of, is_over
 from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import shown
 from torchmbd.summary import Summary, few
@@ -129,7 +129,7 @@ class MultistartResult(Summary):
     results: list[OptimizationResult]
     minima: list[Minimum]  # distinct, best first
     interrupted: bool = False
-    stopped_early: bool = False  # by `minima_left`
+    stopped_early: bool = False  # by `minima_left`, or by `max_time` before all starts began
     starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [count, n], also those that were not begun
     feasibility: float = FEASIBILITY  # violation of a constraint that counts as none
 
@@ -232,6 +232,7 @@ def multistart(
     feasibility: float = FEASIBILITY,
     eager_gradients: bool = True,
     max_analyses: int | None = None,
+    max_time: float | None = None,
     minima_left: float | None = None,
     progress: bool | None = None,
     **options: Any,
@@ -245,6 +246,8 @@ def multistart(
     scaling      divide variables by the problem's start, the same for all starts
     minima_left  begin no further start once the estimated number of unknown minima is below it
     progress     a bar of the starts on standard error; None: in a terminal or a notebook
+    max_time     limit of time for all starts [s]: after it no simulation and no start begins, and the starts that run end
+                 with the status "max_time" and their best designs; None: no limit
     method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
 
     The result of a start that fails holds the reason. Ctrl-C ends every start; the results so far are returned with
@@ -270,6 +273,7 @@ def multistart(
         "scale": variable_scale(initial, lower, upper) if scaling else None,
         "feasibility": feasibility,
         "eager_gradients": eager_gradients,
+        "deadline": (deadline := deadline_of(max_time)),
     }
 
     def run_one(
@@ -285,6 +289,8 @@ def multistart(
     find = partial(distinct_minima, span=span, period=None if period is None else np.asarray(period, dtype=float))
 
     def may_begin(results: list[OptimizationResult]) -> bool:
+        if is_over(deadline):
+            return False
         if minima_left is None:
             return True
         minima = find(results)
